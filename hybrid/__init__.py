@@ -1,0 +1,31 @@
+"""Photo of a bent, shiny, unevenly lit CT film in, flat print out."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+__version__ = "0.1.0"
+
+if TYPE_CHECKING:
+    from hybrid.pipeline import RectifyConfig, Rectifier, rectify
+    from hybrid.records import RectifyResult, SliceGrid, StageReport, Status
+
+_PLACES = {
+    "Rectifier": "hybrid.pipeline",
+    "RectifyConfig": "hybrid.pipeline",
+    "rectify": "hybrid.pipeline",
+    "RectifyResult": "hybrid.records",
+    "SliceGrid": "hybrid.records",
+    "StageReport": "hybrid.records",
+    "Status": "hybrid.records",
+}
+__all__ = ["RectifyConfig", "RectifyResult", "Rectifier", "SliceGrid", "StageReport", "Status", "rectify"]
+
+
+def __getattr__(name: str) -> Any:
+    """Load a public name when it is first used, so that importing the package costs nothing."""
+    if name not in _PLACES:
+        raise AttributeError(f"module 'hybrid' has no attribute {name!r}; it has {', '.join(__all__)}")
+    import importlib
+
+    return getattr(importlib.import_module(_PLACES[name]), name)

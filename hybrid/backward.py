@@ -1,0 +1,152 @@
+"""The backward map: which photo point shows a film point, as a callable with an inverse."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float
+from scipy.interpolate import RectBivariateSpline, make_interp_spline
+
+from hybrid.coords import film_centres_1d, film_nodes, node_centres_1d
+
+MIN_NODES = 4
+"""A cubic spline needs four nodes along each axis."""
+
+
+def spline_weights(n_nodes: int, t: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n g"]:
+    """Weights of the g node values in the cubic spline through them, at film coordinates ``t`` of one axis."""
+    nodes = node_centres_1d(n_nodes)
+    return make_interp_spline(nodes, np.eye(n_nodes), k=3)(t)
+
+
+@dataclass(frozen=True, eq=False)
+class BackwardMap:
+    """Photo point of every film point: a bicubic spline through nodes that lie on the film's edges.
+
+    nodes: (gh, gw, 2) float64, photo points in pixels of the full-resolution photo; ``nodes[i, j]`` is the
+        photo point of film point ``(j / (gw - 1), i / (gh - 1))``.
+    """
+
+    nodes: Float[np.ndarray, "gh gw 2"]
+
+    def __post_init__(self) -> None:
+        nodes = np.array(self.nodes, dtype=np.float64)
+        if nodes.ndim != 3 or nodes.shape[2] != 2 or min(nodes.shape[:2]) < MIN_NODES:
+            raise ValueError(
+                f"BackwardMap.nodes: got shape {nodes.shape}; allowed: (gh, gw, 2), gh, gw >= {MIN_NODES}"
+            )
+        if not np.isfinite(nodes).all():
+            raise ValueError("BackwardMap.nodes: got NaN or infinity; allowed: finite photo points")
+        nodes.setflags(write=False)
+        object.__setattr__(self, "nodes", nodes)
+
+    @staticmethod
+    def from_function(
+        photo_from_film: Callable[[np.ndarray], np.ndarray], size: tuple[int, int] = (33, 33)
+    ) -> BackwardMap:
+        """The map that agrees with ``photo_from_film`` ((N, 2) uv -> (N, 2) photo points) at all nodes."""
+        uv = film_nodes(size)
+        return BackwardMap(photo_from_film(uv.reshape(-1, 2)).reshape(*size, 2))
+
+    @cached_property
+    def _splines(self) -> tuple[RectBivariateSpline, RectBivariateSpline]:
+        gh, gw = self.nodes.shape[:2]
+        v, u = node_centres_1d(gh), node_centres_1d(gw)
+        return (RectBivariateSpline(v, u, self.nodes[..., 0]), RectBivariateSpline(v, u, self.nodes[..., 1]))
+
+    def photo_from_film(self, uv: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n 2"]:
+        """Photo points of film points; outside [0, 1]^2 the map goes on linearly from the nearest edge point."""
+        inside = np.clip(uv, 0.0, 1.0)
+        points = np.stack([s.ev(inside[..., 1], inside[..., 0]) for s in self._splines], axis=-1)
+        beyond = np.asarray(uv, dtype=np.float64) - inside
+        if np.any(beyond):
+            points = points + np.einsum("...ij,...j->...i", self.jacobian(inside), beyond)
+        return points
+
+    def jacobian(self, uv: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n 2 2"]:
+        """d(x, y) / d(u, v) in pixels per film unit; its determinant is positive where nothing folds or mirrors."""
+        inside = np.clip(uv, 0.0, 1.0)
+        du = [s.ev(inside[..., 1], inside[..., 0], dx=0, dy=1) for s in self._splines]
+        dv = [s.ev(inside[..., 1], inside[..., 0], dx=1, dy=0) for s in self._splines]
+        return np.stack([np.stack(du, axis=-1), np.stack(dv, axis=-1)], axis=-1)
+
+    def film_from_photo(
+        self, xy: Float[np.ndarray, "*n 2"], iterations: int = 12, tolerance_px: float = 1e-3
+    ) -> Float[np.ndarray, "*n 2"]:
+        """Film uv of photo points by Newton from the nearest node; NaN where the film is not.
+
+        A point counts as on the film if it maps back to within ``tolerance_px`` from a uv within [0, 1]^2
+        (with one part in a million to spare for points on the edge).
+        """
+        from scipy.spatial import cKDTree
+
+        shape = np.shape(xy)
+        target = np.asarray(xy, dtype=np.float64).reshape(-1, 2)
+        uv_nodes = film_nodes(self.nodes.shape[:2]).reshape(-1, 2)
+        finite = np.isfinite(target).all(axis=1)
+        _, nearest = cKDTree(self.nodes.reshape(-1, 2)).query(np.where(finite[:, None], target, 0.0))
+        uv = uv_nodes[nearest]
+        for _ in range(iterations):
+            error = target - self.photo_from_film(uv)
+            jacobian = self.jacobian(uv)
+            det = np.linalg.det(jacobian)
+            safe = np.where(np.abs(det) > 1e-9, det, np.inf)
+            step = np.stack(
+                [
+                    (jacobian[:, 1, 1] * error[:, 0] - jacobian[:, 0, 1] * error[:, 1]) / safe,
+                    (jacobian[:, 0, 0] * error[:, 1] - jacobian[:, 1, 0] * error[:, 0]) / safe,
+                ],
+                axis=1,
+            )
+            uv = np.clip(uv + np.clip(step, -0.2, 0.2), -0.5, 1.5)
+            if np.nanmax(np.abs(step), initial=0.0) < 1e-10:
+                break
+        miss = np.linalg.norm(target - self.photo_from_film(uv), axis=1)
+        on_film = finite & (miss <= tolerance_px) & (uv >= -1e-6).all(axis=1) & (uv <= 1 + 1e-6).all(axis=1)
+        return np.where(on_film[:, None], uv, np.nan).reshape(shape)
+
+    def dense(self, size: tuple[int, int]) -> Float[np.ndarray, "h w 2"]:
+        """Photo points (float32) of all pixel centres of a film image of ``size`` (height, width)."""
+        gh, gw = self.nodes.shape[:2]
+        weights_v = spline_weights(gh, film_centres_1d(size[0]))
+        weights_u = spline_weights(gw, film_centres_1d(size[1])).astype(np.float32)
+        columns = np.tensordot(weights_v, self.nodes, axes=(1, 0)).astype(np.float32)  # (h, gw, 2)
+        return np.stack([columns[..., k] @ weights_u.T for k in range(2)], axis=-1)
+
+    def resized(self, size: tuple[int, int]) -> BackwardMap:
+        """The same map on another number of nodes (rows, columns)."""
+        return BackwardMap.from_function(self.photo_from_film, size)
+
+    def cropped(self, offset_xy: tuple[float, float], scale_xy: tuple[float, float] = (1.0, 1.0)) -> BackwardMap:
+        """The map into a photo that was cropped at ``offset_xy`` and then scaled by ``scale_xy``."""
+        return BackwardMap((self.nodes - np.asarray(offset_xy)) * np.asarray(scale_xy))
+
+    def turned(self, quarter_turns: int, mirrored: bool) -> BackwardMap:
+        """The map of the film read after ``quarter_turns`` clockwise turns, mirrored left to right first if asked."""
+        nodes = self.nodes[:, ::-1] if mirrored else self.nodes
+        return BackwardMap(np.rot90(nodes, -quarter_turns))
+
+    def mean_film_pixels(self) -> tuple[float, float]:
+        """Mean height and width in photo pixels of the film: lengths of the lattice lines, averaged."""
+        across = np.linalg.norm(np.diff(self.nodes, axis=1), axis=-1).sum(axis=1).mean()
+        down = np.linalg.norm(np.diff(self.nodes, axis=0), axis=-1).sum(axis=0).mean()
+        return float(down), float(across)
+
+    def folds(self, size: tuple[int, int] = (65, 65)) -> bool:
+        """True where the map turns over somewhere (the Jacobian's determinant changes sign or vanishes)."""
+        det = np.linalg.det(self.jacobian(film_nodes(size)))
+        return not (np.all(det > 0) or np.all(det < 0))
+
+
+def end_point_error(
+    predicted: BackwardMap, true_points: Float[np.ndarray, "n n 2"]
+) -> Float[np.ndarray, "n n"]:
+    """Distance in photo pixels between predicted and true photo points of a film lattice, edges included."""
+    uv = film_nodes(true_points.shape[:2])
+    return np.linalg.norm(predicted.photo_from_film(uv) - true_points, axis=-1)
+
+
+__all__ = ["BackwardMap", "end_point_error", "spline_weights"]

@@ -1,0 +1,31 @@
+"""The errors that a user can meet: each says what, where, got, allowed, and what to do next."""
+
+from __future__ import annotations
+
+
+class HybridError(Exception):
+    """Base of every error that this package raises on purpose."""
+
+
+class PhotoError(HybridError):
+    """A photo that cannot be read or is not an image the pipeline can take."""
+
+
+class DataError(HybridError):
+    """A data file (shard, CT volume, DICOM series, environment, weights) that cannot be used."""
+
+
+class ConfigError(HybridError):
+    """An option, or a combination of options, that is not allowed."""
+
+
+class SimulationError(HybridError):
+    """A simulated state that cannot be reached, with the residual that was left."""
+
+
+def describe(*, what: str, where: object = None, got: object = None, allowed: object = None, do: str) -> str:
+    """One readable sentence from the five parts that every message has (STYLE rule 11)."""
+    head = f"{what} ({where})" if where is not None else what
+    body = [f"got {got}" if got is not None else "", f"allowed: {allowed}" if allowed is not None else ""]
+    facts = "; ".join(part for part in body if part)
+    return f"{head}: {facts}. {do}" if facts else f"{head}. {do}"

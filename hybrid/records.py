@@ -1,0 +1,141 @@
+"""The frozen records that pass between stages: one for each arrow in the design's data flow."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import Enum
+
+import numpy as np
+from jaxtyping import Bool, Float, UInt8
+
+from hybrid.backward import BackwardMap
+
+# ---------------------------------------------------------------- what the network sees
+
+
+@dataclass(frozen=True, eq=False)
+class CoarseMaps:
+    """What the network predicts, at its own resolution, for a square crop of the photo.
+
+    mask: probability that a pixel shows film.
+    uv: film uv, meaningful where the mask is high.
+    xyz: 3D coordinates in camera axes, relative to the film's centre, in units of the film's diagonal.
+    albedo: display grey of the print in [0, 1], blurred to the network's resolution.
+    photo_points: (h, w, 2) photo points (full-resolution pixels) of the pixel centres.
+    """
+
+    mask: Float[np.ndarray, "h w"]
+    uv: Float[np.ndarray, "h w 2"]
+    xyz: Float[np.ndarray, "h w 3"]
+    albedo: Float[np.ndarray, "h w"]
+    photo_points: Float[np.ndarray, "h w 2"]
+
+
+# ---------------------------------------------------------------- what the print says
+
+
+@dataclass(frozen=True, eq=False)
+class SliceGrid:
+    """The grid of slices found on the film.
+
+    rows, cols: number of slices down and across.
+    vertices: (rows + 1, cols + 1, 2) film uv of the corners of the cells, row 0 the top.
+    vertices_photo: (rows + 1, cols + 1, 2) the same corners as photo points.
+    confidence: in [0, 1], how well the photo bears the grid out.
+    """
+
+    rows: int
+    cols: int
+    vertices: Float[np.ndarray, "r c 2"]
+    vertices_photo: Float[np.ndarray, "r c 2"]
+    confidence: float
+
+    def __post_init__(self) -> None:
+        expected = (self.rows + 1, self.cols + 1, 2)
+        for name in ("vertices", "vertices_photo"):
+            got = getattr(self, name).shape
+            if got != expected:
+                raise ValueError(f"SliceGrid.{name}: got shape {got}; allowed: {expected}")
+        if not 0.0 <= self.confidence <= 1.0:
+            raise ValueError(f"SliceGrid.confidence: got {self.confidence}; allowed: [0, 1]")
+
+
+# ---------------------------------------------------------------- the result
+
+
+class StatusCode(Enum):
+    """How a rectification ended; the value is the sentence shown to a person."""
+
+    OK = "The film was found and flattened."
+    NO_FILM = (
+        "No film was found in the photo. Photograph the whole sheet, edges included, "
+        "so that it fills at least a third of the picture."
+    )
+    TOO_SMALL = "The photo is too small. Use one of at least 64 x 64 pixels; 1000 or more are better."
+    BLANK = "The photo shows nothing (it is all of one colour). Check the lens and the exposure and take it again."
+    FOLDED = (
+        "A film was seen, but its shape could not be made out (the map folds over itself). "
+        "Hold the sheet flatter, photograph it from the front, and avoid covering it."
+    )
+
+
+@dataclass(frozen=True)
+class Status:
+    """How a rectification ended: ``status.ok``, and ``str(status)`` for a person."""
+
+    code: StatusCode
+
+    @property
+    def ok(self) -> bool:
+        return self.code is StatusCode.OK
+
+    def __str__(self) -> str:
+        return self.code.value
+
+
+@dataclass(frozen=True)
+class StageReport:
+    """One stage of a rectification: whether it ran, the evidence for that, and the seconds it took."""
+
+    name: str
+    ran: bool
+    reason: str
+    seconds: float
+
+    def __str__(self) -> str:
+        return f"{self.name:<14} {'ran' if self.ran else 'skipped':<8} {1e3 * self.seconds:7.1f} ms  {self.reason}"
+
+
+@dataclass(frozen=True, eq=False)
+class RectifyResult:
+    """All that is known about one photo. Everything but status and stages is None unless ``status.ok``.
+
+    film: (h, w) float32 display grey in [0, 1]: flat, light removed.
+    rectified: (h, w, 3) uint8 sRGB: flat, light kept.
+    backward: the map from film uv to photo points.
+    grid: the slice grid, or None where none was found.
+    glare: (h, w) bool, where nothing could be recovered.
+    confidence: (h, w) float32 in [0, 1], how far the film can be trusted.
+    """
+
+    status: Status
+    stages: tuple[StageReport, ...] = ()
+    film: Float[np.ndarray, "h w"] | None = field(default=None, repr=False)
+    rectified: UInt8[np.ndarray, "h w 3"] | None = field(default=None, repr=False)
+    backward: BackwardMap | None = field(default=None, repr=False)
+    grid: SliceGrid | None = field(default=None, repr=False)
+    glare: Bool[np.ndarray, "h w"] | None = field(default=None, repr=False)
+    confidence: Float[np.ndarray, "h w"] | None = field(default=None, repr=False)
+
+    def slices(self) -> list[Float[np.ndarray, "sh sw"]]:
+        """The slice images cut out of the film, row by row; empty where no grid was found."""
+        if self.film is None or self.grid is None:
+            return []
+        size = np.array(self.film.shape[::-1], dtype=np.float64)
+        corners = np.rint(np.clip(self.grid.vertices, 0.0, 1.0) * size).astype(int)
+        cells = []
+        for i in range(self.grid.rows):
+            for j in range(self.grid.cols):
+                (x0, y0), (x1, y1) = corners[i, j], corners[i + 1, j + 1]
+                cells.append(self.film[y0:y1, x0:x1])
+        return cells
