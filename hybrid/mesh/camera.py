@@ -1,0 +1,81 @@
+"""A pinhole camera with slight radial lens distortion, in OpenCV's axes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from hybrid.coords import pixel_centres
+
+
+@dataclass(frozen=True, eq=False)
+class Camera:
+    """Where a point of the world falls in the photo.
+
+    intrinsics: (3, 3), pixels, photo frame. camera_from_world: (4, 4) rigid, mm.
+    distortion: k1, k2 of Brown's radial model: ideal (x, y) at radius r goes to (x, y) (1 + k1 r^2 + k2 r^4).
+    size: (height, width) of the photo.
+    """
+
+    intrinsics: Float[np.ndarray, "3 3"]
+    camera_from_world: Float[np.ndarray, "4 4"]
+    distortion: tuple[float, float]
+    size: tuple[int, int]
+
+    def camera_points(self, xyz_world: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
+        """World points (mm) in camera axes."""
+        return xyz_world @ self.camera_from_world[:3, :3].T + self.camera_from_world[:3, 3]
+
+    @property
+    def centre_world(self) -> Float[np.ndarray, "3"]:
+        """Position of the camera's centre, mm."""
+        return -self.camera_from_world[:3, :3].T @ self.camera_from_world[:3, 3]
+
+    def photo_from_camera(self, xyz_camera: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 2"]:
+        """Photo points of points in camera axes (z > 0)."""
+        ideal = xyz_camera[..., :2] / xyz_camera[..., 2:]
+        bent = ideal * self._stretch(ideal)
+        return bent @ self.intrinsics[:2, :2].T + self.intrinsics[:2, 2]
+
+    def photo_from_world(self, xyz_world: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 2"]:
+        """Photo points of world points (mm)."""
+        return self.photo_from_camera(self.camera_points(xyz_world))
+
+    def ray_directions(self, photo: Float[np.ndarray, "*n 2"], iterations: int = 6) -> Float[np.ndarray, "*n 3"]:
+        """Directions in camera axes with z = 1 of the rays through photo points (distortion undone by iteration)."""
+        bent = (photo - self.intrinsics[:2, 2]) @ np.linalg.inv(self.intrinsics[:2, :2]).T
+        ideal = bent
+        if any(self.distortion):
+            for _ in range(iterations):
+                ideal = bent / self._stretch(ideal)
+        return np.concatenate([ideal, np.ones_like(ideal[..., :1])], axis=-1)
+
+    def resized(self, size: tuple[int, int]) -> Camera:
+        """The same camera for the photo resized to ``size`` (height, width)."""
+        scale = np.diag([size[1] / self.size[1], size[0] / self.size[0], 1.0])
+        return Camera(scale @ self.intrinsics, self.camera_from_world, self.distortion, size)
+
+    def pixel_rays(self) -> Float[np.ndarray, "h w 3"]:
+        """Directions in camera axes, z = 1, of all pixel centres."""
+        return self.ray_directions(pixel_centres(self.size))
+
+    def _stretch(self, ideal: np.ndarray) -> np.ndarray:
+        r2 = (ideal**2).sum(axis=-1, keepdims=True)
+        k1, k2 = self.distortion
+        return 1 + r2 * (k1 + r2 * k2)
+
+
+def look_at(
+    eye_mm: Float[np.ndarray, "3"], target_mm: Float[np.ndarray, "3"], down: Float[np.ndarray, "3"]
+) -> Float[np.ndarray, "4 4"]:
+    """camera_from_world of a camera at ``eye_mm`` that looks at ``target_mm``, with world ``down`` towards the photo's foot."""
+    forward = (target_mm - eye_mm) / np.linalg.norm(target_mm - eye_mm)
+    right = np.cross(down, forward)
+    right = right / np.linalg.norm(right)
+    rotation = np.stack([right, np.cross(forward, right), forward])
+    matrix = np.eye(4)
+    matrix[:3, :3] = rotation
+    matrix[:3, 3] = -rotation @ eye_mm
+    return matrix

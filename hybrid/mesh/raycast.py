@@ -1,0 +1,103 @@
+"""Annotation maps of a bent film by ray casting (Open3D), and its exact backward map by projection."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from hybrid.backward import BackwardMap
+from hybrid.coords import film_nodes, node_centres_1d
+from hybrid.mesh.camera import Camera
+from hybrid.mesh.film import FilmMesh
+
+_MISS = 2**32 - 1
+"""Open3D's primitive number of a ray that hits nothing."""
+
+RENDER_VERTICES = 97
+"""Vertices along each side of the fine mesh that is cast: its facets are within 0.02 mm of the smooth film at a
+radius of 150 mm."""
+
+
+@dataclass(frozen=True, eq=False)
+class AnnotationMaps:
+    """What each pixel of a photo sees; NaN where ``mask`` is False.
+
+    uv: film coordinates. xyz: mm, camera axes. normal: unit, camera axes, towards the side that reads right.
+    """
+
+    mask: Bool[np.ndarray, "h w"]
+    uv: Float[np.ndarray, "h w 2"]
+    xyz: Float[np.ndarray, "h w 3"]
+    normal: Float[np.ndarray, "h w 3"]
+
+    @property
+    def depth(self) -> Float[np.ndarray, "h w"]:
+        """Distance along the camera's axis, mm."""
+        return self.xyz[..., 2]
+
+
+class FilmCaster:
+    """A bent film ready for ray casting: built once, then cast from any camera at any resolution."""
+
+    def __init__(self, film: FilmMesh, n: int = RENDER_VERTICES) -> None:
+        import open3d as o3d
+
+        t = node_centres_1d(n)
+        self.film = film
+        self._uv = film_nodes((n, n)).reshape(-1, 2)
+        self._points = film.surface(t, t).reshape(-1, 3)
+        self._normals = film.normals(t, t).reshape(-1, 3)
+        corner = (np.arange(n - 1)[:, None] * n + np.arange(n - 1)[None, :]).ravel()
+        upper = np.stack([corner, corner + n, corner + 1], axis=1)
+        lower = np.stack([corner + 1, corner + n, corner + n + 1], axis=1)
+        self._triangles = np.concatenate([upper, lower])
+        self._scene = o3d.t.geometry.RaycastingScene(nthreads=1)
+        self._scene.add_triangles(
+            o3d.core.Tensor(self._points.astype(np.float32)), o3d.core.Tensor(self._triangles.astype(np.uint32))
+        )
+
+    def uv_map(self, camera: Camera) -> tuple[Bool[np.ndarray, "h w"], Float[np.ndarray, "h w 2"]]:
+        """Mask and film uv (float32, NaN where the mask is False) of each pixel of the camera's photo."""
+        mask, weights, corners = self._hits(camera)
+        uv = np.full((*camera.size, 2), np.nan, dtype=np.float32)
+        uv[mask] = _mix(self._uv, weights, corners)
+        return mask, uv
+
+    def annotate(self, camera: Camera) -> AnnotationMaps:
+        """All maps of the camera's photo."""
+        mask, weights, corners = self._hits(camera)
+        size = camera.size
+        uv, xyz, normal = (np.full((*size, k), np.nan) for k in (2, 3, 3))
+        uv[mask] = _mix(self._uv, weights, corners)
+        xyz[mask] = camera.camera_points(_mix(self._points, weights, corners))
+        mixed = _mix(self._normals, weights, corners) @ camera.camera_from_world[:3, :3].T
+        normal[mask] = mixed / np.linalg.norm(mixed, axis=-1, keepdims=True)
+        return AnnotationMaps(mask, uv, xyz, normal)
+
+    def _hits(self, camera: Camera) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Mask of the pixels that see film, and for those the barycentric weights and vertex numbers."""
+        import open3d as o3d
+
+        directions = camera.pixel_rays() @ camera.camera_from_world[:3, :3]
+        rays = np.empty((*camera.size, 6), dtype=np.float32)
+        rays[..., :3] = camera.centre_world
+        rays[..., 3:] = directions
+        answer = self._scene.cast_rays(o3d.core.Tensor(rays))
+        primitive = answer["primitive_ids"].numpy()
+        mask = primitive != _MISS
+        bary = answer["primitive_uvs"].numpy()[mask].astype(np.float64)
+        weights = np.stack([1 - bary.sum(axis=1), bary[:, 0], bary[:, 1]], axis=1)
+        return mask, weights, self._triangles[primitive[mask]]
+
+
+def _mix(values: np.ndarray, weights: np.ndarray, corners: np.ndarray) -> np.ndarray:
+    """Barycentric mean of vertex values, one for each hit."""
+    return np.einsum("nk,nkc->nc", weights, values[corners])
+
+
+def true_backward_map(film: FilmMesh, camera: Camera, size: tuple[int, int] = (33, 33)) -> BackwardMap:
+    """The exact backward map: nodes of the smooth film projected by the camera, lens distortion included."""
+    surface = film.surface(node_centres_1d(size[1]), node_centres_1d(size[0]))
+    return BackwardMap(camera.photo_from_world(surface))
