@@ -1,0 +1,163 @@
+"""CT volumes: the record, the readers of ``.npz`` and DICOM folders, and windowing to display grey."""
+
+from __future__ import annotations
+
+import json
+import logging
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, Int16
+
+from hybrid.errors import DataError, describe
+
+LOG = logging.getLogger(__name__)
+
+MIN_PRINT_SLICES = 3
+"""A folder may hold single images; a film needs a few slices of the same series."""
+
+BODY_WIDTH_MM = 235.0
+"""No head is as wide as this, ears and blur included; no trunk of a grown-up is narrower."""
+
+
+@dataclass(frozen=True, eq=False)
+class CtVolume:
+    """A CT series.
+
+    hu: (slices, rows, cols) Hounsfield units; slice 0 is caudal, row 0 anterior, column 0 the patient's right.
+    spacing_mm: (z, y, x) distances between voxel centres, all positive.
+    name: for messages and for the record of a sample; never the patient's.
+    """
+
+    hu: Int16[np.ndarray, "slices rows cols"]
+    spacing_mm: tuple[float, float, float]
+    name: str
+
+    def __post_init__(self) -> None:
+        if self.hu.ndim != 3 or self.hu.dtype != np.int16 or min(self.hu.shape) < 1:
+            got = f"shape {self.hu.shape}, {self.hu.dtype}"
+            raise DataError(
+                describe(
+                    what="CT volume",
+                    where=self.name,
+                    got=got,
+                    allowed="(slices, rows, cols) int16, none of them 0",
+                    do="Check the file's 'hu' array",
+                )
+            )
+        spacing = tuple(float(s) for s in self.spacing_mm)
+        if len(spacing) != 3 or not all(np.isfinite(s) and s > 0 for s in spacing):
+            raise DataError(
+                describe(
+                    what="CT volume spacing",
+                    where=self.name,
+                    got=spacing,
+                    allowed="three positive lengths in mm (z, y, x)",
+                    do="Check the file's 'spacing_mm'",
+                )
+            )
+        object.__setattr__(self, "spacing_mm", spacing)
+
+
+def window(hu: np.ndarray, level: float, width: float) -> Float[np.ndarray, "*shape"]:
+    """Display grey in [0, 1] (float32) of Hounsfield units: level - width / 2 is black, level + width / 2 white."""
+    if not width > 0:
+        raise ValueError(f"window: got width {width}; allowed: > 0 HU")
+    low = np.float32(level - width / 2)
+    return np.clip((hu.astype(np.float32) - low) * np.float32(1.0 / width), 0.0, 1.0)
+
+
+def tissue_width_mm(volume: CtVolume) -> float:
+    """Median over slices of the width in mm of what is denser than fat, tables and clothes mostly left out."""
+    rough = volume.hu[:: max(1, len(volume.hu) // 12), ::4, ::4]
+    tissue = (rough > -150).sum(axis=1) >= 4  # a table is a few voxels thick
+    widths = [np.ptp(np.flatnonzero(row)) if row.any() else 0 for row in tissue]
+    return float(np.median(widths)) * 4 * volume.spacing_mm[2]
+
+
+def is_body(volume: CtVolume) -> bool:
+    """True where the volume is as wide as a trunk, False for a head or a limb."""
+    return tissue_width_mm(volume) > BODY_WIDTH_MM
+
+
+def read_npz(path: Path) -> CtVolume:
+    """The volume in a ``.npz`` file with ``hu`` (slices, rows, cols), ``spacing_mm`` (3,) and optional JSON ``meta``.
+
+    Raises DataError where the file cannot be read or lacks an array.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as data:
+            hu, spacing = np.asarray(data["hu"]), np.asarray(data["spacing_mm"], dtype=np.float64)
+            meta = json.loads(str(data["meta"])) if "meta" in data.files else {}
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+        raise DataError(
+            describe(
+                what="CT file",
+                where=path,
+                got=f"{type(error).__name__}: {error}",
+                allowed="an .npz with 'hu' int16 (slices, rows, cols) and 'spacing_mm' (z, y, x)",
+                do="Export the volume again or take the file out of the folder",
+            )
+        ) from error
+    if not np.issubdtype(hu.dtype, np.integer) and not np.issubdtype(hu.dtype, np.floating):
+        raise DataError(describe(what="CT file", where=path, got=hu.dtype, allowed="numbers", do="Export it again"))
+    clipped = np.clip(np.nan_to_num(hu, nan=-1024.0), -32768, 32767).astype(np.int16) if hu.dtype != np.int16 else hu
+    name = meta.get("name", path.stem) if isinstance(meta, dict) else path.stem
+    return CtVolume(clipped, tuple(spacing.ravel().tolist()), str(name))
+
+
+def load_volumes(folder: Path | str) -> list[CtVolume]:
+    """Every volume under ``folder``: ``.npz`` files, DICOM folders and zips of DICOM files, in sorted order.
+
+    What is refused inside a DICOM folder is logged with its reason. Raises DataError where the folder is missing,
+    where an ``.npz`` is damaged, where DICOM data is met and pydicom is not installed, and where nothing is found.
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise DataError(
+            describe(what="CT folder", where=folder, got="no such folder", do="Give a folder with .npz or DICOM files")
+        )
+    files = [path for path in sorted(folder.rglob("*")) if path.is_file()]
+    volumes = [read_npz(path) for path in files if path.suffix.lower() == ".npz"]
+    zips = [path for path in files if path.suffix.lower() == ".zip"]
+    dicom_folders = sorted({path.parent for path in files if _looks_like_dicom(path)})
+    for source in [*zips, *dicom_folders]:
+        volumes += [v for v in _read_dicom(source) if len(v.hu) >= MIN_PRINT_SLICES]
+    if not volumes:
+        raise DataError(
+            describe(
+                what="CT folder",
+                where=folder,
+                got=f"{len(files)} files, no volume of {MIN_PRINT_SLICES} or more axial CT slices",
+                allowed=".npz volumes, DICOM folders, zips of DICOM files",
+                do="Check the path, or leave the option out to use the built-in phantoms",
+            )
+        )
+    return volumes
+
+
+def _looks_like_dicom(path: Path) -> bool:
+    if path.suffix.lower() in {".dcm", ".ima"}:
+        return True
+    with path.open("rb") as file:
+        return file.read(132)[128:] == b"DICM"
+
+
+def _read_dicom(source: Path) -> list[CtVolume]:
+    try:
+        from data_gen.dicom import read_all
+    except ModuleNotFoundError as error:
+        raise DataError(
+            describe(
+                what="DICOM data",
+                where=source,
+                got="pydicom is not installed",
+                do="Install it with: pip install 'hybrid[data]'",
+            )
+        ) from error
+    reading = read_all(source)
+    for refusal in reading.refusals:
+        LOG.info("%s", refusal)
+    return list(reading.volumes)
