@@ -1,0 +1,99 @@
+"""Regularised tensor-product cubic B-splines over the film's unit square, fitted to scattered points.
+
+The spline has ``intervals`` equal knot intervals along each axis, so ``(intervals + 3)^2`` coefficients: few enough
+that the normal equations are a small dense matrix. Coefficients are ordered row (v) first. Outside [0, 1] the
+polynomial of the nearest interval goes on, so that points a little beyond the edge may be used.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+from jaxtyping import Float
+from scipy.linalg.lapack import dposv
+
+RIDGE = 1e-10
+"""Relative to the mean diagonal: keeps the factorisation possible where an affine part is unobserved."""
+
+
+def axis_weights(t: Float[np.ndarray, " n"], intervals: int) -> Float[np.ndarray, "n k"]:
+    """Weights of the ``intervals + 3`` uniform cubic B-splines at coordinates ``t`` of one axis."""
+    x = np.asarray(t, dtype=np.float64) * intervals
+    start = np.clip(np.floor(x), 0, intervals - 1).astype(np.int64)
+    f = x - start
+    g = 1.0 - f
+    values = np.stack([g**3, 4 - 3 * f * f * (2 - f), 4 - 3 * g * g * (2 - g), f**3], axis=1) / 6.0
+    weights = np.zeros((x.size, intervals + 3))
+    np.put_along_axis(weights, start[:, None] + np.arange(4), values, axis=1)
+    return weights
+
+
+def design(uv: Float[np.ndarray, "n 2"], intervals: int) -> Float[np.ndarray, "n kk"]:
+    """Rows that give the spline's value at film points ``uv`` from its coefficients."""
+    along_v = axis_weights(uv[:, 1], intervals)
+    along_u = axis_weights(uv[:, 0], intervals)
+    return (along_v[:, :, None] * along_u[:, None, :]).reshape(len(uv), -1)
+
+
+@cache
+def _axis_gram(intervals: int, derivative: int) -> np.ndarray:
+    """Integral over [0, 1] of products of the B-splines' derivatives (exact: Gauss-Legendre, 4 points a knot)."""
+    from scipy.interpolate import BSpline
+
+    nodes, gauss = np.polynomial.legendre.leggauss(4)
+    starts = np.arange(intervals)[:, None]
+    t = ((starts + (nodes + 1.0) / 2.0) / intervals).ravel()
+    weight = np.tile(gauss / 2.0 / intervals, intervals)
+    knots = np.arange(-3, intervals + 4) / intervals
+    basis = BSpline(knots, np.eye(intervals + 3), 3)
+    values = basis.derivative(derivative)(t) if derivative else basis(t)
+    return values.T @ (weight[:, None] * values)
+
+
+@cache
+def bending_energy(intervals: int) -> np.ndarray:
+    """Quadratic form (kk, kk) of the thin-plate energy: integral of F_uu^2 + 2 F_uv^2 + F_vv^2 over the film."""
+    value, slope, bend = (_axis_gram(intervals, d) for d in (0, 1, 2))
+    energy = np.kron(value, bend) + 2.0 * np.kron(slope, slope) + np.kron(bend, value)
+    energy.setflags(write=False)
+    return energy
+
+
+@dataclass(frozen=True, eq=False)
+class NormalEquations:
+    """A weighted least squares problem, reduced to the size of the spline: to be solved for several smoothings."""
+
+    matrix: Float[np.ndarray, "kk kk"]
+    right: Float[np.ndarray, "kk c"]
+    intervals: int
+
+    @staticmethod
+    def of(
+        rows: Float[np.ndarray, "n kk"],
+        weights: Float[np.ndarray, " n"],
+        values: Float[np.ndarray, "n c"],
+        intervals: int,
+    ) -> NormalEquations:
+        """The problem of finding the spline with these ``rows`` (from ``design``) that comes closest to ``values``."""
+        root = np.sqrt(weights / weights.sum())[:, None]
+        scaled = rows * root  # the same array on both sides: BLAS then forms only half of the symmetric product
+        return NormalEquations(scaled.T @ scaled, scaled.T @ (values * root), intervals)
+
+    def solve(self, smoothing: float) -> Float[np.ndarray, "kk c"]:
+        """Coefficients that minimise the weighted mean squared residual plus ``smoothing`` times the bending energy."""
+        matrix = self.matrix + smoothing * bending_energy(self.intervals)
+        matrix[np.diag_indices_from(matrix)] += RIDGE * np.trace(matrix) / len(matrix)
+        _, solution, info = dposv(matrix, self.right, lower=1, overwrite_a=1)
+        if info != 0:
+            raise np.linalg.LinAlgError(f"bspline.solve: the normal equations are singular (dposv: {info})")
+        return solution
+
+
+def on_lattice(coefficients: Float[np.ndarray, "kk c"], size: tuple[int, int], intervals: int) -> np.ndarray:
+    """Values (gh, gw, c) of the spline on a lattice of ``size`` (rows, columns) nodes, film edges included."""
+    along_v = axis_weights(np.linspace(0.0, 1.0, size[0]), intervals)
+    along_u = axis_weights(np.linspace(0.0, 1.0, size[1]), intervals)
+    control = coefficients.reshape(intervals + 3, intervals + 3, -1)
+    return np.einsum("ia,abc,jb->ijc", along_v, control, along_u, optimize=True)

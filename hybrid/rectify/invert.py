@@ -1,0 +1,210 @@
+"""From the network's uv map to the backward map: one robust, smooth fit of photo points over film points.
+
+The photo is explained as ``H(uv) + S(uv)``: a homography H (what a plane sheet would show) and a cubic B-spline S with a
+bending penalty (how far the sheet is from a plane). Where no pixel bears the film out, S goes on about linearly, so a
+covered corner, or one outside the frame, continues the plane that the rest of the sheet suggests.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float
+
+from hybrid.backward import BackwardMap
+from hybrid.coords import film_nodes
+from hybrid.records import CoarseMaps
+from hybrid.rectify import bspline
+from hybrid.rectify.bspline import NormalEquations
+
+ROBUST_INTERVALS = 4
+"""Knot intervals of the stiff spline that tells good pixels from bad ones: false islands must not pull it to them."""
+ROBUST_SMOOTHING = 1e-5
+ROBUST_PIXELS = 400
+"""About as many pixels are enough to tell good from bad; all are judged afterwards."""
+ISLAND_SHARE = 0.1
+"""A hand may cut the film in two, but a part this small against the largest is a false alarm elsewhere in the photo."""
+TUKEY = 4.685
+"""Tukey's constant: 95 % efficiency on Gaussian residuals, no weight at all beyond."""
+MAD_2D = 1.1774
+"""Median of the length of a two-dimensional standard normal vector."""
+COVERAGE_BINS = 12
+
+
+@dataclass(frozen=True)
+class InvertConfig:
+    """How the uv map is turned into a backward map."""
+
+    intervals: int = 8
+    """Knot intervals of the spline along each film axis."""
+    smoothing: float = 1e-7
+    """Least weight of the bending energy against the mean squared residual, both in units of the film's size."""
+    smoothing_per_variance: float = 0.3
+    """What is added to it per variance of the residuals: a noisy map is smoothed more, a clean one hardly at all."""
+    mask_threshold: float = 0.5
+    """Pixels that are less probably film than this are left out."""
+    min_pixels: int = 60
+    """Fewer pixels than this are no film."""
+    nodes: tuple[int, int] = (33, 33)
+    """Nodes (rows, columns) of the backward map; one more than a multiple of ``intervals`` represents S exactly."""
+    scale_floor: float = 0.002
+    """Residuals below this part of the film's size are never called bad."""
+
+
+@dataclass(frozen=True, eq=False)
+class Inversion:
+    """A backward map, and how well the uv map bears it out.
+
+    residual_px: root mean square distance in photo pixels between the map and the pixels that it explains (robust).
+    coverage: share of the film's area that such pixels show, in [0, 1].
+    inlier_share: share of the film pixels that the map explains.
+    """
+
+    backward: BackwardMap
+    residual_px: float
+    coverage: float
+    inlier_share: float
+
+
+@dataclass(frozen=True)
+class NotInverted:
+    """Why a uv map gave no backward map."""
+
+    reason: str
+
+
+@dataclass(frozen=True, eq=False)
+class _Pixels:
+    """Film pixels of a uv map. target: photo points, centred and in units of the film's rough size (n, 2)."""
+
+    uv: Float[np.ndarray, "n 2"]
+    target: Float[np.ndarray, "n 2"]
+    weight: Float[np.ndarray, " n"]
+    centre: Float[np.ndarray, " 2"]
+    unit_px: float
+
+
+def fit_backward(maps: CoarseMaps, config: InvertConfig | None = None) -> Inversion | NotInverted:
+    """The smooth backward map that explains the film pixels of ``maps``, bad pixels and missing parts notwithstanding."""
+    config = config or InvertConfig()
+    pixels = _film_pixels(maps, config)
+    if isinstance(pixels, NotInverted):
+        return pixels
+    tukey = _robust_weights(pixels, config)
+    weight = pixels.weight * tukey
+    if np.count_nonzero(weight > 0.05) < config.min_pixels // 2:
+        return NotInverted("the film pixels do not agree on any smooth shape")
+    homography = _plane_prior(pixels.uv, pixels.target, weight)
+    plane = project(homography, pixels.uv)
+    rows = bspline.design(pixels.uv, config.intervals)
+    normal = NormalEquations.of(rows, weight, pixels.target - plane, config.intervals)
+    error = pixels.target - plane - rows @ normal.solve(config.smoothing)
+    variance = float(weight @ (error**2).sum(axis=1) / weight.sum() / 2.0)
+    smooth = normal.solve(config.smoothing + config.smoothing_per_variance * variance)
+    shape = project(homography, film_nodes(config.nodes).reshape(-1, 2)).reshape(*config.nodes, 2)
+    shape = shape + bspline.on_lattice(smooth, config.nodes, config.intervals)
+    inlier = tukey > 0.05
+    error = _lengths(pixels.target - plane - rows @ smooth)
+    return Inversion(
+        backward=BackwardMap(shape * pixels.unit_px + pixels.centre),
+        residual_px=float(np.sqrt(np.mean(error[inlier] ** 2)) * pixels.unit_px),
+        coverage=coverage(pixels.uv[inlier]),
+        inlier_share=float(inlier.mean()),
+    )
+
+
+def project(homography: Float[np.ndarray, "3 3"], uv: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
+    """Points (x, y) of film points under a homography."""
+    mapped = uv @ homography[:, :2].T + homography[:, 2]
+    return mapped[:, :2] / mapped[:, 2:]
+
+
+def fit_homography(
+    uv: Float[np.ndarray, "n 2"], target: Float[np.ndarray, "n 2"], weight: Float[np.ndarray, " n"]
+) -> Float[np.ndarray, "3 3"]:
+    """The homography from film points to ``target`` points of order one (direct linear transform, weighted)."""
+    root = np.sqrt(weight / weight.sum())[:, None]
+    ones = np.ones((len(uv), 1))
+    point = np.hstack([uv, ones]) * root
+    zero = np.zeros_like(point)
+    rows = np.vstack(
+        [np.hstack([point, zero, -target[:, :1] * point]), np.hstack([zero, point, -target[:, 1:] * point])]
+    )
+    return np.linalg.eigh(rows.T @ rows)[1][:, 0].reshape(3, 3)
+
+
+def coverage(uv: Float[np.ndarray, "n 2"], bins: int = COVERAGE_BINS) -> float:
+    """Share of a ``bins`` x ``bins`` tiling of the film that holds at least one of the film points."""
+    inside = uv[((uv > -0.02) & (uv < 1.02)).all(axis=1)]
+    cell = np.clip((inside * bins).astype(np.int64), 0, bins - 1)
+    return np.unique(cell[:, 1] * bins + cell[:, 0]).size / bins**2
+
+
+def _film_pixels(maps: CoarseMaps, config: InvertConfig) -> _Pixels | NotInverted:
+    """The pixels that probably show film, in normalised photo coordinates."""
+    with np.errstate(invalid="ignore"):
+        film: Bool[np.ndarray, "h w"] = (maps.mask >= config.mask_threshold) & np.isfinite(maps.uv).all(axis=-1)
+        film &= (np.abs(maps.uv) < 2.0).all(axis=-1)
+    film = _largest_islands(film, ISLAND_SHARE)
+    count = int(film.sum())
+    if count < config.min_pixels:
+        return NotInverted(f"{count} of {film.size} pixels show film; {config.min_pixels} are needed")
+    uv = np.asarray(maps.uv[film], dtype=np.float64)
+    points = np.asarray(maps.photo_points[film], dtype=np.float64)
+    centre = np.median(points, axis=0)
+    unit = float(np.sqrt(np.mean((points - centre) ** 2) * 12.0))  # the side of a square of this spread
+    if unit <= 0 or np.ptp(uv, axis=0).min() < 0.05:
+        return NotInverted("the film coordinates hardly vary over the pixels that show film")
+    return _Pixels(uv, (points - centre) / unit, np.asarray(maps.mask[film], dtype=np.float64) ** 2, centre, unit)
+
+
+def _robust_weights(pixels: _Pixels, config: InvertConfig) -> Float[np.ndarray, " n"]:
+    """Tukey weights in [0, 1] of the pixels about a stiff spline, started from an absolute-deviation fit."""
+    rows = bspline.design(pixels.uv, ROBUST_INTERVALS)
+    some = slice(None, None, max(len(rows) // ROBUST_PIXELS, 1))
+    part, target, weight = rows[some], pixels.target[some], pixels.weight[some]
+    factor = np.ones(len(part))
+    for step in range(5):
+        fit = NormalEquations.of(part, weight * factor, target, ROBUST_INTERVALS).solve(ROBUST_SMOOTHING)
+        distance = _lengths(target - part @ fit)
+        scale = max(float(np.median(distance)) / MAD_2D, config.scale_floor)
+        if step < 2:  # Tukey alone would lock on to whatever the first, unrobust fit happened to favour
+            factor = 1.0 / np.maximum(distance / scale, 1.0)
+        else:
+            factor = _tukey(distance / scale)
+    return _tukey(_lengths(pixels.target - rows @ fit) / scale)
+
+
+def _tukey(ratio: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+    """Tukey's weights in [0, 1] of residuals given in standard deviations."""
+    return np.clip(1.0 - (ratio / TUKEY) ** 2, 0.0, None) ** 2
+
+
+def _lengths(vectors: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, " n"]:
+    """Lengths of plane vectors."""
+    return np.hypot(vectors[:, 0], vectors[:, 1])
+
+
+def _largest_islands(film: Bool[np.ndarray, "h w"], least_share: float) -> Bool[np.ndarray, "h w"]:
+    """The connected parts of a mask that are at least ``least_share`` of the largest one."""
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(film.astype(np.uint8), connectivity=4)
+    if count <= 2:
+        return film
+    area = stats[1:, cv2.CC_STAT_AREA]
+    return np.isin(labels, 1 + np.flatnonzero(area >= least_share * area.max()))
+
+
+def _plane_prior(
+    uv: Float[np.ndarray, "n 2"], target: Float[np.ndarray, "n 2"], weight: Float[np.ndarray, " n"]
+) -> Float[np.ndarray, "3 3"]:
+    """The homography that explains the pixels best, or the affine map where it runs off near the film."""
+    homography = fit_homography(uv, target, weight)
+    corners = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0], [0.5, 0.5]])
+    depth = corners @ homography[2, :2] + homography[2, 2]
+    if depth.min() * depth.max() > 0 and np.abs(depth).min() > 0.4 * np.abs(depth).max():
+        return homography / homography[2, 2]
+    ones = np.hstack([uv, np.ones((len(uv), 1))])
+    affine = np.linalg.lstsq(ones * weight[:, None], target * weight[:, None], rcond=None)[0].T
+    return np.vstack([affine, [0.0, 0.0, 1.0]])

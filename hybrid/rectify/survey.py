@@ -1,0 +1,159 @@
+"""A cheap look at a photo and at what the network made of it: what is there, and which stages are needed.
+
+Every decision carries the one line of evidence that the user sees in the stage reports.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, UInt8
+
+from hybrid.backward import BackwardMap
+from hybrid.coords import film_nodes
+from hybrid.records import CoarseMaps, StatusCode
+from hybrid.rectify.invert import Inversion, NotInverted, fit_homography, project
+
+
+@dataclass(frozen=True)
+class SurveyConfig:
+    """When a photo holds a film, and when a stage is not needed."""
+
+    min_side_px: int = 64
+    """Photos with a shorter side are refused."""
+    blank_spread: float = 4.0
+    """A photo whose grey levels (0 to 255) hardly ever leave a band this wide is of one colour."""
+    min_mask_share: float = 0.03
+    """Least share of the network's crop that shows film."""
+    min_inlier_share: float = 0.7
+    """Least share of the film pixels that one smooth shape explains."""
+    max_residual: float = 0.03
+    """Largest residual of that shape, as a part of the film's size in the photo."""
+    min_coverage: float = 0.45
+    """Least share of the sheet that is seen."""
+    min_overlap: float = 0.7
+    """Least intersection over union of the mask with the outline of the flattened film."""
+    max_stretch: float = 60.0
+    """Largest ratio of the areas that equal pieces of the film cover in the photo."""
+    plane_tolerance_px: float = 0.1
+    """A film is a plane if one homography explains its backward map this closely everywhere."""
+    even_light: float = 0.03
+    """Light whose gain (relative) and veil (of full scale) vary by less than this over the film is even."""
+
+
+@dataclass(frozen=True)
+class Decision:
+    """Whether something holds, with the one-line evidence for it."""
+
+    yes: bool
+    reason: str
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """How far a photo can be worked on: OK or the status that ends the work, with the evidence."""
+
+    code: StatusCode
+    reason: str
+
+    @property
+    def ok(self) -> bool:
+        return self.code is StatusCode.OK
+
+
+def survey_photo(photo: UInt8[np.ndarray, "H W 3"], config: SurveyConfig | None = None) -> Verdict:
+    """Whether the photo is large enough and shows anything at all."""
+    config = config or SurveyConfig()
+    height, width = photo.shape[:2]
+    if min(height, width) < config.min_side_px:
+        return Verdict(StatusCode.TOO_SMALL, f"{width} x {height} pixels; {config.min_side_px} a side are needed")
+    step = max(min(height, width) // 256, 1)
+    low, high = np.percentile(photo[::step, ::step], [0.5, 99.5], axis=(0, 1))
+    spread = float((high - low).max())
+    if spread < config.blank_spread:
+        return Verdict(StatusCode.BLANK, f"99 % of the pixels lie within {spread:.0f} of 255 grey levels")
+    return Verdict(StatusCode.OK, f"{width} x {height} pixels over {spread:.0f} of 255 grey levels")
+
+
+def survey_maps(maps: CoarseMaps, inversion: Inversion | NotInverted, config: SurveyConfig | None = None) -> Verdict:
+    """Whether what the network saw is a film: one sheet, seen once, most of it, with an outline that fits the mask."""
+    config = config or SurveyConfig()
+    if isinstance(inversion, NotInverted):
+        return Verdict(StatusCode.NO_FILM, inversion.reason)
+    share = float(np.mean(maps.mask >= 0.5))
+    size = float(np.sqrt(np.prod(inversion.backward.mean_film_pixels())))
+    residual = inversion.residual_px / max(size, 1e-9)
+    overlap = mask_overlap(maps, inversion.backward)
+    evidence = (
+        f"film on {share:.0%} of the picture, {inversion.coverage:.0%} of the sheet seen, one shape explains "
+        f"{inversion.inlier_share:.0%} to {residual:.1%} of its size, outline and mask agree to {overlap:.0%}"
+    )
+    failed = (
+        share < config.min_mask_share
+        or inversion.inlier_share < config.min_inlier_share
+        or residual > config.max_residual
+        or inversion.coverage < config.min_coverage
+        or overlap < config.min_overlap
+    )
+    if failed:
+        return Verdict(StatusCode.NO_FILM, evidence)
+    return _shape_verdict(inversion.backward, evidence, config)
+
+
+def _shape_verdict(backward: BackwardMap, evidence: str, config: SurveyConfig) -> Verdict:
+    """OK where the map neither folds nor crushes a part of the sheet."""
+    area = np.abs(np.linalg.det(backward.jacobian(film_nodes((17, 17)))))
+    if backward.folds((17, 17)):
+        return Verdict(StatusCode.FOLDED, f"the map turns over; {evidence}")
+    stretch = float(area.max() / area.min())
+    if stretch > config.max_stretch:
+        return Verdict(StatusCode.FOLDED, f"equal pieces of film differ {stretch:.0f} times in area; {evidence}")
+    return Verdict(StatusCode.OK, evidence)
+
+
+def mask_overlap(maps: CoarseMaps, backward: BackwardMap) -> float:
+    """Intersection over union of the mask with the film's outline, within the picture that the network saw."""
+    mask: Bool[np.ndarray, "h w"] = np.asarray(maps.mask >= 0.5)
+    outline = _outline_in_maps(maps, backward)
+    drawn = np.zeros(mask.shape, dtype=np.uint8)
+    # fillPoly takes integers with fractional bits; beyond some picture widths nothing is lost by clipping
+    fixed = np.rint(np.clip(outline, -10.0 * max(mask.shape), 10.0 * max(mask.shape)) * 16).astype(np.int32)
+    cv2.fillPoly(drawn, [fixed], 1, shift=4)
+    inside = drawn.astype(bool)
+    union = np.count_nonzero(mask | inside)
+    return np.count_nonzero(mask & inside) / union if union else 0.0
+
+
+def _outline_in_maps(maps: CoarseMaps, backward: BackwardMap) -> Float[np.ndarray, "n 2"]:
+    """The film's outline in indices (column, row) of the network's map, whose pixels lie on a regular grid."""
+    nodes = backward.nodes
+    outline = np.concatenate([nodes[0], nodes[1:, -1], nodes[-1, -2::-1], nodes[-2:0:-1, 0]])
+    points = maps.photo_points.astype(np.float64)
+    origin = points[0, 0]
+    across = (points[0, -1] - origin) / (points.shape[1] - 1)
+    down = (points[-1, 0] - origin) / (points.shape[0] - 1)
+    return np.linalg.solve(np.stack([across, down], axis=1), (outline - origin).T).T
+
+
+def survey_plane(
+    backward: BackwardMap, config: SurveyConfig | None = None
+) -> tuple[Decision, Float[np.ndarray, "3 3"]]:
+    """Whether the film is a plane, and the homography (film uv to photo points) that comes closest."""
+    config = config or SurveyConfig()
+    nodes = backward.nodes.reshape(-1, 2)
+    uv = film_nodes(backward.nodes.shape[:2]).reshape(-1, 2)
+    centre, unit = nodes.mean(axis=0), float(nodes.std())
+    homography = fit_homography(uv, (nodes - centre) / unit, np.ones(len(uv)))
+    homography = np.array([[unit, 0, centre[0]], [0, unit, centre[1]], [0, 0, 1]]) @ homography
+    off = float(np.linalg.norm(project(homography, uv) - nodes, axis=1).max())
+    return Decision(off <= config.plane_tolerance_px, f"the sheet is within {off:.2f} px of a plane"), homography
+
+
+def survey_light(gain: Float[np.ndarray, "h w"], veil: Float[np.ndarray, "h w"], config: SurveyConfig) -> Decision:
+    """Whether the light is even: ``gain`` (relative) and ``veil`` (of full scale, linear) hardly vary over the film."""
+    spread = float(np.percentile(gain, 98) / max(float(np.percentile(gain, 2)), 1e-6) - 1.0)
+    lift = float(np.percentile(veil, 98) - np.percentile(veil, 2))
+    text = f"light varies by {spread:.0%}, reflections by {lift:.1%} of white over the film"
+    return Decision(spread <= config.even_light and lift <= config.even_light / 3, text)
