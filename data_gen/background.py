@@ -146,7 +146,7 @@ def occluders(
         shape = np.zeros(size, np.float32)
         if rng.random() < 0.75:
             colour = linear_from_srgb(np.array([0.85, 0.66, 0.55]) * rng.uniform(0.35, 1.05))
-            width = max(2, int(span * rng.uniform(0.015, 0.04)))
+            width = max(2, int(span * rng.uniform(0.03, 0.07)))
             root = at - inward * span * rng.uniform(0.2, 0.6)
             cv2.line(shape, root.astype(int).tolist(), tip.astype(int).tolist(), 1.0, width, cv2.LINE_AA)
         else:

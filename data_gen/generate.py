@@ -28,8 +28,9 @@ MAX_MAP_SIZE = 448
 class GenerateConfig:
     """Make photos of bent CT films with all their maps.
 
-    count: photos to make. out: folder for the data set; shards that are there already are kept, so a run that was cut off goes on.
-    seed: the same seed gives the same photos. size: side of the photos in pixels. map_size: side of the maps (photo size, at most 448).
+    count: photos to make. out: folder for the data set; finished shards in it are kept, so a run that was cut off
+        goes on. seed: the same seed gives the same photos.
+    size: side of the photos in pixels. map_size: side of the maps (photo size, at most 448).
     ct: folder with CT volumes (.npz) and DICOM files, folders or zips; without it embedded phantoms are printed.
     hdri: folder with .hdr environments; without it embedded rooms light the films. workers: processes (all cores).
     shard_size: photos in a shard. sample: everything else.
@@ -113,8 +114,8 @@ def _sample_config(config: GenerateConfig) -> SampleConfig:
         raise ConfigError(
             describe(
                 what="generate",
-                got=f"count {config.count}, size {config.size}, workers {config.workers}, shard_size {config.shard_size}",
-                allowed=f"count, workers >= 1, size >= 32, shard_size >= {config.sample.photos_per_film}",
+                got=[config.count, config.size, config.workers, config.shard_size],
+                allowed=f"count >= 1, size >= 32, workers >= 1, shard_size >= {config.sample.photos_per_film}",
                 do="Change the option.",
             )
         )

@@ -30,7 +30,7 @@ from hybrid.mesh.recipes import BendConfig, bend
 SIMULATION_VERTICES = 26
 """The sheet is subdivided as long as its longer side then has at most this many lattice intervals."""
 
-PHANTOMS = 24
+PHANTOMS = 12
 """How many different embedded phantoms there are of each kind."""
 
 
@@ -59,8 +59,9 @@ class SampleConfig:
 class Sample:
     """A photo with its truth.
 
-    photo: JPEG bytes. maps: at the map size; film that something covers is not film in the mask. albedo: (h, w) display grey of the print.
-    backward: exact map into the photo's frame. grid_world, grid_camera: (rows + 1, cols + 1, 3) mm. grid_photo, grid_film: (..., 2).
+    photo: JPEG bytes. maps: at the map size; film that something covers is not film in the mask.
+    albedo: (h, w) display grey of the print. backward: exact map into the photo's frame.
+    grid_world, grid_camera: (rows + 1, cols + 1, 3) mm. grid_photo, grid_film: (rows + 1, cols + 1, 2).
     camera: of the photo. size_mm: (height, width) of the film. parameters: everything drawn, JSON-able.
     """
 

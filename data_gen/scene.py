@@ -73,8 +73,8 @@ class Lens:
 
     exposure: linear level that the film's bright parts (95th percentile) reach. temperature: log2 red/blue gain.
     tint: log2 green gain. tone: 'srgb', 'filmic' or 'punchy'. vignette: loss in the corners. bloom: share of light
-    scattered. defocus_px, motion_px: blur in pixels of a 1000 px photo. sharpen: unsharp amount. noise: of read and shot.
-    jpeg: quality.
+    scattered. defocus_px, motion_px: blur in pixels of a 1000 px photo. sharpen: unsharp amount.
+    noise: of read and shot. jpeg: quality.
     """
 
     exposure: float
@@ -202,8 +202,8 @@ def _sample_light(rng: np.random.Generator, config: SceneConfig) -> Light:
 
 def _sample_lens(rng: np.random.Generator) -> Lens:
     return Lens(
-        exposure=float(np.exp(rng.normal(np.log(0.5), 0.55))),
-        temperature=float(rng.normal(0, 0.35)),
+        exposure=float(np.exp(rng.normal(np.log(0.7), 0.55))),
+        temperature=float(rng.normal(0, 0.25)),
         tint=float(rng.normal(0, 0.08)),
         tone=str(rng.choice(["srgb", "filmic", "punchy"], p=[0.45, 0.35, 0.2])),
         vignette=float(rng.uniform(0, 0.4)),
@@ -211,6 +211,6 @@ def _sample_lens(rng: np.random.Generator) -> Lens:
         defocus_px=float(abs(rng.normal(0, 1.2))),
         motion_px=float(rng.uniform(1, 5)) if rng.random() < 0.15 else 0.0,
         sharpen=float(rng.uniform(0, 1.0)) if rng.random() < 0.5 else 0.0,
-        noise=float(10 ** rng.uniform(-2.8, -1.5)),
+        noise=float(10 ** rng.uniform(-3.2, -1.8)),
         jpeg=int(rng.integers(45, 97)),
     )

@@ -16,10 +16,7 @@ from typing import Any
 import numpy as np
 
 from data_gen.sample import Sample
-
-UV_LEVELS = 65535
-"""uv in [0, 1] is stored in 16 bits: steps of 1.5e-5, far below a hundredth of a pixel."""
-
+from hybrid.learn.shards import UV_LEVELS
 
 def _zero_filled(values: np.ndarray, scale: float, dtype: type) -> np.ndarray:
     return np.rint(np.nan_to_num(values) * scale).astype(dtype)

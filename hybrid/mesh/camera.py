@@ -43,14 +43,18 @@ class Camera:
         """Photo points of world points (mm)."""
         return self.photo_from_camera(self.camera_points(xyz_world))
 
-    def ray_directions(self, photo: Float[np.ndarray, "*n 2"], iterations: int = 6) -> Float[np.ndarray, "*n 3"]:
-        """Directions in camera axes with z = 1 of the rays through photo points (distortion undone by iteration)."""
+    def ray_directions(self, photo: Float[np.ndarray, "*n 2"], iterations: int = 4) -> Float[np.ndarray, "*n 3"]:
+        """Directions in camera axes with z = 1 of the rays through photo points.
+
+        Distortion is undone by fixed-point iteration; each round shrinks the error by about k1 r^2, a hundredfold.
+        """
         bent = (photo - self.intrinsics[:2, 2]) @ np.linalg.inv(self.intrinsics[:2, :2]).T
-        ideal = bent
+        rays = np.ones((*bent.shape[:-1], 3))
+        rays[..., :2] = bent
         if any(self.distortion):
             for _ in range(iterations):
-                ideal = bent / self._stretch(ideal)
-        return np.concatenate([ideal, np.ones_like(ideal[..., :1])], axis=-1)
+                rays[..., :2] = bent / self._stretch(rays[..., :2])
+        return rays
 
     def resized(self, size: tuple[int, int]) -> Camera:
         """The same camera for the photo resized to ``size`` (height, width)."""
@@ -61,8 +65,14 @@ class Camera:
         """Directions in camera axes, z = 1, of all pixel centres."""
         return self.ray_directions(pixel_centres(self.size))
 
+    def cropped(self, left_top: tuple[int, int], size: tuple[int, int]) -> Camera:
+        """The camera of the part of the photo of ``size`` (height, width) whose corner is pixel ``left_top`` (x, y)."""
+        intrinsics = self.intrinsics.copy()
+        intrinsics[:2, 2] -= left_top
+        return Camera(intrinsics, self.camera_from_world, self.distortion, size)
+
     def _stretch(self, ideal: np.ndarray) -> np.ndarray:
-        r2 = (ideal**2).sum(axis=-1, keepdims=True)
+        r2 = (ideal[..., 0] ** 2 + ideal[..., 1] ** 2)[..., None]
         k1, k2 = self.distortion
         return 1 + r2 * (k1 + r2 * k2)
 
@@ -70,7 +80,7 @@ class Camera:
 def look_at(
     eye_mm: Float[np.ndarray, "3"], target_mm: Float[np.ndarray, "3"], down: Float[np.ndarray, "3"]
 ) -> Float[np.ndarray, "4 4"]:
-    """camera_from_world of a camera at ``eye_mm`` that looks at ``target_mm``, with world ``down`` towards the photo's foot."""
+    """camera_from_world of a camera that looks from ``eye_mm`` at ``target_mm``; world ``down`` points to the photo's foot."""
     forward = (target_mm - eye_mm) / np.linalg.norm(target_mm - eye_mm)
     right = np.cross(down, forward)
     right = right / np.linalg.norm(right)

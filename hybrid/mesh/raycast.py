@@ -77,24 +77,44 @@ class FilmCaster:
         return AnnotationMaps(mask, uv, xyz, normal)
 
     def _hits(self, camera: Camera) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Mask of the pixels that see film, and for those the barycentric weights and vertex numbers."""
+        """Mask of the pixels that see film, and for those the barycentric weights and vertex numbers.
+
+        Rays are cast only through the bounding box of the projected film.
+        """
         import open3d as o3d
 
-        directions = camera.pixel_rays() @ camera.camera_from_world[:3, :3]
-        rays = np.empty((*camera.size, 6), dtype=np.float32)
+        mask = np.zeros(camera.size, dtype=bool)
+        box = self._bounding_box(camera)
+        part = camera.cropped((box[1].start, box[0].start), mask[box].shape)
+        rays = np.empty((*part.size, 6), dtype=np.float32)
         rays[..., :3] = camera.centre_world
-        rays[..., 3:] = directions
+        rays[..., 3:] = part.pixel_rays() @ camera.camera_from_world[:3, :3]
         answer = self._scene.cast_rays(o3d.core.Tensor(rays))
         primitive = answer["primitive_ids"].numpy()
-        mask = primitive != _MISS
-        bary = answer["primitive_uvs"].numpy()[mask].astype(np.float64)
-        weights = np.stack([1 - bary.sum(axis=1), bary[:, 0], bary[:, 1]], axis=1)
-        return mask, weights, self._triangles[primitive[mask]]
+        hit = primitive != _MISS
+        mask[box] = hit
+        bary = answer["primitive_uvs"].numpy()[hit].astype(np.float64)
+        weights = np.stack([1 - bary[:, 0] - bary[:, 1], bary[:, 0], bary[:, 1]], axis=1)
+        return mask, weights, self._triangles[primitive[hit]]
+
+    def _bounding_box(self, camera: Camera) -> tuple[slice, slice]:
+        """Rows and columns of the photo within which the film is seen; all where part of it is beside the camera."""
+        points = camera.camera_points(self._points)
+        h, w = camera.size
+        if points[:, 2].min() <= 1.0:
+            return slice(0, h), slice(0, w)
+        photo = camera.photo_from_camera(points)
+        left, top = np.clip(np.floor(photo.min(axis=0)).astype(int), 0, [w - 1, h - 1])
+        right, bottom = np.clip(np.ceil(photo.max(axis=0)).astype(int), [left + 1, top + 1], [w, h])
+        return slice(top, bottom), slice(left, right)
 
 
 def _mix(values: np.ndarray, weights: np.ndarray, corners: np.ndarray) -> np.ndarray:
     """Barycentric mean of vertex values, one for each hit."""
-    return np.einsum("nk,nkc->nc", weights, values[corners])
+    mixed = weights[:, :1] * values[corners[:, 0]]
+    mixed += weights[:, 1:2] * values[corners[:, 1]]
+    mixed += weights[:, 2:] * values[corners[:, 2]]
+    return mixed
 
 
 def true_backward_map(film: FilmMesh, camera: Camera, size: tuple[int, int] = (33, 33)) -> BackwardMap:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -29,7 +29,7 @@ class BendConfig:
     keep_from: int = 2
     max_angle_deg: float = 70.0
     soft_share: float = 0.5
-    step: StepConfig = StepConfig(max_iterations=6, tolerance_mm=0.05)
+    step: StepConfig = field(default_factory=lambda: StepConfig(max_iterations=6, tolerance_mm=0.05))
 
 
 def bend(film: FilmMesh, rng: np.random.Generator, config: BendConfig) -> tuple[str, list[Frame]]:

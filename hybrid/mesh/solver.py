@@ -72,7 +72,8 @@ class Loads:
     """What acts on the sheet during a step.
 
     force_n: (V, 3) N on each vertex. goal_mm: (V, 3) where goal springs pull to. goal_stiffness: (V,) N/mm, 0 for free.
-    rest_curvature: 1/mm along u and along v (a film kept rolled). table_z_mm: height of a table below (+z down), or None.
+    rest_curvature: 1/mm along u and along v (a film kept rolled). table_z_mm: a table's plane
+        (+z is down there), or None.
     """
 
     force_n: Float[np.ndarray, "v 3"]

@@ -1,0 +1,77 @@
+"""Losses of FilmNet, each a function of prediction, truth and mask."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+from torch.nn import functional
+
+from hybrid.learn.network import FilmNetOutput
+
+
+@dataclass(frozen=True, eq=False)
+class Targets:
+    """Truth at the network's output resolution; 0 where the mask is False."""
+
+    mask: Bool[Tensor, "b h w"]
+    uv: Float[Tensor, "b 2 h w"]
+    xyz: Float[Tensor, "b 3 h w"]
+    albedo: Float[Tensor, "b h w"]
+
+
+@dataclass(frozen=True)
+class LossWeights:
+    """Weights of the terms. slope is small: a heavy loss on the gradient of uv keeps the network from learning."""
+
+    uv: float = 20.0
+    mask: float = 0.5
+    xyz: float = 4.0
+    albedo: float = 0.5
+    slope: float = 4.0
+    scale: float = 0.05
+
+
+def masked_mean(values: Float[Tensor, "b h w"], mask: Bool[Tensor, "b h w"]) -> Float[Tensor, ""]:
+    """Mean over the pixels of each film, then over the films, so that a small film counts as much as a large one."""
+    weight = mask.to(values.dtype)
+    return ((values * weight).sum(dim=(1, 2)) / weight.sum(dim=(1, 2)).clamp(min=1.0)).mean()
+
+
+def uv_loss(output: FilmNetOutput, targets: Targets) -> Float[Tensor, ""]:
+    """Mean distance of predicted from true film coordinates, |du| + |dv|."""
+    return masked_mean((output.uv - targets.uv).abs().sum(dim=1), targets.mask)
+
+
+def slope_loss(output: FilmNetOutput, targets: Targets) -> Float[Tensor, ""]:
+    """Mean absolute error of the differences of uv between neighbouring film pixels, along both axes."""
+    error, mask = output.uv - targets.uv, targets.mask
+    across = masked_mean((error[..., 1:] - error[..., :-1]).abs().sum(dim=1), mask[..., 1:] & mask[..., :-1])
+    down = masked_mean((error[:, :, 1:] - error[:, :, :-1]).abs().sum(dim=1), mask[:, 1:] & mask[:, :-1])
+    return across + down
+
+
+def scale_loss(output: FilmNetOutput, targets: Targets) -> Float[Tensor, ""]:
+    """Laplace negative log-likelihood of the uv error under the predicted scale; no gradient reaches uv through it."""
+    error = (output.uv - targets.uv).detach().abs().mean(dim=1)
+    log_scale = output.log_scale.clamp(-9.0, 1.0)
+    return masked_mean(error * torch.exp(-log_scale) + log_scale, targets.mask)
+
+
+def loss_terms(output: FilmNetOutput, targets: Targets) -> dict[str, Tensor]:
+    """All terms, by name as in LossWeights, not yet weighted."""
+    return {
+        "uv": uv_loss(output, targets),
+        "mask": functional.binary_cross_entropy_with_logits(output.mask_logit, targets.mask.to(output.uv.dtype)),
+        "xyz": masked_mean((output.xyz - targets.xyz).abs().sum(dim=1), targets.mask),
+        "albedo": masked_mean((output.albedo - targets.albedo).abs(), targets.mask),
+        "slope": slope_loss(output, targets),
+        "scale": scale_loss(output, targets),
+    }
+
+
+def total_loss(terms: dict[str, Tensor], weights: LossWeights) -> Tensor:
+    """Weighted sum of the terms."""
+    return torch.stack([getattr(weights, name) * term for name, term in terms.items()]).sum()

@@ -1,0 +1,117 @@
+"""FilmNet: the compact network that predicts mask, uv, 3D coordinates and albedo of a film in a photo."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+from torch.nn import functional
+
+STRIDE = 4
+"""Input pixels per output pixel and axis: the uv map varies slowly, so a quarter of the resolution loses nothing."""
+
+
+@dataclass(frozen=True)
+class FilmNetConfig:
+    """Widths and depths. widths: channels at 1/4 (stem), 1/8, 1/16 and 1/32 of the input. blocks: residual blocks at
+    1/8, 1/16 and 1/32 on the way down. input_px: side of the square input that the network was trained for."""
+
+    widths: tuple[int, int, int, int] = (32, 80, 160, 320)
+    blocks: tuple[int, int, int] = (1, 2, 3)
+    input_px: int = 256
+
+
+@dataclass(frozen=True, eq=False)
+class FilmNetOutput:
+    """Maps at a quarter of the input's resolution.
+
+    mask_logit: film where positive. uv: film coordinates. xyz: camera axes, relative to the film's centre, in film
+    diagonals. albedo: display grey of the print. log_scale: natural log of the expected absolute error of uv (Laplace).
+    """
+
+    mask_logit: Float[Tensor, "b h w"]
+    uv: Float[Tensor, "b 2 h w"]
+    xyz: Float[Tensor, "b 3 h w"]
+    albedo: Float[Tensor, "b h w"]
+    log_scale: Float[Tensor, "b h w"]
+
+
+_CHANNELS = 1 + 2 + 3 + 1 + 1
+
+
+class _ConvNorm(nn.Sequential):
+    """Convolution, batch normalisation, ReLU."""
+
+    def __init__(self, inputs: int, outputs: int, kernel: int, stride: int) -> None:
+        super().__init__(
+            nn.Conv2d(inputs, outputs, kernel, stride, kernel // 2, bias=False),
+            nn.BatchNorm2d(outputs),
+            nn.ReLU(inplace=True),
+        )
+
+
+class _Residual(nn.Module):
+    """Two 3 x 3 convolutions beside an identity."""
+
+    def __init__(self, channels: int) -> None:
+        super().__init__()
+        self.first = _ConvNorm(channels, channels, 3, 1)
+        self.second = nn.Sequential(
+            nn.Conv2d(channels, channels, 3, 1, 1, bias=False), nn.BatchNorm2d(channels)
+        )
+
+    def forward(self, x: Tensor) -> Tensor:
+        return functional.relu(x + self.second(self.first(x)))
+
+
+class FilmNet(nn.Module):
+    """An encoder to 1/32 of the input and a decoder back to 1/8, whose head writes 2 x 2 output pixels each.
+
+    Most of the work is done at 1/8 and below, where the whole film is within reach of a few convolutions.
+    """
+
+    def __init__(self, config: FilmNetConfig) -> None:
+        super().__init__()
+        self.config = config
+        stem, w8, w16, w32 = config.widths
+        self.stem = _ConvNorm(3, stem, 7, STRIDE)
+        self.down8 = nn.Sequential(_ConvNorm(stem, w8, 3, 2), *(_Residual(w8) for _ in range(config.blocks[0])))
+        self.down16 = nn.Sequential(_ConvNorm(w8, w16, 3, 2), *(_Residual(w16) for _ in range(config.blocks[1])))
+        self.down32 = nn.Sequential(_ConvNorm(w16, w32, 3, 2), *(_Residual(w32) for _ in range(config.blocks[2])))
+        self.lateral16 = nn.Conv2d(w32, w16, 1)
+        self.up16 = _Residual(w16)
+        self.lateral8 = nn.Conv2d(w16, w8, 1)
+        self.up8 = _Residual(w8)
+        self.head = nn.Conv2d(w8, 4 * _CHANNELS, 3, 1, 1)
+
+    def forward(self, image: Float[Tensor, "b 3 H W"]) -> FilmNetOutput:
+        """Maps of sRGB images in [0, 1] whose sides are multiples of 32."""
+        x4 = self.stem(image - 0.4)
+        x8 = self.down8(x4)
+        x16 = self.down16(x8)
+        x32 = self.down32(x16)
+        y16 = self.up16(x16 + functional.interpolate(self.lateral16(x32), scale_factor=2, mode="nearest"))
+        y8 = self.up8(x8 + functional.interpolate(self.lateral8(y16), scale_factor=2, mode="nearest"))
+        maps = functional.pixel_shuffle(self.head(y8), 2)
+        return FilmNetOutput(
+            mask_logit=maps[:, 0],
+            uv=maps[:, 1:3] + 0.5,
+            xyz=maps[:, 3:6],
+            albedo=maps[:, 6],
+            log_scale=maps[:, 7] - 3.0,
+        )
+
+
+def fused(network: FilmNet) -> FilmNet:
+    """The network for inference: batch normalisation folded into the convolutions, channels last, no gradients."""
+    network = network.eval().requires_grad_(False)
+    for module in network.modules():
+        if isinstance(module, nn.Sequential):
+            for k in range(len(module) - 1):
+                conv, norm = module[k], module[k + 1]
+                if isinstance(conv, nn.Conv2d) and isinstance(norm, nn.BatchNorm2d):
+                    module[k] = nn.utils.fuse_conv_bn_eval(conv, norm)
+                    module[k + 1] = nn.Identity()
+    return network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
