@@ -1,0 +1,285 @@
+"""Pictures from and to files: the only module of the package that opens a photo."""
+
+from __future__ import annotations
+
+import os
+import threading
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NoReturn
+
+import cv2
+import numpy as np
+from jaxtyping import Float, UInt8
+from PIL import Image, ImageOps, UnidentifiedImageError
+
+from hybrid.coords import rgb_from_bgr
+from hybrid.errors import PhotoError, describe
+
+MAX_PIXELS = 400_000_000
+"""Larger pictures are refused: no phone makes them, and decoding one takes gigabytes."""
+
+MIN_SIDE = 2
+"""A picture of a single row or column of pixels is no photo."""
+
+READABLE = "JPEG, PNG, TIFF, WebP or HEIC"
+_JPEG_START = b"\xff\xd8\xff"
+_JPEG_QUALITY = 95
+_PNG_LEVEL = 3  # a film of 12-bit noise hardly shrinks further, and level 6 takes twice as long
+_TAKE_AGAIN = f"Export the photo again as {READABLE}, or copy it from the phone once more."
+_BOMB_LOCK = threading.Lock()
+
+
+# ---------------------------------------------------------------- photos in
+
+
+def as_photo(source: Any) -> UInt8[np.ndarray, "h w 3"]:
+    """The photo as (H, W, 3) uint8 RGB, upright: from a path, or from an array that is checked and never modified.
+
+    source: a path; or (H, W, 3) uint8 RGB; or (H, W) uint8 grey, which is repeated for the three channels.
+    Raises PhotoError, which says what to do, for anything else.
+    """
+    if isinstance(source, (str, os.PathLike)):
+        return read_photo(source)
+    if not isinstance(source, np.ndarray):
+        _refuse_array(f"a {type(source).__name__}", "Pass a path or a numpy array; np.asarray(photo) makes one.")
+    got = f"{source.dtype} of shape {source.shape}"
+    if source.dtype != np.uint8:
+        _refuse_array(got, _how_to_uint8(source))
+    if source.ndim != 2 and not (source.ndim == 3 and source.shape[2] == 3):
+        _refuse_array(got, _how_to_reshape(source.shape))
+    _check_size(source.shape[0], source.shape[1], "array")
+    return np.repeat(source[:, :, None], 3, axis=2) if source.ndim == 2 else source
+
+
+def read_photo(path: str | os.PathLike[str]) -> UInt8[np.ndarray, "h w 3"]:
+    """The photo in a file as (H, W, 3) uint8 sRGB, turned upright after its EXIF orientation.
+
+    JPEG, PNG, TIFF, WebP, HEIC and whatever else Pillow reads; of several frames the first. Grey and palettes become
+    RGB, 16 bits are scaled to 8, CMYK is converted without a profile (embedded colour profiles are not applied), and
+    transparency is laid over black, because a transparent pixel sends no light. Raises PhotoError for what is not a
+    whole picture.
+    """
+    path = Path(path)
+    data = _read_if_jpeg(path)
+    header = _jpeg_header(data)
+    if header is None:
+        return _decode_with_pillow(path)
+    _check_size(header.height, header.width, path)
+    if header.components not in (1, 3) or data.find(b"\xff\xd9", header.scan_start) < 0:
+        return _decode_with_pillow(path)  # CMYK; or no end marker: Pillow tells a cut file from an untidy one
+    # OpenCV reads a JPEG twice as fast as Pillow, and turns it upright as well.
+    photo = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_COLOR_RGB)
+    return _decode_with_pillow(path) if photo is None else photo
+
+
+def _read_if_jpeg(path: Path) -> bytes:
+    """The whole file if it is a JPEG, else its first bytes; PhotoError for what is no file, or an empty one."""
+    try:
+        if not path.exists():
+            _refuse_file("no such file", path, "Check the name and the folder.")
+        if path.is_dir():
+            _refuse_file("this is a folder, not a photo", path, "Name the photos in it, for example FOLDER/*.jpg.")
+        with path.open("rb") as file:
+            start = file.read(len(_JPEG_START))
+            data = start + file.read() if start == _JPEG_START else start
+    except OSError as error:
+        raise PhotoError(
+            describe(what="The photo cannot be opened", where=path, got=error.strerror, do="Check its permissions.")
+        ) from error
+    if not data:
+        _refuse_file("the file is empty (0 bytes)", path, "Copy it from the phone once more.")
+    return data
+
+
+@dataclass(frozen=True)
+class _JpegHeader:
+    """What a JPEG says before its pixels: size, number of colour components, and the byte where the scan starts."""
+
+    height: int
+    width: int
+    components: int
+    scan_start: int
+
+
+def _jpeg_header(data: bytes) -> _JpegHeader | None:
+    """Walk the segments of a JPEG up to its first scan; None for another format or a header that makes no sense.
+
+    Thumbnails inside the EXIF segment are stepped over, so their end marker is not taken for the photo's.
+    """
+    if not data.startswith(_JPEG_START):
+        return None
+    frame: tuple[int, int, int] | None = None
+    at = 2
+    while at + 4 <= len(data) and data[at] == 0xFF:
+        marker = data[at + 1]
+        if marker == 0xFF:  # fill bytes before a marker
+            at += 1
+            continue
+        length = int.from_bytes(data[at + 2 : at + 4], "big")
+        body = data[at + 4 : at + 10]
+        if 0xC0 <= marker <= 0xCF and marker not in (0xC4, 0xC8, 0xCC) and len(body) == 6:
+            frame = (int.from_bytes(body[1:3], "big"), int.from_bytes(body[3:5], "big"), body[5])
+        at += 2 + length
+        if marker == 0xDA:
+            return _JpegHeader(*frame, scan_start=at) if frame else None
+    return None
+
+
+@contextmanager
+def _pillow_limits() -> Iterator[None]:
+    """Pillow refuses above 179 megapixels and warns above 89; this package's own limit holds instead, while inside."""
+    with _BOMB_LOCK, warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # damaged EXIF and metadata: the picture itself is checked
+        before, Image.MAX_IMAGE_PIXELS = Image.MAX_IMAGE_PIXELS, None
+        try:
+            yield
+        finally:
+            Image.MAX_IMAGE_PIXELS = before
+
+
+def _decode_with_pillow(path: Path) -> UInt8[np.ndarray, "h w 3"]:
+    import pillow_heif  # registers itself when a file needs it: nothing runs at import
+
+    pillow_heif.register_heif_opener()
+    try:
+        with _pillow_limits(), Image.open(path) as image:
+            _check_size(image.height, image.width, path)
+            image.load()
+            upright = ImageOps.exif_transpose(image)
+            return _rgb_from_pillow(upright, path)
+    except UnidentifiedImageError as error:
+        what = "The file is not a picture that can be read"
+        raise PhotoError(
+            describe(what=what, where=path, got=_kind_of(path), allowed=READABLE, do=_TAKE_AGAIN)
+        ) from error
+    except PhotoError:
+        raise
+    except Exception as error:  # a damaged file makes Pillow's many readers raise nearly anything
+        what = "The picture is damaged or cut off"
+        raise PhotoError(describe(what=what, where=path, got=f"'{error}'", do=_TAKE_AGAIN)) from error
+
+
+def _rgb_from_pillow(image: Image.Image, path: Path) -> UInt8[np.ndarray, "h w 3"]:
+    if image.mode.startswith("I;16"):
+        grey = np.rint(np.asarray(image, dtype=np.float32) / 257).astype(np.uint8)
+        return np.repeat(grey[:, :, None], 3, axis=2)
+    if image.mode in ("I", "F"):
+        do = "Save it with 8 or 16 bits per channel, whole range used."
+        raise PhotoError(describe(what="The picture has 32 bits per channel", where=path, got=image.mode, do=do))
+    if image.mode in ("RGBA", "LA", "PA", "La", "RGBa") or "transparency" in image.info:
+        clear = image.convert("RGBA")
+        black = Image.new("RGBA", clear.size, (0, 0, 0, 255))
+        image = Image.alpha_composite(black, clear)
+    return np.array(image.convert("RGB"))
+
+
+def _kind_of(path: Path) -> str:
+    """What a file that is no picture seems to be, in words."""
+    with path.open("rb") as file:
+        start = file.read(512)
+    if start.startswith(b"%PDF"):
+        return "a PDF"
+    try:
+        start.decode("utf-8")
+    except UnicodeDecodeError:
+        return "unknown data"
+    return "text"
+
+
+# ---------------------------------------------------------------- refusals
+
+
+def _refuse_file(got: str, path: Path, do: str) -> NoReturn:
+    raise PhotoError(describe(what="The photo cannot be read", where=path, got=got, do=do))
+
+
+def _refuse_array(got: str, do: str) -> NoReturn:
+    allowed = "a path, or a uint8 array of shape (H, W, 3) in RGB or (H, W)"
+    raise PhotoError(describe(what="The photo cannot be used", got=got, allowed=allowed, do=do))
+
+
+def _check_size(height: int, width: int, where: object) -> None:
+    if min(height, width) < MIN_SIDE:
+        do = "Use a photo of 1000 x 1000 pixels or more."
+        raise PhotoError(describe(what="The photo is too small", where=where, got=f"{height} x {width} pixels", do=do))
+    if height * width > MAX_PIXELS:
+        raise PhotoError(
+            describe(
+                what="The photo is too large",
+                where=where,
+                got=f"{height} x {width} pixels",
+                allowed=f"up to {MAX_PIXELS // 1_000_000} megapixels",
+                do="Scale it down first.",
+            )
+        )
+
+
+def _how_to_uint8(array: np.ndarray) -> str:
+    if np.issubdtype(array.dtype, np.floating):
+        if not np.isfinite(array).all():
+            return "It holds NaN or infinity: repair those pixels, then use (255 * photo).round().astype(np.uint8)."
+        return "For values in [0, 1] use (255 * photo).round().astype(np.uint8)."
+    if array.dtype == np.uint16:
+        return "For the whole 16-bit range use (photo / 257).round().astype(np.uint8)."
+    return "Convert it with photo.astype(np.uint8) after scaling to 0..255."
+
+
+def _how_to_reshape(shape: tuple[int, ...]) -> str:
+    if len(shape) == 3 and shape[2] == 4:
+        return "Drop the alpha channel: photo[:, :, :3]."
+    if len(shape) == 3 and shape[2] == 1:
+        return "Drop the last axis: photo[:, :, 0]."
+    if len(shape) == 3 and shape[0] == 3:
+        return "Put the channels last: photo.transpose(1, 2, 0)."
+    if len(shape) == 4:
+        return "Pass the photos of a batch one by one."
+    return "Pass one photo, height first, colour channels last."
+
+
+# ---------------------------------------------------------------- pictures out
+
+
+def write_film(path: str | os.PathLike[str], film: Float[np.ndarray, "h w"]) -> None:
+    """Write display grey in [0, 1] as a 16-bit grey PNG; values outside are clipped, NaN is a ValueError."""
+    if np.isnan(film).any():
+        raise ValueError(f"write_film: got NaN in {int(np.isnan(film).sum())} pixels; allowed: numbers in [0, 1]")
+    levels = np.rint(np.clip(film, 0.0, 1.0) * 65535).astype(np.uint16)
+    write_bytes(path, _encoded(".png", levels, [cv2.IMWRITE_PNG_COMPRESSION, _PNG_LEVEL]))
+
+
+def write_rgb(path: str | os.PathLike[str], rgb: UInt8[np.ndarray, "h w 3"]) -> None:
+    """Write an RGB picture; the name's suffix (.jpg, .jpeg or .png) says the format, another is a ValueError."""
+    suffix = Path(path).suffix.lower()
+    options = {
+        ".jpg": [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY],
+        ".jpeg": [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY],
+        ".png": [cv2.IMWRITE_PNG_COMPRESSION, _PNG_LEVEL],
+    }
+    if suffix not in options:
+        raise ValueError(f"write_rgb: got the suffix {suffix!r} ({path}); allowed: {', '.join(options)}")
+    write_bytes(path, _encoded(suffix, rgb_from_bgr(rgb), options[suffix]))
+
+
+def write_bytes(path: str | os.PathLike[str], data: bytes) -> None:
+    """Write a file whole or not at all: a file of that name stays as it was until the new one is complete."""
+    path = Path(path)
+    unfinished = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        unfinished.write_bytes(data)
+        os.replace(unfinished, path)
+    finally:
+        unfinished.unlink(missing_ok=True)
+
+
+def _encoded(suffix: str, image: np.ndarray, options: list[int]) -> bytes:
+    done, buffer = cv2.imencode(suffix, image, options)
+    if not done:
+        raise ValueError(f"a picture of shape {image.shape} cannot be written as {suffix}")
+    return buffer.tobytes()
+
+
+__all__ = ["MAX_PIXELS", "MIN_SIDE", "as_photo", "read_photo", "write_bytes", "write_film", "write_rgb"]

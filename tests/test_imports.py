@@ -1,0 +1,101 @@
+"""Imports run one way (STYLE rule 9), and rectifying a photo needs neither Open3D nor the trainer."""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+ROOMS = ("hybrid.mesh", "hybrid.learn", "hybrid.rectify")
+OUTER = ("hybrid.pipeline", "hybrid.cli", "data_gen", "benchmarks", "tests")
+
+MODULES = {
+    ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): path
+    for room in ("hybrid", "data_gen", "benchmarks")
+    for path in sorted((ROOT / room).rglob("*.py"))
+}
+
+
+def imported_by(path: Path) -> set[str]:
+    """Every module that a file imports, inside functions as well; relative imports are refused."""
+    names: set[str] = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}: relative import"
+            assert node.module is not None
+            names |= {node.module} | {f"{node.module}.{alias.name}" for alias in node.names}
+    return names
+
+
+def within(module: str, packages: tuple[str, ...]) -> bool:
+    return any(module == package or module.startswith(package + ".") for package in packages)
+
+
+@pytest.mark.parametrize("module", [m for m in MODULES if within(m, ROOMS)])
+def test_rooms_import_neither_each_other_nor_outwards(module: str) -> None:
+    own = next(room for room in ROOMS if within(module, (room,)))
+    others = tuple(room for room in ROOMS if room != own)
+    # Training draws its samples from the generator; that import is the trainer's alone, and lazy for everybody else.
+    outer = tuple(name for name in OUTER if not (own == "hybrid.learn" and name == "data_gen"))
+    wrong = {name for name in imported_by(MODULES[module]) if within(name, others + outer)}
+    assert not wrong, f"{module} imports {sorted(wrong)}"
+
+
+CORE = ("records", "coords", "errors", "backward", "image_io", "metrics", "draw")
+
+
+@pytest.mark.parametrize("module", CORE)
+def test_the_core_imports_no_room(module: str) -> None:
+    wrong = {name for name in imported_by(MODULES[f"hybrid.{module}"]) if within(name, ROOMS + OUTER)}
+    assert not wrong, f"hybrid.{module} imports {sorted(wrong)}"
+
+
+@pytest.mark.parametrize("module", [m for m in MODULES if within(m, ("hybrid",))])
+def test_hybrid_never_imports_benchmarks_or_tests(module: str) -> None:
+    wrong = {name for name in imported_by(MODULES[module]) if within(name, ("benchmarks", "tests"))}
+    assert not wrong
+
+
+def loaded_after(code: str) -> set[str]:
+    """Names of all modules that are loaded in a fresh interpreter after it ran ``code``."""
+    done = subprocess.run(
+        [sys.executable, "-c", f"{code}\nimport sys; print('\\n'.join(['MODULES', *sys.modules]))"],
+        capture_output=True,
+        text=True,
+        cwd=ROOT,
+        check=True,
+    )
+    return set(done.stdout.split("MODULES\n")[1].split())
+
+
+def test_importing_the_package_loads_nothing_heavy() -> None:
+    heavy = {"torch", "cv2", "scipy", "numpy", "open3d", "kornia"}
+    assert not heavy & loaded_after("import hybrid")
+
+
+def test_help_is_quick() -> None:
+    assert not {"torch", "cv2", "open3d", "kornia"} & loaded_after(
+        "import hybrid.cli, contextlib, io\n"
+        "with contextlib.redirect_stdout(io.StringIO()), contextlib.suppress(SystemExit):\n"
+        "    hybrid.cli.main(['--help'])"
+    )
+
+
+def test_rectifying_loads_neither_open3d_nor_the_trainer() -> None:
+    if "hybrid.pipeline" not in MODULES:
+        pytest.skip("hybrid/pipeline.py does not exist yet")
+    if not list((ROOT / "hybrid/learn/weights").glob("*.safetensors")):
+        pytest.skip("hybrid/learn/weights holds no weights yet")
+    modules = loaded_after(
+        "import numpy as np, hybrid\n"
+        "ramp = np.linspace(0, 255, 128 * 128 * 3).reshape(128, 128, 3).astype(np.uint8)\n"
+        "hybrid.rectify(ramp)"
+    )
+    wrong = {m for m in modules if within(m, ("open3d", "hybrid.learn.train", "hybrid.mesh", "data_gen", "kornia"))}
+    assert not wrong
