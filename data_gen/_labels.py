@@ -92,9 +92,7 @@ def _random_corners(rng: np.random.Generator) -> tuple[tuple[str, ...], ...]:
     return tuple(corners)
 
 
-def _random_ruler(
-    rng: np.random.Generator, cell_px: tuple[int, int], px_per_mm: float
-) -> tuple[Sprite | None, bool]:
+def _random_ruler(rng: np.random.Generator, cell_px: tuple[int, int], px_per_mm: float) -> tuple[Sprite | None, bool]:
     if rng.random() < 0.45:
         return None, True
     vertical = bool(rng.random() < 0.8)

@@ -64,7 +64,9 @@ def paint_outdoors(rng: np.random.Generator, rays: Float[np.ndarray, "H W 3"]) -
     image = np.where(up > 0, sky, ground).astype(np.float32) * np.ones((1, width, 1), np.float32)
     cloud = _noise(rng, rays.shape[:2], int(rng.integers(4, 12)))
     image *= np.exp(rng.uniform(0.1, 0.7) * cloud)[..., None]
-    skyline = height * 0.5 - height * rng.uniform(0.0, 0.25) * np.abs(_noise(rng, (1, width), int(rng.integers(6, 24)))[0])
+    skyline = height * 0.5 - height * rng.uniform(0.0, 0.25) * np.abs(
+        _noise(rng, (1, width), int(rng.integers(6, 24)))[0]
+    )
     below = (np.arange(height)[:, None] > skyline) & (np.arange(height)[:, None] <= height // 2)
     leaves = np.exp(0.6 * _noise(rng, rays.shape[:2], 40))[..., None] * (_tint(rng, 0.6) * rng.uniform(0.08, 0.6))
     image = np.where(below[..., None], leaves, image)
@@ -111,9 +113,7 @@ def _surface(rng: np.random.Generator, hit: _Hits) -> Float[np.ndarray, "n 1"]:
     return np.maximum(shade, 0.02)[:, None].astype(np.float32)
 
 
-def _rectangle(
-    hit: _Hits, a: tuple[float, float], b: tuple[float, float]
-) -> Int[np.ndarray, " m"]:
+def _rectangle(hit: _Hits, a: tuple[float, float], b: tuple[float, float]) -> Int[np.ndarray, " m"]:
     """Positions within ``hit`` of what lies inside a rectangle."""
     return np.flatnonzero((hit.a >= a[0]) & (hit.a <= a[1]) & (hit.b >= b[0]) & (hit.b <= b[1]))
 
@@ -145,7 +145,9 @@ def _add_ceiling_lamps(
     elif kind == 2:
         lit = (np.abs(a) < rng.uniform(0.15, 0.3)) & (np.abs(b) < rng.uniform(0.15, 0.6))
     else:
-        lit = (hit.a - rng.uniform(*hit.span_a)) ** 2 + (hit.b - rng.uniform(*hit.span_b)) ** 2 < rng.uniform(0.1, 0.4) ** 2
+        lit = (hit.a - rng.uniform(*hit.span_a)) ** 2 + (hit.b - rng.uniform(*hit.span_b)) ** 2 < rng.uniform(
+            0.1, 0.4
+        ) ** 2
     out[hit.index[lit]] = radiance
 
 
@@ -206,7 +208,9 @@ def _at_edge(t: Float[np.ndarray, " n"], share: float) -> Bool[np.ndarray, " n"]
     return np.minimum(t, 1.0 - t) < share
 
 
-def _add_lamp_spots(rng: np.random.Generator, image: Float[np.ndarray, "H W 3"], rays: Float[np.ndarray, "H W 3"]) -> None:
+def _add_lamp_spots(
+    rng: np.random.Generator, image: Float[np.ndarray, "H W 3"], rays: Float[np.ndarray, "H W 3"]
+) -> None:
     """Desk and floor lamps: small bright spots with a halo."""
     for _ in range(int(rng.integers(0, 3))):
         centre = _direction(rng, rng.uniform(-0.2, 0.8))

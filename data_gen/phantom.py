@@ -223,7 +223,9 @@ def _draw_brain(canvas: Canvas, inside: Canvas, plane: Plane, head: _Head, folds
     sulcus = np.clip(1.0 - groove / np.float32(0.11 * head.sulci), 0.0, 1.0) * near_rim
     blend(tissue, sulcus * np.float32(min(1.0, 0.5 + 0.4 * head.sulci)), CSF)
     blend(tissue, np.clip((inside + 0.8 + 1.6 * head.sulci) / 1.0, 0.0, 1.0), CSF)
-    midline = np.clip(1.6 - np.abs(plane.x + 1.5 * folds), 0.0, 1.0) * np.clip((np.hypot(plane.y, plane.z) - 32) / 6, 0, 1)
+    midline = np.clip(1.6 - np.abs(plane.x + 1.5 * folds), 0.0, 1.0) * np.clip(
+        (np.hypot(plane.y, plane.z) - 32) / 6, 0, 1
+    )
     midline *= np.clip((plane.z + 10.0) / 5.0, 0.0, 1.0)
     blend(tissue, midline * 0.7, CSF)
     blend(tissue, midline * np.clip(1.0 - np.abs(plane.x) * 1.4, 0.0, 1.0), 58.0)

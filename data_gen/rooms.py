@@ -149,14 +149,14 @@ def load_environments(folder: Path | str) -> list[Environment]:
 # ---------------------------------------------------------------- lookup
 
 
-def sample_environment(
-    env: Environment, directions: Float[np.ndarray, "*n 3"]
-) -> Float[np.ndarray, "*n 3"]:
+def sample_environment(env: Environment, directions: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
     """Radiance (float32) from unit world directions (z up), bilinear between pixel centres, wrapping in azimuth."""
     return sample_sphere(env.radiance, directions)
 
 
-def sample_sphere(image: Float[np.ndarray, "H W 3"], directions: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
+def sample_sphere(
+    image: Float[np.ndarray, "H W 3"], directions: Float[np.ndarray, "*n 3"]
+) -> Float[np.ndarray, "*n 3"]:
     """Bilinear lookup of any equirectangular image by unit world direction; clamped at the poles."""
     height, width = image.shape[:2]
     shape = directions.shape
@@ -224,9 +224,7 @@ def sample_filtered(
     return sample_sphere(mixed.astype(np.float32), directions)
 
 
-def sample_irradiance(
-    filtered: FilteredEnvironment, normals: Float[np.ndarray, "*n 3"]
-) -> Float[np.ndarray, "*n 3"]:
+def sample_irradiance(filtered: FilteredEnvironment, normals: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
     """Irradiance (float32) on surfaces with unit world ``normals``: pi times the radiance where light is constant."""
     return sample_sphere(filtered.irradiance, normals)
 
@@ -247,7 +245,9 @@ def _lobe_spectrum(roughness: float | None, size: tuple[int, int]) -> Float[np.n
     cos, sin = np.cos(polar), np.sin(polar)
     dot = cos[:, None, None] * cos[None, :, None] + sin[:, None, None] * sin[None, :, None] * np.cos(azimuth)
     lobe = np.maximum(dot, 0.0)
-    if roughness is not None:  # view, normal and mirror direction taken as one (Karis 2013): half vector halves the angle
+    if (
+        roughness is not None
+    ):  # view, normal and mirror direction taken as one (Karis 2013): half vector halves the angle
         alpha_sq = roughness**4
         cos_half_sq = 0.5 * (1.0 + np.clip(dot, -1.0, 1.0))
         lobe = lobe * alpha_sq / (np.pi * (cos_half_sq * (alpha_sq - 1.0) + 1.0) ** 2)

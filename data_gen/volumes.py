@@ -121,10 +121,8 @@ def load_volumes(folder: Path | str) -> list[CtVolume]:
         )
     files = [path for path in sorted(folder.rglob("*")) if path.is_file()]
     volumes = [read_npz(path) for path in files if path.suffix.lower() == ".npz"]
-    zips = [path for path in files if path.suffix.lower() == ".zip"]
-    dicom_folders = sorted({path.parent for path in files if _looks_like_dicom(path)})
-    for source in [*zips, *dicom_folders]:
-        volumes += [v for v in _read_dicom(source) if len(v.hu) >= MIN_PRINT_SLICES]
+    if any(path.suffix.lower() == ".zip" or _looks_like_dicom(path) for path in files):
+        volumes += [v for v in _read_dicom(folder) if len(v.hu) >= MIN_PRINT_SLICES]
     if not volumes:
         raise DataError(
             describe(
