@@ -45,6 +45,36 @@ def rectify_photo(photo: UInt8[np.ndarray, "H W 3"], backward: BackwardMap, size
     return Rectified(image, valid)
 
 
+def rectify_map(
+    values: Float[np.ndarray, "h w"],
+    photo_points: Float[np.ndarray, "h w 2"],
+    backward: BackwardMap,
+    size: tuple[int, int],
+) -> Float[np.ndarray, "gh gw"]:
+    """A map of the network's, whose pixels lie at ``photo_points`` (a regular grid), in film space; NaN where unknown."""
+    column, row = index_in_grid(photo_points, backward.dense(size).astype(np.float64))
+    return cv2.remap(
+        values.astype(np.float32),
+        column.astype(np.float32),
+        row.astype(np.float32),
+        cv2.INTER_LINEAR,
+        borderMode=cv2.BORDER_CONSTANT,
+        borderValue=float("nan"),
+    )
+
+
+def index_in_grid(
+    photo_points: Float[np.ndarray, "h w 2"], points: Float[np.ndarray, "*n 2"]
+) -> tuple[Float[np.ndarray, "*n"], Float[np.ndarray, "*n"]]:
+    """Fractional (column, row) of photo points in a map whose pixel centres lie at ``photo_points``, a regular grid."""
+    corners = photo_points.astype(np.float64)
+    origin = corners[0, 0]
+    across = (corners[0, -1] - origin) / (corners.shape[1] - 1)
+    down = (corners[-1, 0] - origin) / (corners.shape[0] - 1)
+    index = (points - origin) @ np.linalg.inv(np.stack([across, down], axis=1)).T
+    return index[..., 0], index[..., 1]
+
+
 def photo_per_film_pixel(backward: BackwardMap, size: tuple[int, int]) -> float:
     """Mean photo pixels per pixel of a film image of ``size`` (h, w), along one axis: above 1 the film is shrunk."""
     down, across = backward.mean_film_pixels()

@@ -15,6 +15,7 @@ from hybrid.backward import BackwardMap
 from hybrid.coords import film_nodes
 from hybrid.records import CoarseMaps, StatusCode
 from hybrid.rectify.invert import Inversion, NotInverted, fit_homography, project
+from hybrid.rectify.resample import index_in_grid
 
 
 @dataclass(frozen=True)
@@ -39,8 +40,6 @@ class SurveyConfig:
     """Largest ratio of the areas that equal pieces of the film cover in the photo."""
     plane_tolerance_px: float = 0.1
     """A film is a plane if one homography explains its backward map this closely everywhere."""
-    even_light: float = 0.03
-    """Light whose gain (relative) and veil (of full scale) vary by less than this over the film is even."""
 
 
 @dataclass(frozen=True)
@@ -116,7 +115,9 @@ def _shape_verdict(backward: BackwardMap, evidence: str, config: SurveyConfig) -
 def mask_overlap(maps: CoarseMaps, backward: BackwardMap) -> float:
     """Intersection over union of the mask with the film's outline, within the picture that the network saw."""
     mask: Bool[np.ndarray, "h w"] = np.asarray(maps.mask >= 0.5)
-    outline = _outline_in_maps(maps, backward)
+    nodes = backward.nodes
+    edges = np.concatenate([nodes[0], nodes[1:, -1], nodes[-1, -2::-1], nodes[-2:0:-1, 0]])
+    outline = np.stack(index_in_grid(maps.photo_points, edges), axis=-1)
     drawn = np.zeros(mask.shape, dtype=np.uint8)
     # fillPoly takes integers with fractional bits; beyond some picture widths nothing is lost by clipping
     fixed = np.rint(np.clip(outline, -10.0 * max(mask.shape), 10.0 * max(mask.shape)) * 16).astype(np.int32)
@@ -124,17 +125,6 @@ def mask_overlap(maps: CoarseMaps, backward: BackwardMap) -> float:
     inside = drawn.astype(bool)
     union = np.count_nonzero(mask | inside)
     return np.count_nonzero(mask & inside) / union if union else 0.0
-
-
-def _outline_in_maps(maps: CoarseMaps, backward: BackwardMap) -> Float[np.ndarray, "n 2"]:
-    """The film's outline in indices (column, row) of the network's map, whose pixels lie on a regular grid."""
-    nodes = backward.nodes
-    outline = np.concatenate([nodes[0], nodes[1:, -1], nodes[-1, -2::-1], nodes[-2:0:-1, 0]])
-    points = maps.photo_points.astype(np.float64)
-    origin = points[0, 0]
-    across = (points[0, -1] - origin) / (points.shape[1] - 1)
-    down = (points[-1, 0] - origin) / (points.shape[0] - 1)
-    return np.linalg.solve(np.stack([across, down], axis=1), (outline - origin).T).T
 
 
 def survey_plane(
@@ -151,9 +141,10 @@ def survey_plane(
     return Decision(off <= config.plane_tolerance_px, f"the sheet is within {off:.2f} px of a plane"), homography
 
 
-def survey_light(gain: Float[np.ndarray, "h w"], veil: Float[np.ndarray, "h w"], config: SurveyConfig) -> Decision:
-    """Whether the light is even: ``gain`` (relative) and ``veil`` (of full scale, linear) hardly vary over the film."""
+def survey_light(gain: Float[np.ndarray, "h w"], veil: Float[np.ndarray, "h w"], even: float) -> Decision:
+    """Whether the light is even: over the film ``gain`` varies by less than ``even`` (relative), and ``veil``, given
+    in parts of the light of white, by less than a third of it, as black shows a veil more than white a gain."""
     spread = float(np.percentile(gain, 98) / max(float(np.percentile(gain, 2)), 1e-6) - 1.0)
     lift = float(np.percentile(veil, 98) - np.percentile(veil, 2))
     text = f"light varies by {spread:.0%}, reflections by {lift:.1%} of white over the film"
-    return Decision(spread <= config.even_light and lift <= config.even_light / 3, text)
+    return Decision(spread <= even and lift <= even / 3, text)
