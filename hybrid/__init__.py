@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
-    from hybrid.pipeline import RectifyConfig, Rectifier, rectify
+    from hybrid.pipeline import Rectifier, RectifyConfig, rectify
     from hybrid.records import RectifyResult, SliceGrid, StageReport, Status
 
 _PLACES = {
@@ -19,7 +19,7 @@ _PLACES = {
     "StageReport": "hybrid.records",
     "Status": "hybrid.records",
 }
-__all__ = ["RectifyConfig", "RectifyResult", "Rectifier", "SliceGrid", "StageReport", "Status", "rectify"]
+__all__ = ["Rectifier", "RectifyConfig", "RectifyResult", "SliceGrid", "StageReport", "Status", "rectify"]
 
 
 def __getattr__(name: str) -> Any:

@@ -25,7 +25,7 @@ sizes = st.tuples(st.integers(5, 60), st.integers(5, 60))
 
 
 def ramp(size: tuple[int, int]) -> np.ndarray:
-    """(h, w, 3) float32 whose values are the photo point (x, y, 0) of the pixel: sampled at a point, it gives it back."""
+    """(h, w, 3) float32 holding each pixel's photo point (x, y, 0): sampled at a point, it gives the point back."""
     xy = coords.pixel_centres(size)
     return np.concatenate([xy, np.zeros((*size, 1))], axis=2).astype(np.float32)
 

@@ -41,9 +41,7 @@ def within(module: str, packages: tuple[str, ...]) -> bool:
 def test_rooms_import_neither_each_other_nor_outwards(module: str) -> None:
     own = next(room for room in ROOMS if within(module, (room,)))
     others = tuple(room for room in ROOMS if room != own)
-    # Training draws its samples from the generator; that import is the trainer's alone, and lazy for everybody else.
-    outer = tuple(name for name in OUTER if not (own == "hybrid.learn" and name == "data_gen"))
-    wrong = {name for name in imported_by(MODULES[module]) if within(name, others + outer)}
+    wrong = {name for name in imported_by(MODULES[module]) if within(name, others + OUTER)}
     assert not wrong, f"{module} imports {sorted(wrong)}"
 
 

@@ -1,0 +1,78 @@
+"""The command ``hybrid``: chooses the subcommand; each one loads what it needs, so that ``--help`` is quick."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Sequence
+
+USAGE = """\
+usage: hybrid {rectify,train,info} [options]
+
+Photo of a bent CT film in, flat print out.
+
+  hybrid rectify PHOTO... -o DIR   flatten photos; writes films, slices and side-by-side pictures into DIR
+  hybrid train --data DIR... --out DIR
+                                   train the network on data made by python -m data_gen.generate
+  hybrid info                      versions, weights and machine, for a report of a defect
+
+  hybrid COMMAND --help            all options of a command
+  hybrid --version
+"""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one subcommand; returns the exit code: 0 for success, 1 if anything failed, 2 for a wrong command line."""
+    arguments = list(sys.argv[1:] if arguments is None else arguments)
+    commands: dict[str, Callable[[list[str]], int]] = {"rectify": _rectify, "train": _train, "info": _info}
+    if arguments and arguments[0] in commands:
+        return _guarded(commands[arguments[0]], arguments[1:])
+    if arguments in (["--help"], ["-h"]):
+        print(USAGE, end="")
+        return 0
+    if arguments == ["--version"]:
+        from hybrid import __version__
+
+        print(f"hybrid {__version__}")
+        return 0
+    wrong = f"unknown command {arguments[0]!r}" if arguments else "no command"
+    print(f"{USAGE}\nhybrid: {wrong}; allowed: {', '.join(commands)}", file=sys.stderr)
+    return 2
+
+
+def _guarded(command: Callable[[list[str]], int], arguments: list[str]) -> int:
+    """Run a subcommand; an error that a user can mend is one line, and Ctrl-C no stack trace."""
+    from hybrid.errors import HybridError
+
+    try:
+        return command(arguments)
+    except HybridError as error:
+        print(f"hybrid: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print("hybrid: stopped; what was written so far is complete", file=sys.stderr)
+        return 130
+
+
+def _rectify(arguments: list[str]) -> int:
+    from hybrid.cli_rectify import run
+
+    return run(arguments)
+
+
+def _train(arguments: list[str]) -> int:
+    import tyro
+
+    from hybrid.learn.train import TrainConfig, train
+
+    train(tyro.cli(TrainConfig, args=arguments, prog="hybrid train"))
+    return 0
+
+
+def _info(arguments: list[str]) -> int:
+    from hybrid.cli_info import run
+
+    return run(arguments)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,200 @@
+"""What ``hybrid rectify`` leaves in its folder: film, rectified photo, slices, side-by-side picture, a small JSON."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import traceback
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from jaxtyping import UInt8
+from tqdm import tqdm
+
+from hybrid import __version__
+from hybrid.draw import annotated, rgb_from_film, side_by_side
+from hybrid.errors import ConfigError, HybridError, describe
+from hybrid.image_io import read_photo, write_bytes, write_film, write_rgb
+from hybrid.records import RectifyResult
+
+Rectify = Callable[[np.ndarray], RectifyResult]
+Say = Callable[[str], Any]
+RectifiedFormat = Literal["jpg", "png"]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How one photo ended.
+
+    ok: a film was found and every file is written.
+    message: the status, or the error, as a sentence.
+    files: what was written, in that order.
+    """
+
+    photo: Path
+    ok: bool
+    message: str
+    files: tuple[Path, ...] = ()
+
+
+def rectify_files(
+    photos: Sequence[Path], out: Path, rectify: Rectify, rectified_format: RectifiedFormat, say: Say
+) -> list[Outcome]:
+    """Rectify photos one after the other into the folder ``out``; a bad photo is told, and the next one follows."""
+    make_folder(out)
+    taken: set[str] = set()
+    outcomes = []
+    for path in tqdm(photos, desc="rectify", unit="photo", disable=len(photos) < 2):
+        try:
+            photo = read_photo(path)
+            name = free_name(path, out, taken)
+            taken.add(name)
+            result = rectify(photo)
+            files = write_result(out, name, path, photo, result, rectified_format)
+            outcomes.append(Outcome(path, result.status.ok, str(result.status), files))
+            say("\n".join(report_lines(path, result, files)))
+        except (HybridError, OSError, MemoryError) as error:
+            outcomes.append(Outcome(path, False, str(error) or type(error).__name__))
+            say(f"{path}\n  ERROR  {outcomes[-1].message}")
+        except Exception as error:  # a defect of this program must not cost the photos that are still to come
+            outcomes.append(Outcome(path, False, f"internal error: {type(error).__name__}: {error}"))
+            say(f"{path}\n  ERROR  {outcomes[-1].message}\n{traceback.format_exc()}")
+    return outcomes
+
+
+def make_folder(out: Path) -> None:
+    """Make the output folder; ConfigError where that cannot be."""
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        do = "Name a folder that can be written, with -o."
+        raise ConfigError(
+            describe(what="The output folder cannot be made", where=out, got=error.strerror, do=do)
+        ) from None
+
+
+def report_lines(path: Path, result: RectifyResult, files: Iterable[Path]) -> list[str]:
+    """What is printed for one photo: a line for each stage, the status, and where the pictures are."""
+    seconds = sum(stage.seconds for stage in result.stages)
+    lines = [str(path), *(f"  {stage}" for stage in result.stages)]
+    lines.append(f"  {'ok' if result.status.ok else 'FAILED'}  {result.status}  ({seconds:.2f} s)")
+    return lines + [f"  -> {file}" for file in files if SLICES_SUFFIX not in file.parent.name]
+
+
+# ---------------------------------------------------------------- names
+
+SLICES_SUFFIX = "_slices"
+
+
+def free_name(photo: Path, out: Path, taken: set[str]) -> str:
+    """The photo's stem, numbered where another photo has that name, in this run or in an earlier one.
+
+    An earlier run over the same bytes is no other photo: its files are made anew.
+    """
+    digest = photo_digest(photo)
+    number = 1
+    while True:
+        name = photo.stem if number == 1 else f"{photo.stem}_{number}"
+        record = out / f"{name}.json"
+        if name not in taken and (not record.exists() or _read_record(record).get("photo_sha256") == digest):
+            return name
+        number += 1
+
+
+def photo_digest(photo: Path) -> str:
+    """SHA-256 of the photo's bytes: what tells two photos of one name apart."""
+    with photo.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _read_record(record: Path) -> dict[str, Any]:
+    """The JSON that an earlier run left; empty without one, or where it is not one of ours."""
+    try:
+        found = json.loads(record.read_text())
+    except (OSError, ValueError):
+        return {}
+    return found if isinstance(found, dict) else {}
+
+
+# ---------------------------------------------------------------- files
+
+
+def write_result(
+    out: Path,
+    name: str,
+    path: Path,
+    photo: UInt8[np.ndarray, "h w 3"],
+    result: RectifyResult,
+    rectified_format: RectifiedFormat,
+) -> tuple[Path, ...]:
+    """Write everything that the result holds; the JSON comes last, so where it stands the rest is complete.
+
+    Files that an earlier run over the same photo left and this one does not make (slices of another grid) are removed,
+    once the new ones are there.
+    """
+    files: list[Path] = []
+    earlier = _read_record(out / f"{name}.json").get("files", [])
+    if result.film is not None:
+        files.append(out / f"{name}_film.png")
+        write_film(files[-1], result.film)
+        files += write_slices(out / f"{name}{SLICES_SUFFIX}", result)
+    if result.rectified is not None:
+        files.append(out / f"{name}_rectified.{rectified_format}")
+        write_rgb(files[-1], result.rectified)
+    if result.film is not None:
+        files.append(out / f"{name}_side_by_side.jpg")
+        write_rgb(files[-1], side_by_side([annotated(photo, result), rgb_from_film(result.film)]))
+    record = result_record(path, photo.shape[:2], result)
+    record["files"] = [file.relative_to(out).as_posix() for file in files]
+    files.append(out / f"{name}.json")
+    write_bytes(files[-1], (json.dumps(record, indent=2) + "\n").encode())
+    if result.status.ok:
+        for left_over in {out / file for file in earlier} - set(files):
+            left_over.unlink(missing_ok=True)
+    return tuple(files)
+
+
+def write_slices(folder: Path, result: RectifyResult) -> list[Path]:
+    """Write the slices as 16-bit PNGs numbered row by row from 01."""
+    slices = [cell for cell in result.slices() if cell.size]
+    if slices:
+        folder.mkdir(exist_ok=True)
+    files = [folder / f"{number:02d}.png" for number in range(1, len(slices) + 1)]
+    for file, cell in zip(files, slices, strict=True):
+        write_film(file, cell)
+    return files
+
+
+def result_record(path: Path, photo_size: tuple[int, ...], result: RectifyResult) -> dict[str, Any]:
+    """The result in words and numbers, without the pictures: what goes into the JSON file."""
+    grid = result.grid
+    return {
+        "hybrid_version": __version__,
+        "photo": path.name,
+        "photo_sha256": photo_digest(path),
+        "photo_size": list(photo_size[:2]),
+        "ok": result.status.ok,
+        "status": result.status.code.name,
+        "message": str(result.status),
+        "film_size": None if result.film is None else list(result.film.shape),
+        "glare_share": None if result.glare is None else round(float(result.glare.mean()), 5),
+        "confidence": None if result.confidence is None else round(float(result.confidence.mean()), 4),
+        "grid": None
+        if grid is None
+        else {
+            "rows": grid.rows,
+            "cols": grid.cols,
+            "confidence": round(grid.confidence, 4),
+            "vertices_film": np.round(grid.vertices, 6).tolist(),
+            "vertices_photo": np.round(grid.vertices_photo, 3).tolist(),
+        },
+        "stages": [
+            {"name": s.name, "ran": s.ran, "reason": s.reason, "seconds": round(s.seconds, 5)} for s in result.stages
+        ],
+    }
+
+
+__all__ = ["Outcome", "free_name", "rectify_files", "report_lines", "result_record", "write_result", "write_slices"]

@@ -1,0 +1,238 @@
+"""The command line: what it writes, what it says, how it fails. Its rectifier is a stand-in here."""
+
+from __future__ import annotations
+
+import json
+import sys
+import types
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+import hybrid
+from hybrid import cli
+from hybrid.backward import BackwardMap
+from hybrid.coords import film_nodes
+from hybrid.errors import ConfigError
+from hybrid.image_io import read_photo, write_rgb
+from hybrid.outputs import free_name, rectify_files
+from hybrid.records import RectifyResult, SliceGrid, StageReport, Status, StatusCode
+
+
+@dataclass(frozen=True)
+class StandInConfig:
+    """Options of the stand-in."""
+
+    rows: int = 2
+    """Rows of the grid that it claims to have found."""
+
+
+@dataclass
+class StandIn:
+    """Finds a film that fills the photo, unless the photo is black: then none; or white: then it crashes."""
+
+    config: StandInConfig = field(default_factory=StandInConfig)
+
+    def __call__(self, photo: np.ndarray) -> RectifyResult:
+        stages = (
+            StageReport("network", True, "always", 0.01),
+            StageReport("spline", False, "no grid was found", 0.0),
+        )
+        if photo.max() == 0:
+            return RectifyResult(Status(StatusCode.NO_FILM), stages)
+        if photo.min() == 255:
+            raise IndexError("a defect")
+        vertices = film_nodes((self.config.rows + 1, 4))
+        scale = np.array(photo.shape[1::-1], dtype=np.float64)
+        size = photo.shape[:2]
+        return RectifyResult(
+            Status(StatusCode.OK),
+            stages,
+            film=(photo[..., 0] / 255).astype(np.float32),
+            rectified=photo,
+            backward=BackwardMap.from_function(lambda uv: uv * scale, (4, 4)),
+            grid=SliceGrid(self.config.rows, 3, vertices, vertices * scale, 0.8),
+            glare=np.zeros(size, dtype=bool),
+            confidence=np.ones(size, dtype=np.float32),
+        )
+
+
+@pytest.fixture
+def _stand_in(monkeypatch: pytest.MonkeyPatch) -> None:
+    module = types.ModuleType("hybrid.pipeline")
+    module.__dict__.update(Rectifier=StandIn, RectifyConfig=StandInConfig)
+    monkeypatch.setitem(sys.modules, "hybrid.pipeline", module)
+    monkeypatch.delitem(sys.modules, "hybrid.cli_rectify", raising=False)
+    yield
+    sys.modules.pop("hybrid.cli_rectify", None)
+
+
+@pytest.fixture
+def photo(tmp_path: Path) -> Path:
+    path = tmp_path / "in" / "film.png"
+    path.parent.mkdir()
+    write_rgb(path, np.random.default_rng(0).integers(1, 250, (60, 90, 3), dtype=np.uint8))
+    return path
+
+
+def black_photo(folder: Path, name: str = "black.png") -> Path:
+    write_rgb(folder / name, np.zeros((64, 64, 3), dtype=np.uint8))
+    return folder / name
+
+
+# ---------------------------------------------------------------- what is written
+
+
+@pytest.mark.usefixtures("_stand_in")
+def test_one_photo(photo: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "deep" / "out"
+    assert cli.main(["rectify", str(photo), "-o", str(out)]) == 0
+    written = {path.relative_to(out).as_posix() for path in out.rglob("*") if path.is_file()}
+    slices = {f"film_slices/{k:02d}.png" for k in range(1, 7)}
+    pictures = {"film_film.png", "film_rectified.jpg", "film_side_by_side.jpg"}
+    assert written == slices | pictures | {"film.json"}
+    film = cv2.imread(str(out / "film_film.png"), cv2.IMREAD_UNCHANGED)
+    assert film.dtype == np.uint16
+    assert np.array_equal(film, read_photo(photo)[..., 0].astype(np.uint16) * 257)
+    record = json.loads((out / "film.json").read_text())
+    assert record["ok"] is True
+    assert (record["grid"]["rows"], record["grid"]["cols"]) == (2, 3)
+    assert (record["photo_size"], record["film_size"]) == ([60, 90], [60, 90])
+    assert set(record["files"]) == slices | pictures
+    assert [stage["name"] for stage in record["stages"]] == ["network", "spline"]
+    printed = capsys.readouterr().out
+    assert "network" in printed
+    assert "skipped" in printed
+    assert str(StatusCode.OK.value) in printed
+
+
+@pytest.mark.usefixtures("_stand_in")
+def test_options_of_the_rectifier_are_options_of_the_command(photo: Path, tmp_path: Path) -> None:
+    arguments = ["rectify", str(photo), "-o", str(tmp_path / "out"), "--rows", "3", "--rectified-format", "png"]
+    assert cli.main(arguments) == 0
+    assert len(list((tmp_path / "out" / "film_slices").iterdir())) == 9
+    assert np.array_equal(read_photo(tmp_path / "out" / "film_rectified.png"), read_photo(photo))
+
+
+@pytest.mark.usefixtures("_stand_in")
+def test_again_over_the_same_photo_leaves_no_slices_of_the_old_grid(photo: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    assert cli.main(["rectify", str(photo), "-o", str(out), "--rows", "3"]) == 0
+    (out / "film_slices" / "mine.txt").write_text("not written by the command")
+    assert cli.main(["rectify", str(photo), "-o", str(out)]) == 0
+    names = {path.name for path in (out / "film_slices").iterdir()}
+    assert names == {*(f"{k:02d}.png" for k in range(1, 7)), "mine.txt"}
+    assert not (out / "film_2.json").exists()
+
+
+@pytest.mark.usefixtures("_stand_in")
+def test_photos_of_one_name_do_not_overwrite_each_other(photo: Path, tmp_path: Path) -> None:
+    other = tmp_path / "other" / "film.png"
+    other.parent.mkdir()
+    write_rgb(other, np.full((50, 50, 3), 9, dtype=np.uint8))
+    out = tmp_path / "out"
+    assert cli.main(["rectify", str(photo), str(other), "-o", str(out)]) == 0
+    assert cv2.imread(str(out / "film_film.png"), cv2.IMREAD_UNCHANGED).shape == (60, 90)
+    assert cv2.imread(str(out / "film_2_film.png"), cv2.IMREAD_UNCHANGED).shape == (50, 50)
+    assert cli.main(["rectify", str(other), "-o", str(out)]) == 0  # alone, in a later run: still its own name
+    assert cv2.imread(str(out / "film_film.png"), cv2.IMREAD_UNCHANGED).shape == (60, 90)
+    assert not (out / "film_3.json").exists()
+
+
+def test_a_foreign_json_of_that_name_is_left_alone(photo: Path, tmp_path: Path) -> None:
+    (tmp_path / "film.json").write_text("[1, 2]")
+    assert free_name(photo, tmp_path, set()) == "film_2"
+    assert free_name(photo, tmp_path, {"film_2"}) == "film_3"
+
+
+# ---------------------------------------------------------------- how it fails
+
+
+@pytest.mark.usefixtures("_stand_in")
+def test_bad_photos_do_not_stop_the_good_ones(photo: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = photo.parent
+    (folder / "empty.jpg").touch()
+    (folder / "text.jpg").write_text("no picture")
+    write_rgb(folder / "white.png", np.full((64, 64, 3), 255, dtype=np.uint8))
+    bad = [folder / "gone.jpg", folder / "empty.jpg", folder / "text.jpg", folder, black_photo(folder)]
+    bad.append(folder / "white.png")
+    out = tmp_path / "out"
+    assert cli.main(["rectify", *map(str, bad), str(photo), "-o", str(out)]) == 1
+    printed = capsys.readouterr().out
+    for message in (
+        "no such file",
+        "0 bytes",
+        "got text",
+        "a folder",
+        StatusCode.NO_FILM.value,
+        "IndexError: a defect",
+    ):
+        assert message in printed
+    assert "1 of 7 photos flattened" in printed
+    assert (out / "film_film.png").exists()
+    record = json.loads((out / "black.json").read_text())
+    assert (record["ok"], record["status"], record["files"]) == (False, "NO_FILM", [])
+
+
+@pytest.mark.usefixtures("_stand_in")
+def test_a_photo_that_fails_leaves_earlier_results_alone(photo: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    assert cli.main(["rectify", str(photo), "-o", str(out)]) == 0
+    before = {path: path.read_bytes() for path in out.rglob("*") if path.is_file()}
+    write_rgb(photo, np.zeros((64, 64, 3), dtype=np.uint8))  # another photo of the same name, without a film
+    assert cli.main(["rectify", str(photo), "-o", str(out)]) == 1
+    assert {path: path.read_bytes() for path in before} == before
+
+
+@pytest.mark.usefixtures("_stand_in")
+def test_no_photos_is_a_wrong_command_line(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["rectify"]) == 2
+    assert "name at least one" in capsys.readouterr().out
+
+
+def test_output_folder_that_cannot_be(photo: Path) -> None:
+    with pytest.raises(ConfigError, match=r"output folder cannot be made.*Name a folder"):
+        rectify_files([photo], photo / "out", StandIn(), "jpg", print)
+
+
+@pytest.mark.usefixtures("_stand_in")
+def test_user_errors_are_one_line(photo: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["rectify", str(photo), "-o", str(photo / "out")]) == 1
+    message = capsys.readouterr().err
+    assert message.startswith("hybrid: The output folder cannot be made")
+    assert message.count("\n") == 1
+
+
+# ---------------------------------------------------------------- the dispatcher
+
+
+def test_help_and_version(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["--help"]) == 0
+    assert "hybrid rectify PHOTO... -o DIR" in capsys.readouterr().out
+    assert cli.main(["--version"]) == 0
+    assert capsys.readouterr().out == f"hybrid {hybrid.__version__}\n"
+
+
+def test_unknown_command(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["flatten"]) == 2
+    assert "unknown command 'flatten'; allowed: rectify, train, info" in capsys.readouterr().err
+    assert cli.main([]) == 2
+
+
+@pytest.mark.usefixtures("_stand_in")
+@pytest.mark.parametrize("command", ["rectify", "info"])
+def test_each_command_has_help(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        cli.main([command, "--help"])
+    assert ended.value.code == 0
+    assert f"hybrid {command}" in capsys.readouterr().out
+
+
+def test_info(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["info"]) == 0
+    printed = capsys.readouterr().out
+    assert hybrid.__version__ in printed
+    assert "torch" in printed
