@@ -1,0 +1,70 @@
+"""The photo seen through a backward map: on any rows and columns of film coordinates, beyond the edges too."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, UInt8
+from scipy.interpolate import make_interp_spline
+
+from hybrid.backward import BackwardMap
+from hybrid.coords import node_centres_1d, opencv_from_photo
+
+
+@dataclass(frozen=True, eq=False)
+class FilmView:
+    """Pixels of the photo on a lattice of film points.
+
+    image: (h, w, c) float32, grey levels 0..255; 0 where the lattice leaves the photo.
+    u, v: film coordinates of the columns and rows; may lie beyond [0, 1], off the film.
+    inside: where the photo covers the lattice point.
+    """
+
+    image: Float[np.ndarray, "h w c"]
+    u: Float[np.ndarray, " w"]
+    v: Float[np.ndarray, " h"]
+    inside: Bool[np.ndarray, "h w"]
+
+
+@lru_cache(maxsize=8)
+def _node_spline(n_nodes: int):
+    """The cubic splines that are 1 at one node and 0 at the others, and their derivatives."""
+    spline = make_interp_spline(node_centres_1d(n_nodes), np.eye(n_nodes), k=3)
+    return spline, spline.derivative()
+
+
+def extended_weights(n_nodes: int, t: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n g"]:
+    """Weights of node values at coordinates ``t`` of one axis, going on linearly beyond [0, 1] as BackwardMap does."""
+    spline, slope = _node_spline(n_nodes)
+    nearest = np.clip(t, 0.0, 1.0)
+    return spline(nearest) + (t - nearest)[:, None] * slope(nearest)
+
+
+def lattice_points(
+    backward: BackwardMap, u: Float[np.ndarray, " w"], v: Float[np.ndarray, " h"]
+) -> Float[np.ndarray, "h w 2"]:
+    """Photo points (float32) of all film points (u[j], v[i]): separable, hence quick."""
+    gh, gw = backward.nodes.shape[:2]
+    columns = np.tensordot(extended_weights(gh, v), backward.nodes, axes=(1, 0)).astype(np.float32)
+    weights_u = extended_weights(gw, u).astype(np.float32).T
+    return np.stack([columns[..., k] @ weights_u for k in range(2)], axis=-1)
+
+
+def view_film(
+    photo: UInt8[np.ndarray, "H W *c"],
+    backward: BackwardMap,
+    u: Float[np.ndarray, " w"],
+    v: Float[np.ndarray, " h"],
+) -> FilmView:
+    """The photo (grey or RGB) at the film points (u[j], v[i]), bilinear."""
+    points = lattice_points(backward, u, v)
+    image = cv2.remap(photo, opencv_from_photo(points), None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
+    height, width = photo.shape[:2]
+    inside = np.all((points >= 0) & (points <= np.array([width, height], dtype=np.float32)), axis=-1)
+    return FilmView(np.atleast_3d(image).astype(np.float32), u, v, inside)
+
+
+__all__ = ["FilmView", "extended_weights", "lattice_points", "view_film"]

@@ -1,0 +1,323 @@
+"""The grid of slices on a roughly flat film: printed rules and gutters, found as combs of straight lines.
+
+A line counts where it is seen in nearly all strips across the film: slices, texts and scale bars are each too
+short for that. Lines that lie at a regular pitch make a comb; a comb is believed if all its inner lines are
+seen. Then each line is followed along its length, which observes the coordinate across it at many points.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from jaxtyping import Float, Int
+
+from hybrid.coords import film_centres_1d
+from hybrid.rectify.curves import best_paths, smooth_curve_weights
+from hybrid.rectify.film_view import FilmView
+from hybrid.rectify.sightings import Sightings
+
+
+@dataclass(frozen=True)
+class GridConfig:
+    """Options of the search for rules and gutters."""
+
+    widths_px: tuple[int, ...] = (2, 5, 10)
+    """Widths of lines looked for, in pixels of the film view: rules first, then gutters."""
+    strips: int = 16
+    """Strips across the film in each of which a line should be seen."""
+    share: float = 0.75
+    """Share of the strips that must see a line."""
+    lone_share: float = 0.9
+    """The same where there is only one line between the cells, so that no pitch bears it out."""
+    slack_px: int = 3
+    """How far a line may wander from one strip to the next, in pixels."""
+    cap_levels: float = 12.0
+    """Responses above this many grey levels count no more: a bone is not a better rule than a rule."""
+    min_levels: float = 1.2
+    """Least response of a line, in grey levels."""
+    min_sigmas: float = 4.0
+    """Least response of a line, in median absolute responses of the film."""
+    max_cells: int = 10
+    """Most cells along one side."""
+    tolerance: float = 0.012
+    """How far a line may lie from its place in the comb, in film units."""
+    margin: float = 0.08
+    """Widest margin around the grid, in film units: the grid fills the film but for this."""
+    edge: float = 0.012
+    """Lines nearer to the film's edge than this are left to the outline."""
+    reach_px: int = 5
+    """How far from its track a line is looked for when it is followed, in pixels of the film view."""
+    coverage: float = 0.5
+    """Least share of a line's length at which it must be met when followed; a comb of other lines is refused."""
+    stations: int = 64
+    """Places along a line at which it is observed."""
+    sigma_px: float = 0.3
+    """Stated noise of one such observation, in pixels of the film view."""
+    origin_sigma: float = 0.02
+    """Prior standard deviation of a comb's place, in film units."""
+    pitch_sigma: float = 0.004
+    """Prior standard deviation of a comb's pitch, in film units."""
+
+
+@dataclass(frozen=True, eq=False)
+class Comb:
+    """Equally spaced lines across one axis of the film.
+
+    axis: 0 for lines u = const, 1 for lines v = const.
+    first, pitch: line i lies at ``first + i * pitch``, i = 0..cells; the outer ones may be margins' ends only.
+    cells: number of cells along the axis.
+    seen: the indices i of the lines that were seen.
+    width_px, sign: width of the lines in pixels of the view, +1 for brighter and -1 for darker than beside.
+    strength: share of the film's length on which the weakest inner line is seen.
+    tracks: film coordinate of each seen line in equal strips along its length.
+    """
+
+    axis: int
+    first: float
+    pitch: float
+    cells: int
+    seen: Int[np.ndarray, " k"]
+    width_px: int
+    sign: int
+    strength: float
+    tracks: Float[np.ndarray, "k s"]
+
+    def straight(self) -> Comb:
+        """The comb with its lines where they belong: for a view through a map that has been put right."""
+        places = np.repeat(self.lines()[self.seen][:, None], self.tracks.shape[1], axis=1)
+        return replace(self, tracks=places)
+
+    def lines(self) -> Float[np.ndarray, " n"]:
+        """Film coordinates of all lines, the grid's ends included."""
+        return self.first + self.pitch * np.arange(self.cells + 1)
+
+
+@dataclass(frozen=True, eq=False)
+class _Line:
+    """A line across the film: its coordinate in each strip, and the share of its length on which it is seen."""
+
+    track: Float[np.ndarray, " s"]
+    evidence: float
+
+    @property
+    def at(self) -> float:
+        """Film coordinate of the line, averaged over its length."""
+        return float(self.track.mean())
+
+
+def narrowed(grey: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h n"]:
+    """The view averaged over 8 columns: lines along the rows stay, and there is less to do."""
+    return cv2.resize(grey, (max(grey.shape[1] // 8, 16), grey.shape[0]), interpolation=cv2.INTER_AREA)
+
+
+def line_response(image: Float[np.ndarray, "h n"], width: int) -> Float[np.ndarray, "h n"]:
+    """By how many grey levels the ``width`` rows around each row differ from the rows on both sides of them.
+
+    The weaker of the two sides counts, so that a step is no line. Positive for bright lines.
+    """
+    flank = max(2, width // 2 + 1)
+    offset = (width + flank + 1) // 2 + 1
+    centre = cv2.blur(image, (1, width)) if width % 2 else cv2.sepFilter2D(image, -1, np.ones(1), _even_box(width))
+    side = np.pad(cv2.blur(image, (1, 2 * (flank // 2) + 1)), ((offset, offset), (0, 0)), mode="edge")
+    above, below = centre - side[: -2 * offset], centre - side[2 * offset :]
+    return np.where(above * below > 0, np.sign(above) * np.minimum(np.abs(above), np.abs(below)), 0.0)
+
+
+def _even_box(width: int) -> Float[np.ndarray, " n"]:
+    """A box of an even number of rows that is centred on a row: half weights at both ends."""
+    return np.array([0.5, *[1.0] * (width - 1), 0.5]) / width
+
+
+def find_comb(grey: Float[np.ndarray, "h w"], axis: int, config: GridConfig) -> Comb | None:
+    """The comb of lines across ``axis`` of a film view that covers [0, 1]^2, or None where none is certain.
+
+    Of the widths that show it about as well the narrowest counts: it is the most exact.
+    """
+    image = narrowed(grey if axis == 1 else np.ascontiguousarray(grey.T))
+    found: list[Comb] = []
+    for width in config.widths_px:
+        response = line_response(image, width)
+        for sign in (1, -1):
+            lines = _find_lines(sign * response, config)
+            match = _fit_comb(lines, config)
+            if match is not None:
+                tracks = np.stack([lines[k].track for k in match.matched])
+                found.append(
+                    Comb(axis, match.first, match.pitch, match.cells, match.seen, width, sign, match.strength, tracks)
+                )
+    strongest = max((comb.strength for comb in found), default=0.0)
+    return next((comb for comb in found if comb.strength >= 0.85 * strongest), None)
+
+
+def _find_lines(response: Float[np.ndarray, "h n"], config: GridConfig) -> list[_Line]:
+    """Lines that run from one end of the film to the other, strongest first.
+
+    A line may wander ``slack_px`` rows from strip to strip: the best such path through each row of the middle
+    strip is found by dynamic programming. Each strip counts at most 1, so that the sum tells in how many strips
+    the line is seen.
+    """
+    h = len(response)
+    strips = cv2.resize(
+        np.clip(response, -config.cap_levels, config.cap_levels), (config.strips, h), interpolation=cv2.INTER_AREA
+    )
+    scale = max(config.min_levels, config.min_sigmas * float(np.median(np.abs(strips))))
+    votes = np.clip(strips / scale, -0.5, 1.0).astype(np.float32)
+    kernel = np.ones((2 * config.slack_px + 1, 1), np.uint8)
+    middle = config.strips // 2
+    sums = votes.copy()  # best sum of a path from the nearer end of the film to this place
+    for k in range(1, middle):
+        sums[:, k] += cv2.dilate(sums[:, k - 1 : k], kernel)[:, 0]
+    for k in range(config.strips - 2, middle, -1):
+        sums[:, k] += cv2.dilate(sums[:, k + 1 : k + 2], kernel)[:, 0]
+    for k in (middle - 1, middle + 1):
+        sums[:, middle] += cv2.dilate(sums[:, k : k + 1], kernel)[:, 0]
+    share = sums[:, middle] / config.strips
+    around = np.ones((2 * max(2, round(0.012 * h)) + 1, 1), np.uint8)
+    rows = np.flatnonzero((share >= cv2.dilate(share[:, None], around)[:, 0]) & (share >= config.share))
+    groups = np.split(rows, np.flatnonzero(np.diff(rows) > config.slack_px) + 1) if len(rows) else []
+    starts = sorted((g[len(g) // 2] for g in groups), key=lambda r: -share[r])[:16]
+    return [_Line(_trace(sums, int(r), config.slack_px), float(share[r])) for r in starts]
+
+
+def _trace(sums: Float[np.ndarray, "h s"], start: int, slack: int) -> Float[np.ndarray, " s"]:
+    """Film coordinates, strip by strip, of the best path through row ``start`` of the middle strip."""
+    h, n = sums.shape
+    middle = n // 2
+    rows = np.full(n, start)
+    for strips, came_from in ((range(middle - 1, -1, -1), 1), (range(middle + 1, n), -1)):
+        for k in strips:
+            low = max(0, rows[k + came_from] - slack)
+            rows[k] = low + int(np.argmax(sums[low : rows[k + came_from] + slack + 1, k]))
+    return film_centres_1d(h)[rows]
+
+
+@dataclass(frozen=True, eq=False)
+class _Match:
+    """A comb through lines: ``seen`` its indices that have a line, ``matched`` which line that is."""
+
+    first: float
+    pitch: float
+    cells: int
+    seen: Int[np.ndarray, " k"]
+    matched: Int[np.ndarray, " k"]
+    strength: float
+
+
+def _fit_comb(lines: list[_Line], config: GridConfig) -> _Match | None:
+    """The comb that explains most of the lines."""
+    at = np.array([line.at for line in lines])
+    evidence = np.array([line.evidence for line in lines])
+    value = np.maximum(evidence - config.share, 0.0) / (1.0 - config.share)
+    best, best_score = None, 0.0
+    for anchor, pitch in _comb_candidates(at, config):
+        match = _match_comb(at, evidence, anchor, pitch, config)
+        if match is None:
+            continue
+        score = float(value[match.matched].sum() - 0.25 * np.delete(value, match.matched).sum())
+        if score > best_score:
+            best, best_score = match, score
+    return best
+
+
+def _comb_candidates(at: Float[np.ndarray, " n"], config: GridConfig) -> list[tuple[float, float]]:
+    """Anchors and pitches worth a try: any two lines as neighbours, or one near the middle alone."""
+    pairs = [(float(a), float(b - a)) for a in at for b in at if 1.0 / config.max_cells <= b - a <= 0.55]
+    return pairs + [(float(a), 0.5) for a in at if abs(a - 0.5) < 0.04]
+
+
+def _match_comb(
+    at: Float[np.ndarray, " n"], evidence: Float[np.ndarray, " n"], anchor: float, pitch: float, config: GridConfig
+) -> _Match | None:
+    """The comb refined to the lines that it meets; None if one is missing, or it does not fill the film."""
+    for _ in range(2):
+        low, high = int(np.ceil((-0.015 - anchor) / pitch)), int(np.floor((1.015 - anchor) / pitch))
+        index = np.arange(low, high + 1)
+        places = anchor + pitch * index
+        nearest = np.argmin(np.abs(places[:, None] - at[None]), axis=1)
+        met = np.abs(at[nearest] - places) <= config.tolerance
+        if met.sum() >= 2:
+            slope, start = np.polyfit(index[met], at[nearest[met]], 1)
+            anchor, pitch = float(start), float(slope)
+    while len(places) > 2 and not met[0] and places[0] > config.margin:
+        index, places, nearest, met = index[1:], places[1:], nearest[1:], met[1:]
+    while len(places) > 2 and not met[-1] and places[-1] < 1.0 - config.margin:
+        index, places, nearest, met = index[:-1], places[:-1], nearest[:-1], met[:-1]
+    # An end that was not seen may be the end of a margin; every line between the ends has to be there.
+    if len(places) < 3 or not met[1:-1].all() or places[0] > config.margin or places[-1] < 1.0 - config.margin:
+        return None
+    strength = float(evidence[nearest[1:-1]].min())
+    if strength < (config.share if len(places) > 3 else config.lone_share):
+        return None
+    return _Match(anchor + pitch * int(index[0]), pitch, len(index) - 1, np.flatnonzero(met), nearest[met], strength)
+
+
+# ---------------------------------------------------------------- following
+
+
+def follow_comb(view: FilmView, comb: Comb, config: GridConfig) -> Sightings | None:
+    """Each line that was seen, observed at many places along its length; None where too little is left.
+
+    Straightness and equal spacing are in the constants shared by all: the comb's place and its pitch.
+    """
+    grey = view.image[..., 0]
+    image = narrowed(grey if comb.axis == 1 else np.ascontiguousarray(grey.T))
+    response = comb.sign * line_response(image, comb.width_px)
+    h, n = response.shape
+    lines = comb.lines()
+    inside = (lines[comb.seen] > config.edge) & (lines[comb.seen] < 1.0 - config.edge)
+    inner, tracks = comb.seen[inside], comb.tracks[inside]
+    if len(inner) == 0:
+        return None
+    stations = film_centres_1d(n)
+    start = np.stack([np.interp(stations, film_centres_1d(tracks.shape[1]), track) for track in tracks])
+    start = np.rint(start * h).astype(int) - config.reach_px
+    rows = np.clip(start[:, None, :] + np.arange(2 * config.reach_px + 1)[:, None], 0, h - 1)
+    bands = response[rows, np.arange(n)]  # (lines, rows around each line, stations)
+    smooth = cv2.GaussianBlur(bands.reshape(-1, n).astype(np.float32), (5, 1), 1.0).reshape(bands.shape)
+    typical = np.maximum(np.median(smooth.max(axis=1), axis=1), config.min_levels)[:, None, None]
+    paths = best_paths(np.clip(smooth / typical, 0.0, 1.2), max_step=1, cost=0.1)
+    seen, index = _peaks_on_paths(smooth, paths, config)
+    on_curve = np.zeros(len(index), dtype=bool)
+    for k in range(len(inner)):
+        of_line = np.flatnonzero(index == k)
+        row = start[k, seen[of_line, 0].astype(int)] + seen[of_line, 1]
+        weights = smooth_curve_weights(stations[seen[of_line, 0].astype(int)], row, np.ones(len(row), dtype=bool), 0.4)
+        on_curve[of_line] = weights > 0.2
+    covered = np.bincount(index[on_curve], minlength=len(inner)) / n >= config.coverage
+    if covered.mean() < 0.7:
+        return None
+    on_curve &= covered[index]
+    seen, index = seen[on_curve], index[on_curve]
+    station = seen[:, 0].astype(int)
+    along = stations[station]
+    across = np.interp(start[index, station] + seen[:, 1], np.arange(h), film_centres_1d(h))
+    uv = np.column_stack([along, across] if comb.axis == 1 else [across, along])
+    number = inner[index].astype(np.float64)
+    sigma = np.full(len(across), config.sigma_px / h * np.sqrt(max(1.0, n / config.stations)))
+    shared = np.column_stack([np.ones(len(across)), number - number.mean()])
+    return Sightings(
+        comb.axis, uv, lines[inner[index]], sigma, shared, np.array([config.origin_sigma, config.pitch_sigma])
+    )
+
+
+def _peaks_on_paths(
+    bands: Float[np.ndarray, "b d n"], paths: Int[np.ndarray, "b n"], config: GridConfig
+) -> tuple[Float[np.ndarray, "k 2"], Int[np.ndarray, " k"]]:
+    """(station, row to a fraction) of the response's peaks along the paths where it is a peak and strong enough,
+    and the band of each."""
+    b, d, n = bands.shape
+    near = np.clip(paths[:, None, :] + np.arange(-1, 2)[:, None], 1, d - 2)
+    row = np.take_along_axis(near, np.take_along_axis(bands, near, axis=1).argmax(axis=1)[:, None], axis=1)[:, 0]
+    band, station = np.meshgrid(np.arange(b), np.arange(n), indexing="ij")
+    above, here, below = (bands[band, row + k, station] for k in (-1, 0, 1))
+    curvature = above - 2 * here + below
+    peak = (curvature < 0) & (here >= above) & (here >= below)
+    shift = np.where(peak, 0.5 * (above - below) / np.where(peak, curvature, 1.0), 0.0)
+    typical = np.median(here, axis=1, keepdims=True)
+    good = peak & (here >= np.maximum(0.4 * typical, 0.7 * config.min_levels)) & (here <= 3.0 * typical + 3.0)
+    return np.column_stack([station[good], (row + shift)[good]]).astype(np.float64), band[good]
+
+
+__all__ = ["Comb", "GridConfig", "find_comb", "follow_comb", "line_response"]

@@ -1,0 +1,256 @@
+"""The sheet's own edges, found in the photo to a fraction of a pixel, near where a map says that they are.
+
+Across each predicted edge the photo is sampled in a band. An edge is where two windows side by side are each
+homogeneous and differ: a printed rule or a text, thinner than a window, spoils its window's homogeneity and so
+is no edge. One path per side, coherent along it, is found by dynamic programming; where several are about as
+good the outermost counts, because prints have frames that are parallel to the edge and tables seldom do.
+A side that shows no contrast gives no sightings.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int, UInt8
+from scipy.ndimage import gaussian_filter1d, uniform_filter1d
+
+from hybrid.backward import BackwardMap
+from hybrid.coords import film_centres_1d
+from hybrid.rectify.curves import best_paths, parabola_peak, smooth_curve_weights
+from hybrid.rectify.film_view import view_film
+from hybrid.rectify.sightings import Sightings
+
+
+@dataclass(frozen=True)
+class OutlineConfig:
+    """Options of the search for the sheet's edges."""
+
+    band: float = 0.05
+    """Half width of the search band, as a fraction of the film's size across the edge."""
+    profiles: int = 80
+    """Profiles per side."""
+    windows_px: tuple[int, int] = (4, 9)
+    """Widths of the windows that are compared, in pixels: small ones see narrow margins, large ones skip rules."""
+    gap_windows_px: int = 6
+    """Width of the windows that are compared with a gap between them."""
+    gap_px: int = 3
+    """Half of that gap, in pixels: hides a rule that is printed on the very edge."""
+    noise_levels: float = 1.5
+    """Grey levels that a difference must exceed to count as contrast; sensor and compression noise after averaging."""
+    min_score: float = 1.6
+    """Least score of an edge point: difference of the windows over their spread."""
+    min_share: float = 0.35
+    """Least share of a side's profiles that must see the edge."""
+    outer_ratio: float = 0.6
+    """An edge further out replaces the best one if its score is at least this fraction of the best one's."""
+    sigma_px: float = 0.35
+    """Stated noise of one edge point, in pixels."""
+    prior: float = 0.03
+    """Fraction of the film's size at which a path's distance from the prediction costs as much as half a score."""
+
+
+@dataclass(frozen=True)
+class Side:
+    """One side of the sheet. ``axis``: the coordinate that is known on it; ``edge``: its value; ``inward``: +-1."""
+
+    name: str
+    axis: int
+    edge: float
+    inward: float
+
+
+_NOWHERE = -10.0
+"""Score of rows that may not be chosen: so low that no path goes there while there is another way."""
+RULE_HALF_PX = 0.35
+"""Distance from the middle of a thin rule printed on the edge to the edge itself: half of such a rule's width."""
+
+SIDES = (
+    Side("top", 1, 0.0, 1.0),
+    Side("bottom", 1, 1.0, -1.0),
+    Side("left", 0, 0.0, 1.0),
+    Side("right", 0, 1.0, -1.0),
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Strip:
+    """The photo across one predicted edge. Row k lies ``depth[k]`` film units inside the prediction.
+
+    image: (depths, profiles, 3) grey levels.
+    along: film coordinate of the profiles along the side.
+    inside: where the photo covers the strip.
+    pixel: film units per row.
+    """
+
+    image: Float[np.ndarray, "d p 3"]
+    depth: Float[np.ndarray, " d"]
+    along: Float[np.ndarray, " p"]
+    inside: Bool[np.ndarray, "d p"]
+    pixel: float
+
+
+def find_outline(
+    photo: UInt8[np.ndarray, "H W 3"], backward: BackwardMap, config: OutlineConfig
+) -> tuple[Sightings, ...]:
+    """Sightings of the sheet's edges through the map, one record for each side on which an edge is seen."""
+    strips = [sample_strip(photo, backward, side, config) for side in SIDES]
+    deepest = max(len(strip.depth) for strip in strips)
+    scores = np.full((len(strips), deepest, config.profiles), _NOWHERE)
+    for k, strip in enumerate(strips):
+        prior = 0.5 * (strip.depth / config.prior) ** 2
+        searched = np.abs(strip.depth) <= config.band * (1 + 1e-9)
+        score = edge_score(strip, config) - prior[:, None]
+        scores[k, : len(strip.depth)] = np.where(searched[:, None], score, _NOWHERE)
+    paths = outermost_paths(scores, strips, config)
+    found = [
+        _side_sightings(strip, side, path, np.take_along_axis(score, path[None], axis=0)[0], config)
+        for strip, side, path, score in zip(strips, SIDES, paths, scores, strict=True)
+    ]
+    return tuple(f for f in found if f is not None)
+
+
+def sample_strip(photo: UInt8[np.ndarray, "H W 3"], backward: BackwardMap, side: Side, config: OutlineConfig) -> Strip:
+    """The photo in the band around one predicted edge, averaged a little along the edge."""
+    size_px = backward.mean_film_pixels()
+    across_px, along_px = (size_px[1], size_px[0]) if side.axis == 0 else size_px
+    pixel = 1.0 / max(across_px, 64.0)
+    n = int(np.ceil(config.band / pixel)) + max(config.windows_px)
+    depth = pixel * np.arange(-n, n + 1, dtype=np.float64)
+    fine = max(1, round(along_px / config.profiles / 2.5))
+    along_fine = film_centres_1d(config.profiles * fine)
+    across = side.edge + side.inward * depth
+    if side.axis == 1:
+        view = view_film(photo, backward, along_fine, across)
+        image, inside = view.image, view.inside
+    else:
+        view = view_film(photo, backward, across, along_fine)
+        image, inside = view.image.transpose(1, 0, 2), view.inside.T
+    groups = (len(depth), config.profiles, fine)
+    return Strip(
+        image.reshape(*groups, 3).mean(axis=2),
+        depth,
+        film_centres_1d(config.profiles),
+        inside.reshape(groups).all(axis=2),
+        pixel,
+    )
+
+
+def edge_score(strip: Strip, config: OutlineConfig) -> Float[np.ndarray, "d p"]:
+    """How much row k looks like the sheet's edge: differing, homogeneous windows on both sides; 0 outside the photo.
+
+    Half of the score lets a gap between the windows, where a rule printed on the very edge may hide.
+    """
+    near = [_window_score(strip.image, w, 1, config.noise_levels) for w in config.windows_px]
+    apart = _window_score(strip.image, config.gap_windows_px, config.gap_px, config.noise_levels)
+    score = 0.5 * np.mean([np.minimum(s, 6.0) for s in near], axis=0) + 0.5 * np.minimum(apart, 6.0)
+    usable = uniform_filter1d(strip.inside.astype(np.float32), 2 * min(config.windows_px) + 1, axis=0) > 0.999
+    return np.where(usable, score, 0.0)
+
+
+def _window_score(image: Float[np.ndarray, "d p 3"], width: int, gap: int, noise: float) -> Float[np.ndarray, "d p"]:
+    """Difference of the means of ``width`` rows that end ``gap`` rows before and after each row, over their spread."""
+    margin = width + gap
+    padded = np.pad(image, ((margin, margin), (0, 0), (0, 0)), mode="edge").astype(np.float64)
+    first_row = np.zeros((1, *padded.shape[1:]))
+    sums = np.cumsum(np.concatenate([first_row, padded]), axis=0)
+    squares = np.cumsum(np.concatenate([first_row, padded**2]).sum(axis=2), axis=0)
+    d = len(image)
+
+    def window(cumulative: np.ndarray, start: int) -> np.ndarray:
+        """Mean over ``width`` rows from ``start`` relative to each row."""
+        first = margin + start
+        return (cumulative[first + width : first + width + d] - cumulative[first : first + d]) / width
+
+    outer, inner = window(sums, 1 - margin), window(sums, gap)
+    spread = sum(
+        np.maximum(window(squares, start) - np.sum(mean**2, axis=2), 0.0)
+        for start, mean in ((1 - margin, outer), (gap, inner))
+    )
+    return np.linalg.norm(outer - inner, axis=2) / np.sqrt(spread + noise**2)
+
+
+def outermost_paths(
+    scores: Float[np.ndarray, "b d p"], strips: list[Strip], config: OutlineConfig
+) -> Int[np.ndarray, "b p"]:
+    """The best path of each side, or one clearly outside it that is nearly as good, if film lies between the two."""
+    paths = best_paths(scores)
+    gap = max(config.windows_px) // 2 + 2
+    depths = np.arange(scores.shape[1])[None, :, None]
+    for _ in range(2):
+        outer = np.where(depths < paths[:, None, :] - gap, scores, _NOWHERE)
+        candidates = best_paths(outer)
+        strength = _median_score(outer, candidates)
+        better = strength >= np.maximum(config.outer_ratio * _median_score(scores, paths), config.min_score)
+        for k in np.flatnonzero(better):
+            better[k] = _film_between(strips[k].image, candidates[k], paths[k])
+        if not better.any():
+            break
+        paths = np.where(better[:, None], candidates, paths)
+    return paths
+
+
+def _film_between(
+    image: Float[np.ndarray, "d p 3"], outer: Int[np.ndarray, " p"], inner: Int[np.ndarray, " p"], reach: int = 6
+) -> bool:
+    """True where the strip between two paths looks more like what lies inside of both than like what lies outside."""
+    last, columns = len(image) - 1, np.arange(len(outer))
+
+    def level(rows: np.ndarray) -> np.ndarray:
+        """Typical colour along the paths; the darker part, as the film's base is under text and slices."""
+        return np.quantile(image[np.clip(rows, 0, last), columns], 0.4, axis=(0, 1))
+
+    offsets = np.arange(2, 2 + reach)[:, None]
+    between = level(np.rint(outer + np.linspace(0.3, 0.7, 5)[:, None] * (inner - outer)).astype(int))
+    inside, outside = level(inner + offsets), level(outer - offsets)
+    return bool(np.linalg.norm(between - inside) < np.linalg.norm(between - outside))
+
+
+def _median_score(scores: Float[np.ndarray, "b d p"], paths: Int[np.ndarray, "b p"]) -> Float[np.ndarray, " b"]:
+    return np.median(np.take_along_axis(scores, paths[:, None, :], axis=1)[:, 0], axis=1)
+
+
+def _side_sightings(
+    strip: Strip, side: Side, path: Int[np.ndarray, " p"], at_path: Float[np.ndarray, " p"], config: OutlineConfig
+) -> Sightings | None:
+    """The edge along one strip, or None where it cannot be told."""
+    depth = subpixel_edge(strip, path)
+    good = (at_path >= config.min_score) & np.isfinite(depth)
+    good &= smooth_curve_weights(strip.along, depth, good, 1.2 * strip.pixel) > 0.2
+    if good.mean() < config.min_share:
+        return None
+    seen = np.empty((int(good.sum()), 2))
+    seen[:, side.axis] = side.edge + side.inward * depth[good]
+    seen[:, 1 - side.axis] = strip.along[good]
+    n = len(seen)
+    sigma = np.full(n, config.sigma_px * strip.pixel) * np.sqrt(np.clip(4.0 / at_path[good], 1.0, 4.0))
+    return Sightings(side.axis, seen, np.full(n, side.edge), sigma, np.zeros((n, 0)), np.zeros(0))
+
+
+def subpixel_edge(strip: Strip, path: Int[np.ndarray, " p"], reach: int = 4) -> Float[np.ndarray, " p"]:
+    """Depth of the edge near the path: the steepest place of the step, or the outer flank of a rule on the edge."""
+    middle = reach + 8
+    image = np.pad(strip.image, ((middle, middle), (0, 0), (0, 0)), mode="edge")
+    columns = np.arange(len(path))
+    local = image[path[None, :] + np.arange(2 * middle + 1)[:, None], columns]  # (rows around path, profiles, 3)
+    outer, inner = local[: middle - 3].mean(axis=0), local[middle + 4 :].mean(axis=0)
+    near = slice(middle - reach - 1, middle + reach + 2)
+    excess = _line_excess(local, outer, inner)[near]
+    contrast = np.linalg.norm(outer - inner, axis=1)
+    if np.median(excess.max(axis=0)) > max(12.0, 0.7 * float(np.median(contrast))):
+        rows = path - reach - 1 + parabola_peak(gaussian_filter1d(excess, 0.7, axis=0)) - RULE_HALF_PX
+    else:
+        direction = (outer - inner) / np.maximum(contrast, 1e-6)[:, None]
+        slope = -gaussian_filter1d(np.einsum("dpc,pc->dp", local, direction), 1.0, axis=0, order=1)[near]
+        rows = path - reach - 1 + parabola_peak(slope)
+    return np.interp(rows, np.arange(len(strip.depth)), strip.depth)
+
+
+def _line_excess(
+    local: Float[np.ndarray, "d p 3"], outer: Float[np.ndarray, "p 3"], inner: Float[np.ndarray, "p 3"]
+) -> Float[np.ndarray, "d p"]:
+    """Grey levels by which each row is brighter than both sides of the edge."""
+    return np.maximum(local.mean(axis=2) - np.maximum(outer.mean(axis=1), inner.mean(axis=1)), 0.0)
+
+
+__all__ = ["SIDES", "OutlineConfig", "Side", "Strip", "edge_score", "find_outline", "sample_strip"]
