@@ -1,0 +1,111 @@
+"""On what, with what, and by which command a figure was made: stored beside every result."""
+
+from __future__ import annotations
+
+import os
+import platform
+import subprocess
+import sys
+from datetime import UTC, datetime
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from hybrid import __version__
+
+PACKAGES = ("torch", "numpy", "scipy", "opencv-contrib-python-headless", "pillow", "kornia")
+ROOT = Path(__file__).parents[1]
+
+
+def describe_run(command: list[str]) -> dict[str, Any]:
+    """Machine, versions, commit, threads and time of a run made by ``command`` (a program's name and its arguments)."""
+    return {
+        "command": relative_command(command),
+        "time_utc": datetime.now(UTC).isoformat(timespec="seconds"),
+        "commit": commit(),
+        "hybrid": __version__,
+        "machine": {
+            "processor": processor(),
+            "usable_processors": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
+            "memory_gib": memory_gib(),
+            "system": f"{platform.system()} {platform.machine()}",
+        },
+        "python": platform.python_version(),
+        "packages": {name: version_of(name) for name in PACKAGES},
+        "threads": threads(),
+    }
+
+
+def relative_command(command: list[str]) -> str:
+    """The command in one line, without this machine's folders: paths are as seen from the working directory.
+
+    Of a path further away than beside it, only the last name is left.
+    """
+    return " ".join(_relative(word) for word in command)
+
+
+def _relative(word: str) -> str:
+    option, equals, value = word.rpartition("=")
+    if not os.path.isabs(value):
+        return word
+    path = Path(os.path.relpath(value))
+    shown = path.as_posix() if path.parts[:2] != ("..", "..") else f".../{path.name}"
+    return f"{option}{equals}{shown}"
+
+
+def commit() -> str | None:
+    """The commit that the code is at, '+changes' where the working tree differs; None outside a repository."""
+    head = _git("rev-parse", "--short=12", "HEAD")
+    if head is None:
+        return None
+    changed = _git("status", "--porcelain", "--untracked-files=no")
+    return f"{head}+changes" if changed else head
+
+
+def _git(*arguments: str) -> str | None:
+    try:
+        done = subprocess.run(["git", *arguments], cwd=ROOT, capture_output=True, text=True, check=True)
+    except (OSError, subprocess.CalledProcessError):
+        return None
+    return done.stdout.strip()
+
+
+def processor() -> str:
+    """The processor's model name."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        return platform.processor() or "unknown"
+    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return names[0] if names else platform.processor() or "unknown"
+
+
+def memory_gib() -> float | None:
+    """Main memory in GiB; None where the system does not say."""
+    try:
+        return round(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / 2**30, 1)
+    except (AttributeError, ValueError, OSError):
+        return None
+
+
+def version_of(package: str) -> str | None:
+    """The installed version of a package, or None."""
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return None
+
+
+def threads() -> dict[str, int | str | None]:
+    """Threads that the numerical libraries may use; torch is asked only where it is loaded already."""
+    import cv2
+
+    torch = sys.modules.get("torch")
+    return {
+        "OMP_NUM_THREADS": os.environ.get("OMP_NUM_THREADS"),
+        "opencv": cv2.getNumThreads(),
+        "torch": None if torch is None else torch.get_num_threads(),
+    }
+
+
+__all__ = ["describe_run", "relative_command"]
