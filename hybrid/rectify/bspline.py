@@ -12,7 +12,9 @@ from functools import cache
 
 import numpy as np
 from jaxtyping import Float
-from scipy.linalg.lapack import dposv
+from scipy.linalg import get_lapack_funcs
+
+from hybrid.coords import node_centres_1d
 
 RIDGE = 1e-10
 """Relative to the mean diagonal: keeps the factorisation possible where an affine part is unobserved."""
@@ -85,15 +87,16 @@ class NormalEquations:
         """Coefficients that minimise the weighted mean squared residual plus ``smoothing`` times the bending energy."""
         matrix = self.matrix + smoothing * bending_energy(self.intervals)
         matrix[np.diag_indices_from(matrix)] += RIDGE * np.trace(matrix) / len(matrix)
-        _, solution, info = dposv(matrix, self.right, lower=1, overwrite_a=1)
+        (posv,) = get_lapack_funcs(("posv",), (matrix,))
+        _, solution, info = posv(matrix, self.right, lower=1, overwrite_a=1)
         if info != 0:
-            raise np.linalg.LinAlgError(f"bspline.solve: the normal equations are singular (dposv: {info})")
+            raise np.linalg.LinAlgError(f"bspline.solve: the normal equations are singular (posv: {info})")
         return solution
 
 
 def on_lattice(coefficients: Float[np.ndarray, "kk c"], size: tuple[int, int], intervals: int) -> np.ndarray:
     """Values (gh, gw, c) of the spline on a lattice of ``size`` (rows, columns) nodes, film edges included."""
-    along_v = axis_weights(np.linspace(0.0, 1.0, size[0]), intervals)
-    along_u = axis_weights(np.linspace(0.0, 1.0, size[1]), intervals)
+    along_v = axis_weights(node_centres_1d(size[0]), intervals)
+    along_u = axis_weights(node_centres_1d(size[1]), intervals)
     control = coefficients.reshape(intervals + 3, intervals + 3, -1)
     return np.einsum("ia,abc,jb->ijc", along_v, control, along_u, optimize=True)

@@ -8,18 +8,16 @@ film then turns light into display grey. Where the photo is clipped nothing is k
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import cache
+from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
 from hybrid.backward import BackwardMap
-from hybrid.coords import film_centres, film_centres_1d, linear_from_srgb
+from hybrid.coords import linear_from_srgb
 from hybrid.records import CoarseMaps, SliceGrid
-from hybrid.rectify import bspline
-from hybrid.rectify.bspline import NormalEquations
+from hybrid.rectify.light import FIELD_SIZE, Light, LightConfig, find_light
 from hybrid.rectify.resample import rectify_map
 from hybrid.rectify.survey import survey_light
 
@@ -27,8 +25,6 @@ CHANNEL_TRUST = np.array([0.25, 0.6, 0.15])
 """Shares of red, green and blue in the grey: green is the sharpest and least noisy channel of a phone's picture."""
 CLIPPED = 253
 """Channel values from here on say only "at least"."""
-FIELD_SIZE = (64, 64)
-"""Nodes at which gain and veil are kept; between them they are linear."""
 STRIP_ROWS = 64
 """Rows worked on at a time: few enough that all steps of a strip stay in the processor's cache."""
 
@@ -39,24 +35,8 @@ class DeilluminateConfig:
 
     work_px: int = 512
     """Longer side of the copy on which the light is estimated."""
-    veil_tiles: int = 28
-    """The darkest part of each of this many tiles a side is a witness of the veil."""
-    veil_quantile: float = 0.05
-    """Which part of a tile's pixels counts as its darkest."""
-    veil_intervals: int = 8
-    """Knot intervals of the veil: reflections have edges, so it is finer than the gain."""
-    veil_smoothing: float = 1e-6
-    veil_above: float = 0.02
-    """Weight of tiles brighter than the veil against tiles darker: a tile without black must not lift it."""
-    gain_tiles: int = 8
-    """The brightest part of each of this many tiles a side is a witness of the gain: about one per slice."""
-    gain_quantile: float = 0.985
-    gain_intervals: int = 3
-    gain_smoothing: float = 1e-4
-    gain_above: float = 0.8
-    """Weight of tiles brighter than the gain against tiles darker: a tile without white must not lower it much."""
-    gain_range: float = 3.0
-    """The gain leaves its median by at most this factor: beyond, noise would be amplified more than it is worth."""
+    light: LightConfig = field(default_factory=LightConfig)
+    """How gain and veil are found."""
     even_light: float = 0.03
     """Gain (relative) and veil that vary less are left alone."""
     print_black: float = 0.05
@@ -85,15 +65,6 @@ class Deillumination:
     reason: str
 
 
-@dataclass(frozen=True, eq=False)
-class _Light:
-    """Gain and veil on a small lattice of pixel centres (64, 64), in units of linear grey; pedestal: the veil kept."""
-
-    gain: Float[np.ndarray, "n n"]
-    veil: Float[np.ndarray, "n n"]
-    pedestal: float
-
-
 @dataclass(frozen=True)
 class _Tone:
     """Display grey of light x in [0, 1]: ``black + straight * x + root * sqrt(x)``, monotone as both are positive."""
@@ -119,10 +90,10 @@ def deilluminate(
     small, small_valid = _small_copy(rectified, valid, config.work_px)
     table = _grey_table(small)
     grey = _linear_grey(small, table)
-    light = _find_light(grey, small_valid, grid, config)
+    light = find_light(grey, small_valid, grid, config.light)
     decision = survey_light(light.gain, light.veil / max(_white(grey, small_valid), 1e-6), config.even_light)
     if decision.yes:
-        light = _Light(np.ones(FIELD_SIZE), np.full(FIELD_SIZE, light.pedestal), light.pedestal)
+        light = Light(np.ones(FIELD_SIZE), np.full(FIELD_SIZE, light.pedestal), light.pedestal)
     scale, shift, white = _correction(light, grey, small_valid)
     even = _corrected(grey, scale, shift)
     tone = _find_tone(even, small_valid, guide, config)
@@ -194,90 +165,8 @@ def _linear_grey(image: UInt8[np.ndarray, "h w 3"], table: Float[np.ndarray, "1 
     return cv2.transform(cv2.LUT(image, table), np.ones((1, 3), np.float32))
 
 
-# ---------------------------------------------------------------- gain and veil
-
-
-def _find_light(
-    grey: Float[np.ndarray, "h w"],
-    valid: Bool[np.ndarray, "h w"],
-    grid: SliceGrid | None,
-    config: DeilluminateConfig,
-) -> _Light:
-    """Gain and veil of the whole film from its darkest and brightest parts."""
-    n = config.veil_tiles
-    dark, weight = _tile_quantile(grey, valid, (n, n), config.veil_quantile)
-    if weight.sum() < 0.1 * weight.size:
-        return _Light(np.ones(FIELD_SIZE), np.zeros(FIELD_SIZE), 0.0)
-    veil = _envelope(dark, weight, config.veil_intervals, config.veil_smoothing, config.veil_above)
-    veil = np.clip(veil, dark[weight > 0].min(), dark[weight > 0].max())
-    # A film has some grey of its own where it is blackest: what is even over the sheet is kept, not called a veil.
-    pedestal = float(np.quantile(veil, 0.05))
-    lifted = cv2.resize(veil, grey.shape[::-1], interpolation=cv2.INTER_LINEAR)
-    tiles = (grid.rows, grid.cols) if grid is not None and grid.rows * grid.cols >= 9 else (config.gain_tiles,) * 2
-    bright, weight = _tile_quantile(np.maximum(grey - lifted, 0.0), valid, tiles, config.gain_quantile)
-    typical = float(np.median(bright[weight > 0])) if (weight > 0).any() else 0.0
-    weight = weight * (bright > 0.2 * typical)  # tiles without any print say nothing about the light
-    if typical <= 0 or np.count_nonzero(weight) < 9:
-        return _Light(np.ones(FIELD_SIZE), veil, pedestal)
-    logs = np.log(np.maximum(bright, 0.02 * typical))
-    gain = _envelope(logs, weight, config.gain_intervals, config.gain_smoothing, config.gain_above)
-    limit = np.log(config.gain_range)
-    return _Light(np.exp(np.clip(gain - np.median(gain), -limit, limit)), veil, pedestal)
-
-
-def _tile_quantile(
-    grey: Float[np.ndarray, "h w"], valid: Bool[np.ndarray, "h w"], tiles: tuple[int, int], quantile: float
-) -> tuple[Float[np.ndarray, "th tw"], Float[np.ndarray, "th tw"]]:
-    """A quantile of the grey in each of ``tiles`` (rows, columns), and its weight: 0 where pixels are missing."""
-    rows, cols = tiles
-    height, width = max(grey.shape[0] // rows, 1), max(grey.shape[1] // cols, 1)
-    size = (cols * width, rows * height)
-    fitted = cv2.resize(grey, size, interpolation=cv2.INTER_AREA) if grey.shape != size[::-1] else grey
-    order = fitted.reshape(rows, height, cols, width).swapaxes(1, 2).reshape(rows, cols, -1)
-    rank = min(int(quantile * order.shape[2]), order.shape[2] - 1)
-    value = np.partition(order, rank, axis=2)[..., rank].astype(np.float64)
-    share = cv2.resize(valid.astype(np.float32), (cols, rows), interpolation=cv2.INTER_AREA)
-    return value, np.where(share > 0.99, 1.0, 0.0)
-
-
-@cache
-def _tile_design(tiles: tuple[int, int], intervals: int) -> np.ndarray:
-    """Spline rows at the centres of a tiling."""
-    rows = bspline.design(film_centres(tiles).reshape(-1, 2), intervals)
-    rows.setflags(write=False)
-    return rows
-
-
-@cache
-def _field_weights(intervals: int) -> np.ndarray:
-    """Spline weights at the pixel centres of the gain and veil fields, along either axis."""
-    weights = bspline.axis_weights(film_centres_1d(FIELD_SIZE[0]), intervals)
-    weights.setflags(write=False)
-    return weights
-
-
-def _envelope(
-    value: Float[np.ndarray, "th tw"],
-    weight: Float[np.ndarray, "th tw"],
-    intervals: int,
-    smoothing: float,
-    above: float,
-) -> Float[np.ndarray, "n n"]:
-    """A smooth surface (64, 64) that leaves most values on one side: those above it weigh ``above``, those below the
-    rest (asymmetric least squares)."""
-    rows = _tile_design(value.shape, intervals)
-    data, base = value.reshape(-1, 1), weight.ravel()
-    unit = max(float(np.abs(data[base > 0]).max()), 1e-9)
-    side = np.ones_like(base)
-    for _ in range(6):
-        fit = NormalEquations.of(rows, base * side, data / unit, intervals).solve(smoothing)
-        side = np.where((data / unit - rows @ fit)[:, 0] > 0, above, 1.0 - above)
-    along = _field_weights(intervals)
-    return along @ fit.reshape(intervals + 3, intervals + 3) @ along.T * unit
-
-
 def _correction(
-    light: _Light, grey: Float[np.ndarray, "h w"], valid: Bool[np.ndarray, "h w"]
+    light: Light, grey: Float[np.ndarray, "h w"], valid: Bool[np.ndarray, "h w"]
 ) -> tuple[Float[np.ndarray, "n n"], Float[np.ndarray, "n n"], float]:
     """Fields scale and shift with ``x = scale * grey + shift`` the even light, 1 at white; and white before scaling."""
     scale = (1.0 / light.gain).astype(np.float32)
@@ -364,9 +253,9 @@ def _apply(
 
 
 def _confidence(
-    light: _Light, white: float, glare: Bool[np.ndarray, "h w"], valid: Bool[np.ndarray, "h w"]
+    light: Light, white: float, glare: Bool[np.ndarray, "h w"], valid: Bool[np.ndarray, "h w"]
 ) -> Float[np.ndarray, "h w"]:
-    """Share of the print's contrast in what the photo shows, relative to the best-lit place; 0 where nothing is known."""
+    """Share of the print's contrast in what the photo shows, relative to the usual light; 0 where unknown."""
     signal = light.gain * white
     share = signal / (signal + np.maximum(light.veil, 0.0))
     lit = np.minimum(light.gain / max(float(np.median(light.gain)), 1e-9), 1.0)

@@ -1,7 +1,7 @@
 """From the network's uv map to the backward map: one robust, smooth fit of photo points over film points.
 
-The photo is explained as ``H(uv) + S(uv)``: a homography H (what a plane sheet would show) and a cubic B-spline S with a
-bending penalty (how far the sheet is from a plane). Where no pixel bears the film out, S goes on about linearly, so a
+The photo is explained as ``H(uv) + S(uv)``: a homography H (what a plane sheet would show) and a cubic B-spline S with
+a bending penalty (how far the sheet is from a plane). Where no pixel bears the film out, S goes on about linearly, so a
 covered corner, or one outside the frame, continues the plane that the rest of the sheet suggests.
 """
 
@@ -87,7 +87,7 @@ class _Pixels:
 
 
 def fit_backward(maps: CoarseMaps, config: InvertConfig | None = None) -> Inversion | NotInverted:
-    """The smooth backward map that explains the film pixels of ``maps``, bad pixels and missing parts notwithstanding."""
+    """The smooth backward map that explains the film pixels of ``maps``, whatever bad pixels and missing parts."""
     config = config or InvertConfig()
     pixels = _film_pixels(maps, config)
     if isinstance(pixels, NotInverted):
@@ -170,10 +170,8 @@ def _robust_weights(pixels: _Pixels, config: InvertConfig) -> Float[np.ndarray, 
         fit = NormalEquations.of(part, weight * factor, target, ROBUST_INTERVALS).solve(ROBUST_SMOOTHING)
         distance = _lengths(target - part @ fit)
         scale = max(float(np.median(distance)) / MAD_2D, config.scale_floor)
-        if step < 2:  # Tukey alone would lock on to whatever the first, unrobust fit happened to favour
-            factor = 1.0 / np.maximum(distance / scale, 1.0)
-        else:
-            factor = _tukey(distance / scale)
+        # Tukey alone would lock on to whatever the first, unrobust fit happened to favour
+        factor = 1.0 / np.maximum(distance / scale, 1.0) if step < 2 else _tukey(distance / scale)
     return _tukey(_lengths(pixels.target - rows @ fit) / scale)
 
 

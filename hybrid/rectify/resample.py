@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
 from hybrid.backward import BackwardMap, spline_weights
-from hybrid.coords import film_centres_1d, opencv_from_photo
+from hybrid.coords import film_centres_1d, film_nodes, opencv_from_photo
 
 SHRINK_LIMIT = 1.3
 """Photo pixels per film pixel above which the photo is averaged down first; below, cubic weights alias less than a
@@ -51,7 +51,7 @@ def rectify_map(
     backward: BackwardMap,
     size: tuple[int, int],
 ) -> Float[np.ndarray, "gh gw"]:
-    """A map of the network's, whose pixels lie at ``photo_points`` (a regular grid), in film space; NaN where unknown."""
+    """A map of the network's, with pixels at ``photo_points`` (a regular grid), in film space; NaN where unknown."""
     column, row = index_in_grid(photo_points, backward.dense(size).astype(np.float64))
     return cv2.remap(
         values.astype(np.float32),
@@ -109,7 +109,7 @@ def _opencv_maps(
 
 def _inside(map_x: np.ndarray, map_y: np.ndarray, size: tuple[int, int], local: BackwardMap) -> Bool[np.ndarray, "h w"]:
     """Where the maps point into an image of ``size``, its outermost half pixels included."""
-    lattice = local.photo_from_film(np.stack(np.meshgrid(*[np.linspace(0, 1, 65)] * 2), axis=-1))
+    lattice = local.photo_from_film(film_nodes((65, 65)))
     if (lattice > 2).all() and (lattice < np.array(size[::-1]) - 2.0).all():  # the usual case: save the pixels' test
         return np.ones(map_x.shape, bool)
     low = opencv_from_photo(np.zeros(2))

@@ -1,0 +1,191 @@
+"""Laws of light removal, on films with a known print under known light."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+from scipy.stats import spearmanr
+
+from hybrid.backward import BackwardMap
+from hybrid.coords import film_centres, linear_from_srgb, pixel_centres, pixel_from_film, srgb_from_linear
+from hybrid.records import CoarseMaps
+from hybrid.rectify.deilluminate import deilluminate, film_guide, find_glare
+
+SIZE = (600, 480)
+
+
+def print_of_cells(rows: int = 5, cols: int = 4) -> np.ndarray:
+    """(h, w) display grey: black surround, a skull-like ring with a grey ramp inside, and white text, in each cell."""
+    film = np.full(SIZE, 0.05)
+    height, width = SIZE[0] // rows, SIZE[1] // cols
+    ramp = np.linspace(0.2, 0.7, width)[None].repeat(height, 0)
+    for i in range(rows):
+        for j in range(cols):
+            cell = film[i * height : (i + 1) * height, j * width : (j + 1) * width]
+            inner = cv2.ellipse(np.zeros((height, width)), ((width / 2, height / 2), (70, 80), 0), 1.0, -1)
+            ring = cv2.ellipse(np.zeros((height, width)), ((width / 2, height / 2), (70, 80), 0), 1.0, 5)
+            cell[inner > 0] = ramp[inner > 0]
+            cell[ring > 0] = 1.0
+            text = cv2.putText(np.zeros((height, width), np.uint8), "IM 12", (4, 14), 0, 0.4, 255, 1)
+            np.maximum(cell, text / 255.0, out=cell)
+    return film
+
+
+def light(gain: np.ndarray | float = 0.5, veil: np.ndarray | float = 0.0, cast: tuple = (1.0, 1.0, 1.0)) -> np.ndarray:
+    """(h, w, 3) uint8 photo of the print, flat, under gain and veil in linear light."""
+    linear = (print_of_cells() ** 1.6 * gain + veil)[..., None] * np.array(cast)
+    return np.rint(255 * srgb_from_linear(linear)).astype(np.uint8)
+
+
+def everywhere() -> np.ndarray:
+    return np.ones(SIZE, bool)
+
+
+def psnr_after_affine(film: np.ndarray, truth: np.ndarray) -> float:
+    slope, offset = np.polyfit(film.ravel().astype(np.float64), truth.ravel(), 1)
+    assert slope > 0
+    return float(-10 * np.log10(np.mean((slope * film + offset - truth) ** 2)))
+
+
+def uneven() -> tuple[np.ndarray, np.ndarray]:
+    """A gain that falls to a half, and a broad reflection."""
+    u, v = film_centres(SIZE).transpose(2, 0, 1)
+    return 0.55 - 0.25 * u, 0.12 * np.exp(-((u - 0.3) ** 2 + (v - 0.6) ** 2) / 0.08)
+
+
+def test_even_light_leaves_the_film_as_it_was_up_to_one_monotone_curve():
+    photo = light(0.6)
+    result = deilluminate(photo, everywhere())
+    grey = photo[..., 1].astype(float) / 255
+    level = [result.film[photo[..., 1] == k] for k in np.unique(photo[..., 1])]
+    assert max(float(np.ptp(x)) for x in level) < 0.04  # equal stays equal
+    assert spearmanr(grey.ravel(), result.film.ravel()).statistic > 0.98
+    assert psnr_after_affine(result.film, print_of_cells()) > 28
+
+
+def test_light_is_removed():
+    gain, veil = uneven()
+    photo, truth = light(gain, veil), print_of_cells()
+    before = psnr_after_affine(photo.mean(axis=-1) / 255, truth)
+    result = deilluminate(photo, everywhere())
+    assert result.ran
+    assert psnr_after_affine(result.film, truth) > before + 4
+
+
+def test_doubled_light_changes_nothing():
+    gain, veil = uneven()
+    once = deilluminate(light(0.5 * gain, 0.5 * veil), everywhere()).film
+    twice = deilluminate(light(gain, veil), everywhere()).film
+    assert np.abs(once - twice).mean() < 0.01
+    assert np.quantile(np.abs(once - twice), 0.99) < 0.05  # eight bits of the darker photo
+
+
+def test_a_grey_ramp_comes_out_monotone():
+    gain, veil = uneven()
+    film = deilluminate(light(gain, veil), everywhere()).film
+    for i in range(5):
+        for j in range(4):
+            row = film[i * 120 + 60, j * 120 + 32 : j * 120 + 88]
+            smooth = cv2.blur(row[None], (9, 1))[0][4:-4]
+            assert (np.diff(smooth) > -0.002).all()
+
+
+def test_black_stays_black_and_white_white():
+    gain, veil = uneven()
+    film, truth = deilluminate(light(gain, veil), everywhere()).film, print_of_cells()
+    assert film[truth < 0.06].mean() < 0.12
+    assert np.median(film[truth > 0.99]) > 0.75
+    assert film.min() >= 0.0
+    assert film.max() <= 1.0
+
+
+def test_a_colour_cast_vanishes():
+    gain, veil = uneven()
+    white = deilluminate(light(gain, veil), everywhere()).film
+    warm = deilluminate(light(gain, veil, cast=(1.2, 1.0, 0.5)), everywhere()).film
+    assert np.abs(white - warm).mean() < 0.02
+
+
+def test_noise_is_not_blown_up_where_the_light_was_poor():
+    u = film_centres(SIZE)[..., 0]
+    photo = light(0.6 * np.clip(1.05 - 1.2 * u, 0.02, 1)).astype(float)
+    noisy = np.clip(photo + np.random.default_rng(0).normal(0, 2, photo.shape), 0, 255).astype(np.uint8)
+    film = deilluminate(noisy, everywhere()).film
+    dark = film[:, -60:][print_of_cells()[:, -60:] < 0.06]
+    assert dark.std() < 0.08
+
+
+def test_glare_of_known_extent_is_marked_and_not_trusted():
+    u, v = film_centres(SIZE).transpose(2, 0, 1)
+    spot = (u - 0.5) ** 2 + (v - 0.4) ** 2 < 0.1**2
+    photo = light(0.4, np.where(spot, 2.0, 0.0))
+    result = deilluminate(photo, everywhere())
+    union = np.count_nonzero(result.glare | spot)
+    assert np.count_nonzero(result.glare & spot) / union > 0.9
+    assert (result.confidence[result.glare] == 0).all()
+    assert result.confidence[~result.glare].mean() > 0.7
+
+
+def test_thin_white_strokes_at_the_limit_are_print():
+    photo = light(0.9)
+    photo[200:202, 20:400] = 255
+    assert not find_glare(photo)[195:207, 20:400].any()
+
+
+def test_pixels_outside_the_photo_stay_black_and_do_not_disturb_the_rest():
+    gain, veil = uneven()
+    photo, valid = light(gain, veil), everywhere()
+    whole = deilluminate(photo, valid).film
+    valid[:, 420:] = False
+    photo[~valid] = 0
+    result = deilluminate(photo, valid)
+    assert (result.film[~valid] == 0).all()
+    assert (result.confidence[~valid] == 0).all()
+    assert np.abs(result.film - whole)[:, :400].mean() < 0.05
+
+
+@pytest.mark.parametrize("value", [0, 128, 255])
+def test_a_film_without_any_print_is_no_crash(value: int):
+    result = deilluminate(np.full((*SIZE, 3), value, np.uint8), everywhere())
+    assert np.isfinite(result.film).all()
+    assert result.glare.all() == (value == 255)
+    nowhere = deilluminate(np.zeros((*SIZE, 3), np.uint8), np.zeros(SIZE, bool))
+    assert (nowhere.film == 0).all()
+
+
+def test_the_guide_sets_the_tone_curve():
+    truth = print_of_cells()
+    guide = cv2.resize(truth, (40, 48), interpolation=cv2.INTER_AREA).astype(np.float32)
+    for exponent in (1.0, 2.2):
+        linear = 0.6 * truth**exponent
+        photo = np.rint(255 * srgb_from_linear(np.stack([linear] * 3, axis=-1))).astype(np.uint8)
+        blind = psnr_after_affine(deilluminate(photo, everywhere()).film, truth)
+        guided = psnr_after_affine(deilluminate(photo, everywhere(), guide).film, truth)
+        assert guided > blind + 1
+
+
+def test_the_guide_is_the_networks_albedo_in_film_space():
+    points = pixel_centres((64, 64)) * 10.0
+    u, _ = film_centres((64, 64)).transpose(2, 0, 1)
+    maps = CoarseMaps(np.ones((64, 64)), np.zeros((64, 64, 2)), np.zeros((64, 64, 3)), u, points)
+    backward = BackwardMap.from_function(lambda uv: pixel_from_film(uv, (640, 640)))
+    guide = film_guide(maps, backward, (32, 32))
+    seen = np.isfinite(guide)
+    assert seen.mean() > 0.85
+    np.testing.assert_allclose(guide[seen], film_centres((32, 32))[..., 0][seen], atol=0.01)
+
+
+def test_inputs_are_not_modified():
+    photo, valid = light(*uneven()), everywhere()
+    copies = photo.copy(), valid.copy()
+    deilluminate(photo, valid)
+    np.testing.assert_array_equal(photo, copies[0])
+    np.testing.assert_array_equal(valid, copies[1])
+
+
+def test_linear_light_is_where_the_model_holds():
+    """The test films themselves: gain and veil act on linear light."""
+    photo = light(0.5, 0.1)
+    seen = linear_from_srgb(photo[..., 1] / 255.0)
+    np.testing.assert_allclose(seen, 0.5 * print_of_cells() ** 1.6 + 0.1, atol=0.01)

@@ -1,0 +1,94 @@
+"""Laws of the one resampling of the photo."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+from bent_sheets import bent_sheet
+
+from hybrid.backward import BackwardMap
+from hybrid.coords import film_centres, pixel_centres, pixel_from_film
+from hybrid.rectify.resample import index_in_grid, photo_per_film_pixel, rectify_map, rectify_photo
+
+
+def whole_photo(size: tuple[int, int]) -> BackwardMap:
+    """The map of a film that is exactly the photo."""
+    return BackwardMap.from_function(lambda uv: pixel_from_film(uv, size))
+
+
+def pattern(size: tuple[int, int], period_px: float) -> np.ndarray:
+    """(h, w, 3) uint8 waves."""
+    x, y = pixel_centres(size).transpose(2, 0, 1) * (2 * np.pi / period_px)
+    return np.stack([127 + 100 * np.sin(x) * np.sin(y)] * 3, axis=-1).astype(np.uint8)
+
+
+def test_identity_returns_the_photo():
+    photo = np.random.default_rng(0).integers(0, 256, (60, 80, 3), dtype=np.uint8)
+    result = rectify_photo(photo, whole_photo((60, 80)), (60, 80))
+    np.testing.assert_allclose(result.image.astype(int), photo, atol=1)
+    assert result.valid.all()
+
+
+def test_pixels_come_from_where_the_map_says():
+    """A photo whose colours are its coordinates."""
+    photo = np.zeros((256, 256, 3), np.uint8)
+    photo[..., 0] = np.arange(256)[None]
+    photo[..., 1] = np.arange(256)[:, None]
+    sheet = bent_sheet()[0]
+    backward = BackwardMap.from_function(lambda uv: sheet(uv) * (256 / 1080))
+    image = rectify_photo(photo, backward, (150, 120)).image
+    seen = backward.photo_from_film(film_centres((150, 120)))
+    # the value of pixel k is k, and its centre lies half a pixel further
+    np.testing.assert_allclose(image[..., :2], seen - 0.5, atol=0.6)
+
+
+def test_points_outside_the_photo_are_black_and_marked():
+    photo = np.full((100, 100, 3), 200, np.uint8)
+    backward = BackwardMap.from_function(lambda uv: uv * 100 + np.array([50.0, 0.0]))
+    result = rectify_photo(photo, backward, (40, 40))
+    assert result.valid[:, :20].all()
+    assert not result.valid[:, 20:].any()
+    assert (result.image[:, :20] == 200).all()
+    assert (result.image[:, 20:] == 0).all()
+    beyond = rectify_photo(photo, backward.cropped((1e4, 0.0)), (40, 40))
+    assert not beyond.valid.any()
+
+
+def test_shrinking_averages_instead_of_aliasing():
+    photo = pattern((1200, 1200), 2.7)  # finer than the film's pixels: only its mean is left
+    image = rectify_photo(photo, whole_photo((1200, 1200)), (300, 300)).image.astype(float)
+    assert photo_per_film_pixel(whole_photo((1200, 1200)), (300, 300)) == pytest.approx(4.0)
+    assert image.std() < 0.1 * photo.std()
+    smooth = pattern((1200, 1200), 200.0)
+    expected = cv2.resize(smooth, (300, 300), interpolation=cv2.INTER_AREA)
+    got = rectify_photo(smooth, whole_photo((1200, 1200)), (300, 300)).image
+    np.testing.assert_allclose(got.astype(int), expected, atol=2)
+
+
+def test_resampling_commutes_with_cropping_the_photo():
+    sheet = bent_sheet()[0]
+    backward = BackwardMap.from_function(sheet)
+    photo = pattern((1080, 1080), 40.0)
+    whole = rectify_photo(photo, backward, (500, 400)).image.astype(int)
+    part = rectify_photo(photo[37:, 21:], backward.cropped((21.0, 37.0)), (500, 400)).image
+    np.testing.assert_allclose(part, whole, atol=1)
+
+
+def test_inputs_are_not_modified():
+    photo = pattern((200, 200), 30.0)
+    copy = photo.copy()
+    rectify_photo(photo, whole_photo((200, 200)), (50, 50))
+    np.testing.assert_array_equal(photo, copy)
+
+
+def test_network_maps_are_read_at_their_pixel_centres():
+    points = pixel_centres((64, 64)) * 10.0 + np.array([30.0, -20.0])
+    column, row = index_in_grid(points, points)
+    np.testing.assert_allclose(column, np.arange(64)[None].repeat(64, 0), atol=1e-9)
+    np.testing.assert_allclose(row, np.arange(64)[:, None].repeat(64, 1), atol=1e-9)
+    backward = BackwardMap.from_function(lambda uv: 200 + 300 * uv)
+    read = rectify_map(points[..., 0].astype(np.float32), points, backward, (20, 30))
+    np.testing.assert_allclose(read, backward.dense((20, 30))[..., 0], atol=0.5)  # remap's steps of 1/32 pixel
+    outside = rectify_map(points[..., 0].astype(np.float32), points, backward.cropped((-9000.0, 0.0)), (20, 30))
+    assert np.isnan(outside).all()

@@ -1,0 +1,142 @@
+"""What the survey lets through and what it refuses, and the film's size."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from bent_sheets import bent_sheet, maps_of, smooth_noise
+
+from hybrid.backward import BackwardMap
+from hybrid.coords import film_nodes, pixel_centres
+from hybrid.records import CoarseMaps, SliceGrid, StatusCode
+from hybrid.rectify.film_size import FilmSizeConfig, film_aspect, film_size, snap_aspect
+from hybrid.rectify.invert import fit_backward, project
+from hybrid.rectify.survey import mask_overlap, survey_light, survey_maps, survey_photo, survey_plane
+
+
+def verdict(maps: CoarseMaps):
+    return survey_maps(maps, fit_backward(maps))
+
+
+def noise_maps(rng: np.random.Generator, correlation: float) -> CoarseMaps:
+    """Maps of a network that saw something film-like where there is nothing: blobs of mask, wandering uv."""
+    fields = smooth_noise(rng, (64, 64), correlation, 1.0), smooth_noise(rng, (64, 64), correlation, 1.0)
+    uv = 0.5 + 0.3 * fields[0]
+    points = pixel_centres((64, 64)) * 16.0
+    mask = (fields[1][..., 0] > 0).astype(np.float64)
+    return CoarseMaps(mask, uv, np.zeros((64, 64, 3)), np.zeros((64, 64)), points)
+
+
+def test_photos_that_show_nothing_are_refused():
+    assert survey_photo(np.full((200, 300, 3), 90, np.uint8)).code is StatusCode.BLANK
+    assert survey_photo(np.zeros((40, 3000, 3), np.uint8)).code is StatusCode.TOO_SMALL
+    rng = np.random.default_rng(0)
+    assert survey_photo(rng.integers(0, 255, (200, 300, 3), dtype=np.uint8)).ok
+
+
+@pytest.mark.parametrize("bend", [0.0, 0.9])
+def test_a_film_is_a_film_also_in_a_noisy_map(bend: float):
+    maps = maps_of(BackwardMap.from_function(bent_sheet(bend)[0]))
+    assert verdict(maps).ok
+    noise = smooth_noise(np.random.default_rng(3), (64, 64), 3.0, 0.01)
+    found = verdict(replace(maps, uv=maps.uv + noise))
+    assert found.ok, found.reason
+
+
+def test_a_film_partly_outside_the_picture_is_a_film():
+    photo = bent_sheet(0.5)[0]
+    assert verdict(maps_of(BackwardMap.from_function(lambda uv: photo(uv) + np.array([260.0, 0.0])))).ok
+
+
+@pytest.mark.parametrize("correlation", [0.7, 2.0, 5.0, 10.0, 20.0])
+def test_noise_is_never_a_film(correlation: float):
+    rng = np.random.default_rng(4)
+    for _ in range(20):
+        found = verdict(noise_maps(rng, correlation))
+        assert not found.ok, found.reason
+        assert found.reason
+
+
+def test_a_face_like_blob_is_not_a_film():
+    """Round mask, uv that grows from the middle out to a part of the range: what a network makes of a pale oval."""
+    x, y = (pixel_centres((64, 64)) / 64.0 - 0.5).transpose(2, 0, 1)
+    mask = ((x / 0.25) ** 2 + (y / 0.35) ** 2 < 1).astype(np.float64)
+    uv = np.stack([0.5 + 0.5 * x, 0.5 + 0.5 * y], axis=-1)
+    maps = CoarseMaps(mask, uv, np.zeros((64, 64, 3)), np.zeros((64, 64)), pixel_centres((64, 64)) * 16)
+    assert verdict(maps).code is StatusCode.NO_FILM
+
+
+def test_a_folded_map_is_named():
+    points = pixel_centres((64, 64)) * 16.0
+    maps = maps_of(BackwardMap.from_function(bent_sheet(0.3)[0]))
+    folded = BackwardMap.from_function(lambda uv: 300 + 500 * np.stack([np.sin(2.2 * uv[..., 0]), uv[..., 1]], -1))
+    result = fit_backward(replace(maps, photo_points=points))
+    found = survey_maps(replace(maps, photo_points=points), replace(result, backward=folded))
+    assert not found.ok
+
+
+def test_overlap_of_the_true_outline_is_nearly_one():
+    true = BackwardMap.from_function(bent_sheet()[0])
+    maps = maps_of(true)
+    assert mask_overlap(maps, true) > 0.93
+    assert mask_overlap(maps, true.cropped((400.0, 0.0))) < 0.6
+
+
+def test_a_plane_is_found_and_a_bend_is_not_called_one():
+    homography = np.array([[600.0, 40.0, 150.0], [-50.0, 700.0, 200.0], [0.1, -0.05, 1.0]])
+    flat = BackwardMap(project(homography, film_nodes((33, 33)).reshape(-1, 2)).reshape(33, 33, 2))
+    decision, found = survey_plane(flat)
+    assert decision.yes
+    np.testing.assert_allclose(found / found[2, 2], homography, rtol=1e-6, atol=1e-6)
+    assert not survey_plane(BackwardMap.from_function(bent_sheet(0.05)[0]))[0].yes
+
+
+def test_even_light_is_even():
+    gain, veil = np.ones((8, 8)), np.full((8, 8), 0.1)
+    ramp = np.linspace(0, 1, 64).reshape(8, 8)
+    assert survey_light(gain, veil, 0.03).yes
+    assert not survey_light(gain + 0.2 * ramp, veil, 0.03).yes
+    assert not survey_light(gain, veil + 0.1 * ramp, 0.03).yes
+
+
+@pytest.mark.parametrize("aspect", [0.75, 1.0, 1.25, 1.5])
+def test_aspect_comes_from_the_sheet_and_not_from_its_view(aspect: float):
+    photo, xyz = bent_sheet(0.9, aspect=aspect, tilt=0.6)
+    true = BackwardMap.from_function(photo)
+    maps = maps_of(true, xyz)
+    rng = np.random.default_rng(5)
+    noisy = replace(maps, xyz=maps.xyz + rng.normal(0, 0.005, maps.xyz.shape))
+    assert film_aspect(maps, true) == pytest.approx(aspect, rel=0.01)
+    assert film_aspect(noisy, true) == pytest.approx(aspect, rel=0.02)
+
+
+def test_aspect_snaps_to_square_cells_before_formats():
+    config = FilmSizeConfig()
+    assert snap_aspect(1.24, None, config) in (pytest.approx(43 / 35), pytest.approx(1.25))
+    assert snap_aspect(1.6, None, config) == 1.6
+    nodes = film_nodes((7, 5))
+    grid = SliceGrid(6, 4, nodes, nodes, confidence=0.9)
+    assert snap_aspect(1.46, grid, config) == pytest.approx(1.5)
+    assert snap_aspect(1.25, grid, config) == pytest.approx(1.25)
+
+
+def test_size_holds_the_photo_and_stays_bounded():
+    photo, xyz = bent_sheet(0.5)
+    true = BackwardMap.from_function(photo)
+    maps = maps_of(true, xyz)
+    height, width = film_size(true, maps, None)
+    down, across = true.mean_film_pixels()
+    assert height >= down - 1
+    assert width >= across - 1
+    huge = true.cropped((0.0, 0.0), (50.0, 50.0))
+    assert max(film_size(huge, maps, None)) == FilmSizeConfig().max_side_px
+    tiny = true.cropped((0.0, 0.0), (0.01, 0.01))
+    assert min(film_size(tiny, maps, None)) == FilmSizeConfig().min_side_px
+
+
+def test_survey_takes_a_photo_of_any_shape():
+    wide = cv2.resize(np.arange(256, dtype=np.uint8)[None].repeat(3, 0).T[None], (2000, 70))
+    assert survey_photo(np.ascontiguousarray(wide.reshape(70, 2000, 3))).ok
