@@ -6,15 +6,19 @@ Reads geometry and pixels only, never who the patient is.
 from __future__ import annotations
 
 import hashlib
+import io
 import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 import pydicom
 from jaxtyping import Bool, Float, Int16
-from pydicom.pixels import apply_modality_lut, get_decoder
+from pydicom.multival import MultiValue
+from pydicom.pixels.decoders.base import get_decoder
+from pydicom.pixels.processing import apply_modality_lut
+from pydicom.uid import ImplicitVRLittleEndian
 
 from hybrid.errors import DataError
 
@@ -28,7 +32,7 @@ NOT_SLICES = {"LOCALIZER": "a scout view", "PERFUSION": "a perfusion map, not Ho
 """Values of ImageType that tell what a CT image is when it is no slice."""
 
 
-class Refused(DataError):
+class RefusedError(DataError):
     """A file, or a frame of one, that is not an axial CT slice; the message is the reason."""
 
 
@@ -47,35 +51,35 @@ class Frame:
     thickness_mm: float
 
 
-def read_frames(file: BinaryIO) -> list[Frame]:
-    """The axial CT frames of one file. Raises Refused with a reason where there are none, whatever the file holds."""
+def read_frames(content: bytes) -> list[Frame]:
+    """The axial CT frames in the bytes of a file; raises RefusedError with a reason where there are none."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # pydicom warns of harmless oddities; what matters is checked below
         try:
-            dataset = pydicom.dcmread(file, force=True)
+            dataset = pydicom.dcmread(io.BytesIO(content), force=True)
             _check(dataset)
             return list(_frames(dataset))
-        except Refused:
+        except RefusedError:
             raise
         except MemoryError as error:
-            raise Refused("it claims more pixels than fit into memory") from error
+            raise RefusedError("it claims more pixels than fit into memory") from error
         except Exception as error:  # damaged files make pydicom raise nearly everything
             # the library's message may quote values of the header, so only its kind is passed on
-            raise Refused(f"damaged or unsupported DICOM ({type(error).__name__})") from error
+            raise RefusedError(f"damaged or unsupported DICOM ({type(error).__name__})") from error
 
 
 def _check(dataset: Any) -> None:
-    """Raises Refused where the header already tells that this is no CT slice."""
+    """Raises RefusedError where the header already tells that this is no CT slice."""
     modality = dataset.get("Modality")
     if modality is None and "PixelData" not in dataset:
-        raise Refused("not a DICOM image")
+        raise RefusedError("not a DICOM image")
     if modality != "CT":
-        raise Refused(f"modality {str(modality)[:16]!r} is not CT")
+        raise RefusedError(f"modality {str(modality)[:16]!r} is not CT")
     _check_kind(dataset.get("ImageType"))
     if "PixelData" not in dataset:
-        raise Refused("no pixels in it")
+        raise RefusedError("no pixels in it")
     if int(dataset.get("SamplesPerPixel", 1)) != 1:
-        raise Refused("a colour picture, not Hounsfield units")
+        raise RefusedError("a colour picture, not Hounsfield units")
     syntax = dataset.file_meta.get("TransferSyntaxUID")
     if syntax is not None and syntax.is_compressed and not syntax.is_deflated:
         try:
@@ -83,20 +87,14 @@ def _check(dataset: Any) -> None:
         except NotImplementedError:
             available = False
         if not available:
-            raise Refused(f"compressed as {syntax.name}, for which no decoder is installed")
+            raise RefusedError(f"compressed as {syntax.name}, for which no decoder is installed")
 
 
 def _check_kind(image_type: Any) -> None:
-    values = (
-        [str(v).upper() for v in image_type] if isinstance(image_type, (list, tuple)) or _is_multi(image_type) else []
-    )
-    for value in values:
-        if value in NOT_SLICES:
-            raise Refused(NOT_SLICES[value])
-
-
-def _is_multi(value: Any) -> bool:
-    return isinstance(value, pydicom.multival.MultiValue)
+    """Raises RefusedError where ImageType or FrameType tells of something else than a slice."""
+    for value in image_type if isinstance(image_type, MultiValue) else ():
+        if str(value).upper() in NOT_SLICES:
+            raise RefusedError(NOT_SLICES[str(value).upper()])
 
 
 # ---------------------------------------------------------------- frames
@@ -108,7 +106,7 @@ def _frames(dataset: Any) -> Iterator[Frame]:
     if stored.ndim == 2:
         stored = stored[None]
     if stored.ndim != 3 or len(stored) != count:
-        raise Refused(f"pixels of shape {stored.shape} do not fit {count} frames")
+        raise RefusedError(f"pixels of shape {stored.shape} do not fit {count} frames")
     for k in range(count):
         frame_type = _value(dataset, k, "CTImageFrameTypeSequence", "FrameType")
         if frame_type is not None:
@@ -119,12 +117,12 @@ def _frames(dataset: Any) -> Iterator[Frame]:
 def _stored_pixels(dataset: Any) -> np.ndarray:
     """The pixels as stored. Files without a preamble name no transfer syntax; they are implicit little-endian."""
     if dataset.file_meta.get("TransferSyntaxUID") is None:
-        dataset.file_meta.TransferSyntaxUID = pydicom.uid.ImplicitVRLittleEndian
+        dataset.file_meta.TransferSyntaxUID = ImplicitVRLittleEndian
     try:
         return np.asarray(dataset.pixel_array)
     except (RuntimeError, ValueError, AttributeError) as error:
         name = dataset.file_meta.TransferSyntaxUID.name
-        raise Refused(f"its pixels ({name}) are truncated or of a kind that no installed decoder reads") from error
+        raise RefusedError(f"its pixels ({name}) are truncated or of a kind that no installed decoder reads") from error
 
 
 def _value(dataset: Any, k: int, sequence: str, keyword: str) -> Any:
@@ -140,13 +138,13 @@ def _value(dataset: Any, k: int, sequence: str, keyword: str) -> Any:
 
 
 def _numbers(value: Any, count: int, what: str) -> Float[np.ndarray, " n"]:
-    """``count`` finite numbers out of a header, or Refused."""
+    """``count`` finite numbers out of a header, or RefusedError."""
     try:
         numbers = np.array([float(v) for v in value], dtype=np.float64)
     except (TypeError, ValueError) as error:
-        raise Refused(f"no {what}") from error
+        raise RefusedError(f"no {what}") from error
     if len(numbers) != count or not np.isfinite(numbers).all():
-        raise Refused(f"unusable {what}")
+        raise RefusedError(f"unusable {what}")
     return numbers
 
 
@@ -155,14 +153,14 @@ def _frame(dataset: Any, k: int, stored: np.ndarray) -> Frame:
     spacing = _numbers(_value(dataset, k, "PixelMeasuresSequence", "PixelSpacing"), 2, "pixel spacing")
     position = _numbers(_value(dataset, k, "PlanePositionSequence", "ImagePositionPatient"), 3, "slice position")
     if spacing.min() <= 0:
-        raise Refused("unusable pixel spacing")
+        raise RefusedError("unusable pixel spacing")
     along_row, along_column = orientation[:3], orientation[3:]
     normal = np.cross(along_row, along_column)
     length = float(np.linalg.norm(normal))
     if not 0.9 < length < 1.1:
-        raise Refused("unusable orientation")
+        raise RefusedError("unusable orientation")
     if abs(normal[2]) < AXIAL_COSINE * length:
-        raise Refused("not an axial slice")
+        raise RefusedError("not an axial slice")
     normal = normal / length * np.sign(normal[2])
     hu = _hounsfield(dataset, k, stored)
     if abs(along_row[0]) < abs(along_column[0]):  # turned by a quarter
@@ -184,7 +182,7 @@ def _frame(dataset: Any, k: int, stored: np.ndarray) -> Frame:
 
 
 def _hounsfield(dataset: Any, k: int, stored: np.ndarray) -> Int16[np.ndarray, "rows cols"]:
-    """Hounsfield units by modality LUT or rescale. MONOCHROME1 turns the display over, not the units: no change here."""
+    """Hounsfield units by modality LUT or rescale; MONOCHROME1 turns the display over, not the units."""
     padding = _padding(dataset, stored)
     if dataset.get("ModalityLUTSequence"):
         values = np.asarray(apply_modality_lut(stored, dataset), dtype=np.float64)
@@ -212,4 +210,4 @@ def _padding(dataset: Any, stored: np.ndarray) -> Bool[np.ndarray, "rows cols"]:
     return mask
 
 
-__all__ = ["PADDING_HU", "Frame", "Refused", "read_frames"]
+__all__ = ["PADDING_HU", "Frame", "RefusedError", "read_frames"]

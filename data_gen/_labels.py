@@ -33,7 +33,7 @@ class Labels:
     font: Font
     corners: tuple[tuple[str, ...], ...]
     values: dict[str, object]
-    letters: tuple[str, str, str, str]
+    letters: tuple[str, ...]
     ruler: Sprite | None
     ruler_vertical: bool
     grey: float

@@ -31,7 +31,7 @@ class Layout:
     cols: int
     pitch_px: tuple[int, int]
     gap_px: int
-    margins_px: tuple[int, int, int, int]
+    margins_px: tuple[int, ...]
     header_px: int
     style: str
     rule_px: int
@@ -69,7 +69,7 @@ class Layout:
         return np.stack([x, y], axis=-1)
 
 
-def coverage(centre: float, thickness: float, length: int) -> tuple[int, Float[np.ndarray, " n"]]:
+def coverage(centre: float, thickness: float | int, length: int) -> tuple[int, Float[np.ndarray, " n"]]:
     """First pixel, and the share of it and the following ones, that a bar around ``centre`` covers on [0, length]."""
     low, high = max(centre - thickness / 2, 0.0), min(centre + thickness / 2, float(length))
     first, last = int(np.floor(low)), int(np.ceil(high))

@@ -10,6 +10,8 @@ from data_gen._shapes import Blob, Canvas, Plane, blend, paint_all, random_warp,
 from data_gen.volumes import CtVolume
 from hybrid.coords import centres_1d
 
+Number = float | int
+
 AIR, FAT, MUSCLE, LUNG, BONE = -1000.0, -100.0, 50.0, -850.0, 700.0
 
 
@@ -57,7 +59,7 @@ def _random_trunk(rng: np.random.Generator) -> _Trunk:
     fat = rng.uniform(6, 28)
     vessel = rng.choice([45.0, rng.uniform(140, 320)])
 
-    def at(x: float, y: float, z: float, rx: float, ry: float, rz: float, hu: float, yaw: float = 0.0) -> Blob:
+    def at(x: Number, y: Number, z: Number, rx: Number, ry: Number, rz: Number, hu: Number, yaw: float = 0.0) -> Blob:
         return Blob((x * s, y * t, z), (rx * s, ry * t, rz), hu, yaw)
 
     lungs = (at(-68, 0, 60, 56, 78, 115, LUNG, 0.1), at(70, 4, 60, 54, 76, 112, LUNG, -0.1))
@@ -89,7 +91,7 @@ def _random_trunk(rng: np.random.Generator) -> _Trunk:
         at(-16, 24, -80, 12, 9, 140, 0.5 * (vessel + 45)),
         at(0, -4, -76, 52, 11, 12, 45.0, 0.3),
     )
-    spine = tuple(
+    vertebrae = [
         blob
         for z in np.arange(-260, 280, 27.0)
         for blob in (
@@ -98,7 +100,8 @@ def _random_trunk(rng: np.random.Generator) -> _Trunk:
             at(24, 74, z, 20, 5, 6, 500.0, 0.3),
             at(-24, 74, z, 20, 5, 6, 500.0, -0.3),
         )
-    ) + (at(0, 76, 0, 9, 8, 600, 20.0),)
+    ]
+    spine = (*vertebrae, at(0, 76, 0, 9, 8, 600, 20.0))
     return _Trunk(
         (wide, deep), fat, lungs, chest, belly, spine, rng.uniform(0.5, 1.1), rng.uniform(24, 32), float(vessel),
         (deep + rng.uniform(4, 16), rng.uniform(250, 900)),

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float, Int16
 
+Triple = tuple[float | int, float | int, float | int]
 Canvas = Float[np.ndarray, "rows cols"]
 
 
@@ -19,9 +20,9 @@ class Blob:
     yaw: turn about z in radians. hu: inside. shell_hu, shell_mm: a wall around it, drawn outside, if shell_mm > 0.
     """
 
-    centre: tuple[float, float, float]
-    radii: tuple[float, float, float]
-    hu: float
+    centre: Triple
+    radii: Triple
+    hu: float | int
     yaw: float = 0.0
     shell_hu: float = 0.0
     shell_mm: float = 0.0
@@ -52,7 +53,8 @@ class Plane:
     def touches(self, blob: Blob, margin_mm: float = 12.0) -> bool:
         """False where the slice surely misses the blob (the plane may be tilted by about ``margin_mm``)."""
         reach = blob.radii[2] + blob.shell_mm + margin_mm
-        return abs(float(self.z[self.z.shape[0] // 2, self.z.shape[1] // 2]) - blob.centre[2]) < reach
+        middle = self.z[self.z.shape[0] // 2, self.z.shape[1] // 2]
+        return bool(abs(middle - blob.centre[2]) < reach)
 
 
 @dataclass(frozen=True, eq=False)

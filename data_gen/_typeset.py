@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from PIL import Image, ImageDraw, ImageFont
 
-Sprite = UInt8[np.ndarray, "h w"]
+Sprite = UInt8[np.ndarray, "_ _"]
 
 HERSHEY = {
     "simplex": cv2.FONT_HERSHEY_SIMPLEX,
@@ -66,8 +66,8 @@ def _pillow_ink(text: str, font: ImageFont.ImageFont | ImageFont.FreeTypeFont, h
     return _trim(np.array(image))
 
 
-def _trim(canvas: Sprite) -> Sprite:
-    """Without empty columns at the sides; all rows are kept down to the ink so that lines sit on a common top."""
+def _trim(canvas: UInt8[np.ndarray, "H W"]) -> Sprite:
+    """The part that has ink, or one empty pixel."""
     rows, cols = np.flatnonzero(canvas.max(axis=1)), np.flatnonzero(canvas.max(axis=0))
     if not len(rows):
         return np.zeros((1, 1), np.uint8)
@@ -75,7 +75,7 @@ def _trim(canvas: Sprite) -> Sprite:
 
 
 def stamp(image: Float[np.ndarray, "H W"], sprite: Sprite, x: int, y: int, grey: float) -> None:
-    """Puts ``grey`` onto the image in place where the sprite covers it, its top-left pixel at (x, y); cut at the rim."""
+    """Puts ``grey`` onto the image in place where the sprite, top-left pixel at (x, y), covers it; cut at the rim."""
     height, width = image.shape
     x0, y0 = max(x, 0), max(y, 0)
     x1, y1 = min(x + sprite.shape[1], width), min(y + sprite.shape[0], height)

@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-import io
 import zipfile
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO
 
 import numpy as np
 
-from data_gen._dicom_frame import Frame, Refused, read_frames
+from data_gen._dicom_frame import Frame, RefusedError, read_frames
 from data_gen.volumes import CtVolume
 from hybrid.errors import DataError, describe
 
 MAX_FILE_BYTES = 2**30
 """No CT file is larger; a zip entry that claims more is not unpacked."""
+
+TOO_LARGE = f"larger than {MAX_FILE_BYTES >> 20} MiB"
 
 SAME_PLACE_MM = 1e-3
 SKIPPED_NAMES = {"dicomdir", ".ds_store", "thumbs.db"}
@@ -54,13 +54,10 @@ def read_all(path: Path | str) -> DicomReading:
     refusals: list[Refusal] = []
     for source, container, content in _files(path, refusals):
         try:
-            with content:
-                for frame in read_frames(content):
-                    frames.setdefault((container, *frame.series), []).append((source, frame))
-        except Refused as error:
+            for frame in read_frames(content):
+                frames.setdefault((container, *frame.series), []).append((source, frame))
+        except RefusedError as error:
             refusals.append(Refusal(source, str(error)))
-        except OSError as error:
-            refusals.append(Refusal(source, f"cannot be read ({type(error).__name__})"))
     volumes = [_stack(group, refusals) for group in frames.values()]
     volumes.sort(key=lambda volume: -len(volume.hu))
     return DicomReading(tuple(volumes), tuple(refusals))
@@ -87,8 +84,8 @@ def read_series(path: Path | str) -> list[CtVolume]:
     return list(reading.volumes)
 
 
-def _files(path: Path, refusals: list[Refusal]) -> Iterator[tuple[str, str, BinaryIO]]:
-    """(name for messages, container, open file) of everything that might be DICOM."""
+def _files(path: Path, refusals: list[Refusal]) -> Iterator[tuple[str, str, bytes]]:
+    """(name for messages, container, bytes) of everything that might be DICOM."""
     paths = [p for p in sorted(path.rglob("*")) if p.is_file()] if path.is_dir() else [path]
     for file in paths:
         if path.is_dir() and (file.name.lower() in SKIPPED_NAMES or file.suffix.lower() in OTHER_SUFFIXES):
@@ -97,14 +94,18 @@ def _files(path: Path, refusals: list[Refusal]) -> Iterator[tuple[str, str, Bina
             yield from _zip_entries(file, refusals)
             continue
         try:
-            opened = file.open("rb")
+            too_large = file.stat().st_size > MAX_FILE_BYTES
+            content = b"" if too_large else file.read_bytes()
         except OSError as error:
-            refusals.append(Refusal(str(file), f"cannot be opened ({type(error).__name__})"))
+            refusals.append(Refusal(str(file), f"cannot be read ({type(error).__name__})"))
             continue
-        yield str(file), "", opened
+        if too_large:
+            refusals.append(Refusal(str(file), TOO_LARGE))
+        else:
+            yield str(file), "", content
 
 
-def _zip_entries(path: Path, refusals: list[Refusal]) -> Iterator[tuple[str, str, BinaryIO]]:
+def _zip_entries(path: Path, refusals: list[Refusal]) -> Iterator[tuple[str, str, bytes]]:
     try:
         archive = zipfile.ZipFile(path)
     except (OSError, zipfile.BadZipFile):
@@ -116,14 +117,14 @@ def _zip_entries(path: Path, refusals: list[Refusal]) -> Iterator[tuple[str, str
             if entry.is_dir() or Path(entry.filename).name.lower() in SKIPPED_NAMES:
                 continue
             if entry.file_size > MAX_FILE_BYTES:
-                refusals.append(Refusal(name, f"{entry.file_size} bytes; at most {MAX_FILE_BYTES} are unpacked"))
+                refusals.append(Refusal(name, TOO_LARGE))
                 continue
             try:
                 content = archive.read(entry)
             except Exception as error:  # zlib, encryption and unknown methods each raise their own kind
                 refusals.append(Refusal(name, f"cannot be unpacked ({type(error).__name__})"))
                 continue
-            yield name, str(path), io.BytesIO(content)
+            yield name, str(path), content
 
 
 def _stack(group: list[tuple[str, Frame]], refusals: list[Refusal]) -> CtVolume:

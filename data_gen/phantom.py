@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from data_gen._phantom_body import body_phantom
-from data_gen._shapes import Blob, Canvas, Plane, blend, paint_all, random_warp, scan, smooth_noise, streaks
+from data_gen._shapes import Blob, Canvas, Plane, Triple, blend, paint_all, random_warp, scan, smooth_noise, streaks
 from data_gen.volumes import CtVolume
 from hybrid.coords import centres_1d
 
@@ -27,7 +27,7 @@ class _Head:
     brain: tuple[Blob, ...]
     table: tuple[float, float, float]
     teeth: tuple[Blob, ...]
-    metal: tuple[tuple[float, float, float], ...]
+    metal: tuple[Triple, ...]
     sulci: float
 
 

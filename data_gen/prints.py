@@ -101,7 +101,7 @@ class _Look:
     interpolation: int
 
 
-def make_print(volume: CtVolume, rng: np.random.Generator, config: PrintConfig = PrintConfig()) -> FilmPrint:  # noqa: B008
+def make_print(volume: CtVolume, rng: np.random.Generator, config: PrintConfig = PrintConfig()) -> FilmPrint:
     """A print of the volume's slices, different for every random state; the same state gives the same print."""
     layout = random_layout(rng, config.longer_px, config.longer_spread, config.style_weights, config.margin_share,
                            config.header_share)  # fmt: skip
@@ -248,18 +248,18 @@ def _slice_at(volume: CtVolume, position: float) -> Float[np.ndarray, "rows cols
 def _draw_lines(image: Float[np.ndarray, "h w"], layout: Layout, look: _Look) -> None:
     """Margins, gutters, rules and boxes, in place. Rules lie on the vertices to a fraction of a pixel."""
     xs, ys = layout.lines_px()
-    height, width = image.shape
     if look.margin_grey != look.base:
         for strip in (np.s_[: int(ys[0])], np.s_[int(ys[-1]) :], np.s_[:, : int(xs[0])], np.s_[:, int(xs[-1]) :]):
             image[strip] = look.margin_grey
-    if layout.style == "gutter" and layout.gap_px:
-        _draw_bars(image, [(x, layout.gap_px) for x in xs], [(y, layout.gap_px) for y in ys], look.gap_grey, (xs, ys))
+    if layout.style == "gutter":
+        _draw_bars(image, layout, xs, ys, layout.gap_px, look.gap_grey)
     if layout.style == "rules" and not layout.boxes:
-        inset = 0.5 * layout.rule_px
-        inner_x = [xs[0] + inset, *xs[1:-1], xs[-1] - inset] if layout.outer_rules else xs[1:-1]
-        inner_y = [ys[0] + inset, *ys[1:-1], ys[-1] - inset] if layout.outer_rules else ys[1:-1]
-        thick = layout.rule_px
-        _draw_bars(image, [(x, thick) for x in inner_x], [(y, thick) for y in inner_y], look.rule_grey, (xs, ys))
+        if layout.outer_rules:  # drawn just inside the border, where the sheet may end
+            inset = 0.5 * layout.rule_px
+            xs, ys = (np.array([line[0] + inset, *line[1:-1], line[-1] - inset]) for line in (xs, ys))
+        else:
+            xs, ys = xs[1:-1], ys[1:-1]
+        _draw_bars(image, layout, xs, ys, layout.rule_px, look.rule_grey)
     if layout.boxes:
         for k in range(layout.rows * layout.cols):
             x, y, w, h = layout.cell(k)
@@ -275,19 +275,21 @@ def _draw_lines(image: Float[np.ndarray, "h w"], layout: Layout, look: _Look) ->
 
 def _draw_bars(
     image: Float[np.ndarray, "h w"],
-    vertical: list[tuple[float, float]],
-    horizontal: list[tuple[float, float]],
+    layout: Layout,
+    xs: Float[np.ndarray, " c"],
+    ys: Float[np.ndarray, " r"],
+    thickness_px: int,
     grey: float,
-    lines: tuple[Float[np.ndarray, " c"], Float[np.ndarray, " r"]],
 ) -> None:
-    """Bars (centre, thickness) in pixels across the whole grid, mixed in by the share of each pixel they cover."""
-    (left, right), (top, bottom) = ((int(line[0]), int(line[-1])) for line in lines)
-    for centre, thickness in vertical:
-        first, share = coverage(centre, thickness, image.shape[1])
+    """Bars across the whole grid, centred on ``xs`` and ``ys``, mixed in by the share of each pixel they cover."""
+    across, down = layout.lines_px()
+    (left, right), (top, bottom) = ((int(line[0]), int(line[-1])) for line in (across, down))
+    for x in xs.tolist():
+        first, share = coverage(x, thickness_px, image.shape[1])
         region = image[top:bottom, first : first + len(share)]
         region += share * (np.float32(grey) - region)
-    for centre, thickness in horizontal:
-        first, share = coverage(centre, thickness, image.shape[0])
+    for y in ys.tolist():
+        first, share = coverage(y, thickness_px, image.shape[0])
         region = image[first : first + len(share), left:right]
         region += share[:, None] * (np.float32(grey) - region)
 

@@ -21,6 +21,9 @@ MIN_PRINT_SLICES = 3
 BODY_WIDTH_MM = 235.0
 """No head is as wide as this, ears and blur included; no trunk of a grown-up is narrower."""
 
+THICKER_THAN_TABLES_MM = 36.0
+"""A table is about 20 mm thick; the walls of a chest, front and back together, are more than this."""
+
 
 @dataclass(frozen=True, eq=False)
 class CtVolume:
@@ -47,18 +50,18 @@ class CtVolume:
                     do="Check the file's 'hu' array",
                 )
             )
-        spacing = tuple(float(s) for s in self.spacing_mm)
-        if len(spacing) != 3 or not all(np.isfinite(s) and s > 0 for s in spacing):
+        z, y, x = (float(s) for s in self.spacing_mm)
+        if not all(np.isfinite(s) and s > 0 for s in (z, y, x)):
             raise DataError(
                 describe(
                     what="CT volume spacing",
                     where=self.name,
-                    got=spacing,
+                    got=(z, y, x),
                     allowed="three positive lengths in mm (z, y, x)",
                     do="Check the file's 'spacing_mm'",
                 )
             )
-        object.__setattr__(self, "spacing_mm", spacing)
+        object.__setattr__(self, "spacing_mm", (z, y, x))
 
 
 def window(hu: np.ndarray, level: float, width: float) -> Float[np.ndarray, "*shape"]:
@@ -72,8 +75,8 @@ def window(hu: np.ndarray, level: float, width: float) -> Float[np.ndarray, "*sh
 def tissue_width_mm(volume: CtVolume) -> float:
     """Median over slices of the width in mm of what is denser than fat, tables and clothes mostly left out."""
     rough = volume.hu[:: max(1, len(volume.hu) // 12), ::4, ::4]
-    tissue = (rough > -150).sum(axis=1) >= 4  # a table is a few voxels thick
-    widths = [np.ptp(np.flatnonzero(row)) if row.any() else 0 for row in tissue]
+    tissue = (rough > -150).sum(axis=1) * 4 * volume.spacing_mm[1] >= THICKER_THAN_TABLES_MM
+    widths = [float(np.ptp(np.flatnonzero(row))) if row.any() else 0.0 for row in tissue]
     return float(np.median(widths)) * 4 * volume.spacing_mm[2]
 
 
@@ -89,7 +92,8 @@ def read_npz(path: Path) -> CtVolume:
     """
     try:
         with np.load(path, allow_pickle=False) as data:
-            hu, spacing = np.asarray(data["hu"]), np.asarray(data["spacing_mm"], dtype=np.float64)
+            hu = np.asarray(data["hu"])
+            z, y, x = (float(s) for s in data["spacing_mm"].ravel())
             meta = json.loads(str(data["meta"])) if "meta" in data.files else {}
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
         raise DataError(
@@ -101,11 +105,20 @@ def read_npz(path: Path) -> CtVolume:
                 do="Export the volume again or take the file out of the folder",
             )
         ) from error
-    if not np.issubdtype(hu.dtype, np.integer) and not np.issubdtype(hu.dtype, np.floating):
-        raise DataError(describe(what="CT file", where=path, got=hu.dtype, allowed="numbers", do="Export it again"))
+    numbers = np.issubdtype(hu.dtype, np.integer) or np.issubdtype(hu.dtype, np.floating)
+    if hu.ndim != 3 or not numbers:
+        raise DataError(
+            describe(
+                what="CT file",
+                where=path,
+                got=f"'hu' of shape {hu.shape}, {hu.dtype}",
+                allowed="numbers of shape (slices, rows, cols)",
+                do="Export the volume again",
+            )
+        )
     clipped = np.clip(np.nan_to_num(hu, nan=-1024.0), -32768, 32767).astype(np.int16) if hu.dtype != np.int16 else hu
     name = meta.get("name", path.stem) if isinstance(meta, dict) else path.stem
-    return CtVolume(clipped, tuple(spacing.ravel().tolist()), str(name))
+    return CtVolume(clipped, (z, y, x), str(name))
 
 
 def load_volumes(folder: Path | str) -> list[CtVolume]:

@@ -1,0 +1,190 @@
+"""Prints: the grid that is stated is the grid that is drawn, in every style."""
+
+import json
+import time
+
+import numpy as np
+import pytest
+
+from data_gen._layout import GRIDS, STYLES, coverage, random_layout
+from data_gen._typeset import FAMILIES, Font, stamp, text_sprite
+from data_gen.phantom import body_phantom, head_phantom
+from data_gen.prints import FilmPrint, PrintConfig, choose_slices, make_print
+from data_gen.volumes import CtVolume
+from hybrid.coords import centres_1d, pixel_from_film
+from hybrid.errors import ConfigError
+
+SMALL = PrintConfig(longer_px=420)
+BARE = {"text_share": 0.0, "header_share": 0.0, "empty_share": 0.0}
+
+
+@pytest.fixture(scope="module")
+def head() -> CtVolume:
+    return head_phantom(np.random.default_rng(0), size=96, slices=16)
+
+
+@pytest.fixture(scope="module")
+def empty() -> CtVolume:
+    """Air only: nothing is drawn but the typesetting."""
+    return CtVolume(np.full((12, 32, 32), -1000, np.int16), (5.0, 7.0, 7.0), "air")
+
+
+def make(volume: CtVolume, seed: int, **options: object) -> FilmPrint:
+    return make_print(volume, np.random.default_rng(seed), PrintConfig(**{"longer_px": 420, **options}))
+
+
+@pytest.mark.parametrize("seed", range(15))
+def test_every_print_is_valid(head: CtVolume, seed: int):
+    film = make_print(head, np.random.default_rng(seed), SMALL)
+    height, width = film.image.shape
+    assert film.image.dtype == np.float32
+    assert 0.0 <= film.image.min() < 0.25
+    assert film.image.max() <= 1.0
+    assert 0.75 * 420 < max(height, width) < 1.25 * 420
+    assert np.isclose(film.size_mm[0] / film.size_mm[1], height / width)
+    assert 200 <= max(film.size_mm) <= 440
+    assert film.style in STYLES
+    assert film.vertices.shape == (film.rows + 1, film.cols + 1, 2)
+    assert film.vertices.min() >= 0.0
+    assert film.vertices.max() <= 1.0
+    steps = np.diff(film.vertices[0, :, 0])
+    assert np.allclose(steps, steps[0])
+    assert np.allclose(np.diff(film.vertices[:, 0, 1]), film.vertices[1, 0, 1] - film.vertices[0, 0, 1])
+    assert json.loads(json.dumps(film.parameters)) == film.parameters
+
+
+def test_a_seed_repeats_and_another_differs(head: CtVolume):
+    one, same, other = (make_print(head, np.random.default_rng(seed), SMALL) for seed in (5, 5, 6))
+    assert np.array_equal(one.image, same.image)
+    assert one.parameters == same.parameters
+    assert one.image.shape != other.image.shape or not np.array_equal(one.image, other.image)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_rules_lie_on_the_vertices_to_a_tenth_of_a_pixel(empty: CtVolume, seed: int):
+    film = make(empty, seed, style_weights=(0.0, 1.0, 0.0), **BARE)
+    if film.parameters["boxes"]:
+        pytest.skip("boxes around the cells leave the lines between them free")
+    height, width = film.image.shape
+    lines = pixel_from_film(film.vertices, (height, width))[0, 1:-1, 0]
+    middle = int(pixel_from_film(film.vertices, (height, width))[0, 0, 1]) + 8  # inside the first row of cells
+    profile = film.image[middle] - np.median(film.image[middle])
+    for x in lines:
+        near = np.arange(int(x) - 6, int(x) + 6)
+        centroid = (profile[near] * centres_1d(len(profile))[near]).sum() / profile[near].sum()
+        assert abs(centroid - x) < 0.1
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_gutters_are_even_about_the_vertices(empty: CtVolume, seed: int):
+    film = make(empty, seed, style_weights=(0.0, 0.0, 1.0), **BARE)
+    gap = film.parameters["gap_px"]
+    assert gap >= 2
+    assert gap % 2 == 0
+    x = pixel_from_film(film.vertices, film.image.shape)[0, 1, 0]
+    assert np.isclose(x, round(x))
+    x = round(x)
+    row = film.image[film.image.shape[0] // 2]
+    assert np.allclose(row[x - gap // 2 : x], row[x : x + gap // 2][::-1])
+
+
+def test_cells_hold_their_slices_and_nothing_else_moves_between_them(empty: CtVolume):
+    """A bright block in the volume's middle appears once in every cell, at the same place of each."""
+    hu = empty.hu.copy()
+    hu[:, 12:20, 12:20] = 1000
+    volume = CtVolume(hu, empty.spacing_mm, "block")
+    film = make(volume, 3, style_weights=(1.0, 0.0, 0.0), margin_share=0.0, **BARE)
+    height, width = film.image.shape
+    cells = film.image.reshape(film.rows, height // film.rows, film.cols, width // film.cols).swapaxes(1, 2)
+    assert np.ptp(cells, axis=(0, 1)).max() < 1e-6
+    assert (cells[0, 0] > 0.5).any()
+
+
+def test_texts_repeat_from_cell_to_cell(empty: CtVolume):
+    options = {**BARE, "longer_px": 900, "text_share": 1.0, "style_weights": (1.0, 0.0, 0.0), "margin_share": 0.0}
+    film = make(empty, 1, **options)
+    bare = make(empty, 1, **{**options, "text_share": 0.0})
+    ink = film.image != bare.image
+    height, width = ink.shape
+    cells = ink.reshape(film.rows, height // film.rows, film.cols, width // film.cols).any(axis=(1, 3))
+    assert cells.all()
+    assert 0.0 < ink.mean() < 0.2
+
+
+def test_empty_cells_stand_at_the_end(head: CtVolume):
+    film = make(
+        head, 2, empty_share=1.0, text_share=0.0, header_share=0.0, style_weights=(1.0, 0.0, 0.0), margin_share=0.0
+    )
+    assert len(film.parameters["slices"]) < film.rows * film.cols
+    x, y = (int(t) for t in pixel_from_film(film.vertices, film.image.shape)[-2, -2])
+    assert np.ptp(film.image[y + 1 :, x + 1 :]) == 0.0
+
+
+def test_all_grids_and_styles_come_up():
+    layouts = [random_layout(np.random.default_rng(s), 1792, 0.1, (1.0, 1.0, 1.0), 0.4, 0.1) for s in range(250)]
+    assert {(x.rows, x.cols) for x in layouts} == {grid for grid, _ in GRIDS}
+    assert {x.style for x in layouts} == set(STYLES)
+    aspects = np.array([x.pitch_px[0] / x.pitch_px[1] for x in layouts])
+    assert 0.4 < np.mean(np.abs(aspects - 1) < 0.01) < 0.8  # square cells are typical
+    assert aspects.min() > 0.5
+    assert aspects.max() < 2.0
+    assert 0.4 < np.mean([not any(x.margins_px) for x in layouts]) < 0.75
+
+
+def test_slices_follow_the_papers_rule():
+    for seed in range(200):
+        positions = choose_slices(np.random.default_rng(seed), 100, 20)
+        assert len(positions) == 20
+        assert positions.min() >= 0.1 * 99 - 0.5
+        assert positions.max() <= 0.9 * 99 + 0.5
+    few = choose_slices(np.random.default_rng(0), 3, 20)  # fewer slices than cells: mixed between neighbours
+    assert few.min() >= 0
+    assert few.max() <= 2
+
+
+@pytest.mark.parametrize("shape", [(1, 40, 40), (3, 8, 8), (5, 40, 24)])
+def test_odd_volumes_still_print(shape: tuple[int, int, int]):
+    for seed in range(6):
+        film = make(CtVolume(np.full(shape, 40, np.int16), (1.0, 4.0, 4.0), "odd"), seed)
+        assert np.isfinite(film.image).all()
+
+
+def test_coverage_adds_up_to_the_thickness():
+    for centre, thickness in [(10.0, 1.0), (10.0, 3.0), (10.5, 2.2), (7.5, 1.0)]:
+        first, share = coverage(centre, thickness, 20)
+        assert np.isclose(share.sum(), thickness)
+        pixels = first + centres_1d(len(share))
+        assert np.isclose((share * pixels).sum() / share.sum(), centre)
+    assert np.isclose(coverage(0.0, 3.0, 20)[1].sum(), 1.5)  # half of it hangs over the edge
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_fonts_have_ink_of_about_the_height_asked_for(family: str):
+    for height in (7, 16):
+        sprite = text_sprite("H8 -12.5", Font(family, height))
+        assert sprite.max() > 120
+        assert 0.5 * height <= sprite.shape[0] <= 2.1 * height
+
+
+def test_stamps_are_cut_at_the_rim():
+    image = np.zeros((20, 20), np.float32)
+    sprite = np.full((8, 8), 255, np.uint8)
+    for x, y in [(-4, -4), (16, 16), (-50, 3), (3, 90)]:
+        stamp(image, sprite, x, y, 1.0)
+    assert image.sum() == 2 * 16
+
+
+@pytest.mark.parametrize("options", [{"longer_px": 3}, {"longer_spread": 1.0}, {"style_weights": (0.0, 0.0, 0.0)}])
+def test_wrong_options_are_refused(options: dict):
+    with pytest.raises(ConfigError, match="PrintConfig"):
+        PrintConfig(**options)
+
+
+def test_a_full_size_print_is_quick():
+    volume = body_phantom(np.random.default_rng(0), size=128, slices=12)
+    seconds = []
+    for seed in range(5):
+        start = time.perf_counter()
+        make_print(volume, np.random.default_rng(seed))
+        seconds.append(time.perf_counter() - start)
+    assert min(seconds) < 0.5  # 0.02 s where nothing else runs and shapes are not checked

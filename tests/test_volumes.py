@@ -1,0 +1,102 @@
+"""Volumes: windowing, the .npz reader and its refusals."""
+
+import json
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from data_gen.volumes import CtVolume, is_body, load_volumes, read_npz, tissue_width_mm, window
+from hybrid.errors import DataError
+
+SHARED = os.environ.get("HYBRID_SHARED_DATA")
+
+
+def cylinder(diameter_mm: float, spacing_mm: float = 2.0) -> CtVolume:
+    """Water in air, 6 slices of 256 x 256."""
+    axis = (np.arange(256) - 127.5) * spacing_mm
+    disc = np.hypot(*np.meshgrid(axis, axis)) < diameter_mm / 2
+    hu = np.where(disc, 0, -1000).astype(np.int16)
+    return CtVolume(np.repeat(hu[None], 6, axis=0), (5.0, spacing_mm, spacing_mm), "cylinder")
+
+
+def save(path: Path, **arrays: object) -> Path:
+    np.savez(path, **arrays)
+    return path
+
+
+def test_window_maps_its_ends_to_black_and_white_and_is_monotone():
+    hu = np.arange(-1024, 3072, dtype=np.int16)
+    grey = window(hu, 40.0, 80.0)
+    assert grey.dtype == np.float32
+    assert grey[hu == 0] == 0.0
+    assert grey[hu == 80] == 1.0
+    assert grey[hu == 40] == 0.5
+    assert np.all(np.diff(grey) >= 0)
+    assert grey.min() == 0.0
+    assert grey.max() == 1.0
+
+
+def test_window_of_no_width_is_refused():
+    with pytest.raises(ValueError, match="width"):
+        window(np.zeros(3, np.int16), 0.0, 0.0)
+
+
+@pytest.mark.parametrize("diameter_mm", [150.0, 400.0])
+def test_width_of_a_cylinder_and_what_it_is_taken_for(diameter_mm: float):
+    volume = cylinder(diameter_mm)
+    assert abs(tissue_width_mm(volume) - diameter_mm) < 4 * 2 * 2.0  # two of the coarse voxels it looks at
+    assert is_body(volume) == (diameter_mm > 300)
+
+
+def test_npz_round_trip(tmp_path: Path):
+    volume = cylinder(200.0)
+    path = save(
+        tmp_path / "a.npz", hu=volume.hu, spacing_mm=np.array(volume.spacing_mm), meta=json.dumps({"name": "x"})
+    )
+    got = read_npz(path)
+    assert np.array_equal(got.hu, volume.hu)
+    assert got.spacing_mm == volume.spacing_mm
+    assert got.name == "x"
+
+
+def test_npz_damaged_or_foreign_is_refused_with_the_path(tmp_path: Path):
+    (tmp_path / "text.npz").write_text("no zip")
+    (tmp_path / "empty.npz").write_bytes(b"")
+    cases = [
+        tmp_path / "text.npz",
+        tmp_path / "empty.npz",
+        tmp_path / "missing.npz",
+        save(tmp_path / "foreign.npz", lattice=np.zeros(3)),
+        save(tmp_path / "flat.npz", hu=np.zeros((4, 4), np.int16), spacing_mm=np.ones(3)),
+        save(tmp_path / "spacing.npz", hu=np.zeros((4, 4, 4), np.int16), spacing_mm=np.array([1.0, -1.0, 1.0])),
+        save(tmp_path / "two.npz", hu=np.zeros((4, 4, 4), np.int16), spacing_mm=np.ones(2)),
+        save(tmp_path / "words.npz", hu=np.array(["a"]), spacing_mm=np.ones(3)),
+    ]
+    for path in cases:
+        with pytest.raises(DataError, match=path.stem):
+            read_npz(path)
+
+
+def test_load_volumes_finds_files_in_folders_in_order(tmp_path: Path):
+    (tmp_path / "sub").mkdir()
+    volume = cylinder(200.0)
+    for name in ("b.npz", "sub/a.npz"):
+        save(tmp_path / name, hu=volume.hu, spacing_mm=np.array(volume.spacing_mm))
+    assert [v.name for v in load_volumes(tmp_path)] == ["b", "a"]
+
+
+def test_load_volumes_says_what_to_do_where_nothing_is(tmp_path: Path):
+    with pytest.raises(DataError, match="no volume"):
+        load_volumes(tmp_path)
+    with pytest.raises(DataError, match="no such folder"):
+        load_volumes(tmp_path / "nowhere")
+
+
+@pytest.mark.skipif(SHARED is None, reason="HYBRID_SHARED_DATA is not set: no real CT volumes")
+def test_real_volumes_are_told_apart():
+    volumes = {v.name: v for v in load_volumes(Path(str(SHARED)) / "ct")}
+    assert len(volumes) >= 4
+    for name, volume in volumes.items():
+        assert is_body(volume) == name.startswith("body")
