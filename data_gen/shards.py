@@ -18,6 +18,7 @@ import numpy as np
 from data_gen.sample import Sample
 from hybrid.learn.shards import UV_LEVELS
 
+
 def _zero_filled(values: np.ndarray, scale: float, dtype: type) -> np.ndarray:
     return np.rint(np.nan_to_num(values) * scale).astype(dtype)
 

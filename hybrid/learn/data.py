@@ -41,9 +41,7 @@ class View:
     albedo: np.ndarray
 
 
-def training_view(
-    shard: Shard, index: int, px: int, rng: np.random.Generator, config: AugmentConfig | None
-) -> View:
+def training_view(shard: Shard, index: int, px: int, rng: np.random.Generator, config: AugmentConfig | None) -> View:
     """Sample ``index`` seen in a random view of ``px`` pixels; with no ``config``, as it is and undisturbed."""
     photo = rgb_from_bgr(cv2.imdecode(np.frombuffer(shard.photos[index], np.uint8), cv2.IMREAD_COLOR))
     side = photo.shape[0]
@@ -111,18 +109,30 @@ def _warped(photo: np.ndarray, photo_from_view: np.ndarray, px: int) -> np.ndarr
 def _sampled(
     shard: Shard, index: int, mask: np.ndarray, in_map: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Mask, uv, xyz and albedo at OpenCV coordinates of the maps: bilinear, of film pixels only, else 0."""
-    xy = in_map.astype(np.float32)
-    weight = cv2.remap(mask.astype(np.float32), xy, None, cv2.INTER_LINEAR)
-    seen = weight > 0.5
+    """Mask, uv, xyz and albedo at OpenCV coordinates of the maps: bilinear, of film pixels only, else 0.
 
-    def lookup(values: np.ndarray) -> np.ndarray:
-        out = cv2.remap(np.where(mask[..., None], values, 0).astype(np.float32), xy, None, cv2.INTER_LINEAR)
-        return np.where(seen[..., None], out / np.maximum(weight, 0.5)[..., None], 0).astype(np.float32)
-
-    uv3 = np.concatenate([np.asarray(shard.maps["uv"][index]) / UV_LEVELS, np.asarray(shard.maps["albedo"][index])[..., None] / 255], axis=-1)
-    both = lookup(uv3)
-    return seen, both[..., :2], lookup(np.nan_to_num(shard.maps["xyz"][index])), both[..., 2]
+    Only the four neighbours of each point are read: the maps stay on disk where nothing looks at them.
+    """
+    h, w = mask.shape
+    corner = np.floor(in_map).astype(np.int64)
+    part = (in_map - corner).astype(np.float32)
+    inside = np.zeros(in_map.shape[:2], np.float32)
+    sums = [np.zeros((*in_map.shape[:2], k), np.float32) for k in (2, 3, 1)]
+    names = ("uv", "xyz", "albedo")
+    for dy in (0, 1):
+        for dx in (0, 1):
+            x, y = corner[..., 0] + dx, corner[..., 1] + dy
+            within = (x >= 0) & (x < w) & (y >= 0) & (y < h)
+            x, y = np.clip(x, 0, w - 1), np.clip(y, 0, h - 1)
+            film = within & mask[y, x]
+            share = (part[..., 0] if dx else 1 - part[..., 0]) * (part[..., 1] if dy else 1 - part[..., 1]) * film
+            inside += share
+            for total, name in zip(sums, names, strict=True):
+                values = shard.maps[name][index][y, x].reshape(*film.shape, -1)
+                total += share[..., None] * np.where(film[..., None], values, 0)
+    seen = inside > 0.5
+    uv, xyz, albedo = (np.where(seen[..., None], t / np.maximum(inside, 0.5)[..., None], 0) for t in sums)
+    return seen, (uv / UV_LEVELS).astype(np.float32), xyz.astype(np.float32), (albedo[..., 0] / 255).astype(np.float32)
 
 
 def _relative(xyz: np.ndarray, seen: np.ndarray, record: dict, turn: float) -> np.ndarray:
@@ -142,15 +152,15 @@ def _relative(xyz: np.ndarray, seen: np.ndarray, record: dict, turn: float) -> n
 def _disturbed(image: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Gain per channel, gamma, grey, blur, noise and holes, each on a share of the views."""
     x = np.arange(256, dtype=np.float32) / 255
-    gain = np.exp2(rng.normal(0, 0.35) + rng.normal(0, 0.12, 3))
-    table = np.stack([np.clip(x ** np.exp2(rng.normal(0, 0.25)) * g, 0, 1) for g in gain], axis=-1)
+    gain = np.exp2(rng.normal(0, 0.25) + rng.normal(0, 0.06, 3))
+    table = np.stack([np.clip(x ** np.exp2(rng.normal(0, 0.2)) * g, 0, 1) for g in gain], axis=-1)
     image = cv2.LUT(image, np.rint(table * 255).astype(np.uint8)[None])
     if rng.random() < 0.15:
         image = cv2.cvtColor(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), cv2.COLOR_GRAY2RGB)
     if rng.random() < 0.15:
         image = cv2.GaussianBlur(image, (0, 0), rng.uniform(0.4, 1.2))
     if rng.random() < 0.3:
-        noise = rng.normal(0, rng.uniform(1, 10), image.shape)
+        noise = rng.standard_normal(image.shape, dtype=np.float32) * np.float32(rng.uniform(1, 10))
         image = np.clip(image + noise, 0, 255).astype(np.uint8)
     if rng.random() < 0.1:
         x0, y0 = rng.integers(0, image.shape[0], 2)

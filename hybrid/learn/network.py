@@ -20,7 +20,7 @@ class FilmNetConfig:
 
     widths: tuple[int, int, int, int] = (32, 80, 160, 320)
     blocks: tuple[int, int, int] = (1, 2, 3)
-    input_px: int = 256
+    input_px: int = 192
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,9 +58,7 @@ class _Residual(nn.Module):
     def __init__(self, channels: int) -> None:
         super().__init__()
         self.first = _ConvNorm(channels, channels, 3, 1)
-        self.second = nn.Sequential(
-            nn.Conv2d(channels, channels, 3, 1, 1, bias=False), nn.BatchNorm2d(channels)
-        )
+        self.second = nn.Sequential(nn.Conv2d(channels, channels, 3, 1, 1, bias=False), nn.BatchNorm2d(channels))
 
     def forward(self, x: Tensor) -> Tensor:
         return functional.relu(x + self.second(self.first(x)))

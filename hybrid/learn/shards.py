@@ -65,11 +65,19 @@ def open_dataset(folder: Path) -> list[Shard]:
     shards = sorted(path for path in folder.glob("shard_*") if path.suffix != ".part")
     if not described.exists() or not shards:
         raise DataError(
-            describe(what="data set", where=folder, got="no finished shard", do="Make one: python -m data_gen.generate.")
+            describe(
+                what="data set", where=folder, got="no finished shard", do="Make one: python -m data_gen.generate."
+            )
         )
     version = json.loads(described.read_text())["conventions"]
     if version != CONVENTIONS_VERSION:
         raise DataError(
-            describe(what="data set", where=folder, got=f"conventions {version}", allowed=CONVENTIONS_VERSION, do="Make it again.")
+            describe(
+                what="data set",
+                where=folder,
+                got=f"conventions {version}",
+                allowed=CONVENTIONS_VERSION,
+                do="Make it again.",
+            )
         )
     return [open_shard(path) for path in shards]

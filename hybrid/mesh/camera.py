@@ -80,7 +80,7 @@ class Camera:
 def look_at(
     eye_mm: Float[np.ndarray, "3"], target_mm: Float[np.ndarray, "3"], down: Float[np.ndarray, "3"]
 ) -> Float[np.ndarray, "4 4"]:
-    """camera_from_world of a camera that looks from ``eye_mm`` at ``target_mm``; world ``down`` points to the photo's foot."""
+    """camera_from_world of a camera at ``eye_mm`` that looks at ``target_mm``; ``down`` points to the photo's foot."""
     forward = (target_mm - eye_mm) / np.linalg.norm(target_mm - eye_mm)
     right = np.cross(down, forward)
     right = right / np.linalg.norm(right)

@@ -104,8 +104,8 @@ class FilmCaster:
         if points[:, 2].min() <= 1.0:
             return slice(0, h), slice(0, w)
         photo = camera.photo_from_camera(points)
-        left, top = np.clip(np.floor(photo.min(axis=0)).astype(int), 0, [w - 1, h - 1])
-        right, bottom = np.clip(np.ceil(photo.max(axis=0)).astype(int), [left + 1, top + 1], [w, h])
+        left, top = np.clip(np.floor(photo.min(axis=0)).astype(int), 0, [w - 1, h - 1]).tolist()
+        right, bottom = np.clip(np.ceil(photo.max(axis=0)).astype(int), [left + 1, top + 1], [w, h]).tolist()
         return slice(top, bottom), slice(left, right)
 
 

@@ -1,0 +1,159 @@
+"""The whole way from a photo to the flat film, as a sequence of stages that each report what they did and why."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import UInt8
+
+from hybrid.backward import BackwardMap
+from hybrid.image_io import as_photo
+from hybrid.learn.network import FilmNet, fused
+from hybrid.learn.predict import PredictConfig, film_window, look, whole
+from hybrid.learn.weights import load_weights, packaged_weights
+from hybrid.records import CoarseMaps, RectifyResult, SliceGrid, StageReport, Status, StatusCode
+from hybrid.rectify.deilluminate import DeilluminateConfig, deilluminate, film_guide
+from hybrid.rectify.film_size import FilmSizeConfig, film_size
+from hybrid.rectify.invert import Inversion, InvertConfig, NotInverted, fit_backward
+from hybrid.rectify.refine import RefineConfig, Refinement, refine
+from hybrid.rectify.resample import rectify_photo
+from hybrid.rectify.survey import SurveyConfig, survey_maps, survey_photo
+
+Photo = UInt8[np.ndarray, "H W 3"]
+
+
+@dataclass(frozen=True)
+class RectifyConfig:
+    """How photos are rectified; every stage has its own options.
+
+    weights: a FilmNet file made by ``hybrid train``, or None for the packaged one.
+    """
+
+    weights: Path | None = None
+    survey: SurveyConfig = field(default_factory=SurveyConfig)
+    predict: PredictConfig = field(default_factory=PredictConfig)
+    invert: InvertConfig = field(default_factory=InvertConfig)
+    refine: RefineConfig = field(default_factory=RefineConfig)
+    size: FilmSizeConfig = field(default_factory=FilmSizeConfig)
+    light: DeilluminateConfig = field(default_factory=DeilluminateConfig)
+
+
+class Rectifier:
+    """Rectifies photos; the network is loaded once, here.
+
+    Raises:
+        DataError: ``config.weights`` is not a weights file.
+    """
+
+    def __init__(self, config: RectifyConfig | None = None) -> None:
+        self.config = config or RectifyConfig()
+        weights = self.config.weights
+        self._network: FilmNet = fused(packaged_weights() if weights is None else load_weights(weights))
+
+    def __call__(self, source: str | Path | np.ndarray) -> RectifyResult:
+        """The flat film of a photo.
+
+        Args:
+            source: a path, (H, W, 3) uint8 RGB, or (H, W) uint8.
+
+        Raises:
+            PhotoError: the source cannot be read as a photo. A photo without a film is no error but a status.
+        """
+        clock = _Clock()
+        with clock.stage("read") as report:
+            photo = as_photo(source)
+            report.reason = f"{photo.shape[1]} x {photo.shape[0]} pixels"
+        with clock.stage("survey") as report:
+            seen = survey_photo(photo, self.config.survey)
+            report.reason = seen.reason
+        if not seen.ok:
+            return RectifyResult(Status(seen.code), clock.reports)
+        maps, inversion = self._see(photo, clock)
+        with clock.stage("check") as report:
+            verdict = survey_maps(maps, inversion, self.config.survey)
+            report.reason = verdict.reason
+        if not verdict.ok or isinstance(inversion, NotInverted):
+            code = StatusCode.NO_FILM if verdict.ok else verdict.code
+            return RectifyResult(Status(code), clock.reports)
+        refinement = refine(photo, inversion.backward, self.config.refine)
+        clock.reports += refinement.stages
+        return self._finish(photo, maps, refinement, clock)
+
+    def _see(self, photo: Photo, clock: _Clock) -> tuple[CoarseMaps, Inversion | NotInverted]:
+        """What the network makes of the photo: a look at the whole, then one at the film if that shows it larger."""
+        config = self.config.predict
+        with clock.stage("network") as report:
+            first = whole((photo.shape[0], photo.shape[1]))
+            maps = look(self._network, photo, first)
+            window = film_window(maps, config)
+            if window is not None and first.side / window.side >= config.worth:
+                maps = look(self._network, photo, window)
+                report.reason = f"looked twice: the film fills {window.side / first.side:.0%} of the photo"
+            else:
+                report.reason = "one look: the film fills the photo" if window else "one look: nothing like a film"
+        with clock.stage("invert") as report:
+            inversion = fit_backward(maps, self.config.invert)
+            if isinstance(inversion, NotInverted):
+                report.reason = inversion.reason
+            else:
+                report.reason = f"uv map explained to {inversion.residual_px:.1f} px"
+        return maps, inversion
+
+    def _finish(self, photo: Photo, maps: CoarseMaps, refinement: Refinement, clock: _Clock) -> RectifyResult:
+        """Read the photo once through the map, then take the light out."""
+        backward: BackwardMap = refinement.backward
+        grid: SliceGrid | None = refinement.grid
+        with clock.stage("resample") as report:
+            size = film_size(backward, maps, grid, self.config.size)
+            flat = rectify_photo(photo, backward, size)
+            report.reason = f"to {size[1]} x {size[0]} pixels"
+        with clock.stage("light") as report:
+            light = deilluminate(flat.image, flat.valid, film_guide(maps, backward), grid, self.config.light)
+            report.ran, report.reason = light.ran, light.reason
+        return RectifyResult(
+            status=Status(StatusCode.OK),
+            stages=clock.reports,
+            film=light.film,
+            rectified=flat.image,
+            backward=backward,
+            grid=grid,
+            glare=light.glare,
+            confidence=light.confidence,
+        )
+
+
+@lru_cache(maxsize=1)
+def _default_rectifier() -> Rectifier:
+    return Rectifier()
+
+
+def rectify(photo: str | Path | np.ndarray) -> RectifyResult:
+    """Rectify one photo with the packaged network and default options; see Rectifier."""
+    return _default_rectifier()(photo)
+
+
+@dataclass
+class _Report:
+    """What a stage says of itself while it runs."""
+
+    reason: str = ""
+    ran: bool = True
+
+
+class _Clock:
+    """Collects the reports of the stages of one photo, with their seconds."""
+
+    def __init__(self) -> None:
+        self.reports: tuple[StageReport, ...] = ()
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[_Report]:
+        report, start = _Report(), time.perf_counter()
+        yield report
+        self.reports += (StageReport(name, report.ran, report.reason, time.perf_counter() - start),)
