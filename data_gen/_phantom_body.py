@@ -17,9 +17,10 @@ AIR, FAT, MUSCLE, LUNG, BONE = -1000.0, -100.0, 50.0, -850.0, 700.0
 
 @dataclass(frozen=True, eq=False)
 class _Trunk:
-    """One trunk: half width and depth in mm, thickness of the fat, organs, the height of the diaphragm."""
+    """One trunk: half width and depth in mm, exponent of the outline (2 is an ellipse), thickness of the fat, organs, the height of the diaphragm."""
 
     radii: tuple[float, float]
+    squareness: float
     fat_mm: float
     lungs: tuple[Blob, ...]
     chest: tuple[Blob, ...]
@@ -54,7 +55,7 @@ def body_phantom(rng: np.random.Generator, size: int = 256, slices: int = 30) ->
 
 def _random_trunk(rng: np.random.Generator) -> _Trunk:
     wide = rng.uniform(145, 185)
-    deep = wide * rng.uniform(0.6, 0.75)
+    deep = wide * rng.uniform(0.6, 0.8)
     s, t = wide / 165, deep / 110
     fat = rng.uniform(6, 28)
     vessel = rng.choice([45.0, rng.uniform(140, 320)])
@@ -103,7 +104,7 @@ def _random_trunk(rng: np.random.Generator) -> _Trunk:
     ]
     spine = (*vertebrae, at(0, 76, 0, 9, 8, 600, 20.0))
     return _Trunk(
-        (wide, deep), fat, lungs, chest, belly, spine, rng.uniform(0.5, 1.1), rng.uniform(24, 32), float(vessel),
+        (wide, deep), rng.uniform(1.9, 2.5), fat, lungs, chest, belly, spine, rng.uniform(0.5, 1.1), rng.uniform(24, 32), float(vessel),
         (deep + rng.uniform(4, 16), rng.uniform(250, 900)),
     )  # fmt: skip
 
@@ -111,7 +112,8 @@ def _random_trunk(rng: np.random.Generator) -> _Trunk:
 def _draw_slice(trunk: _Trunk, plane: Plane, texture: Canvas, fine: Canvas) -> Canvas:
     canvas = np.full(plane.x.shape, AIR, np.float32)
     wide, deep = trunk.radii
-    squircle = (np.abs(plane.x / wide) ** 2.4 + np.abs(plane.y / deep) ** 2.4) ** np.float32(1 / 2.4)
+    power = np.float32(trunk.squareness)
+    squircle = (np.abs(plane.x / wide) ** power + np.abs(plane.y / deep) ** power) ** (1 / power)
     skin = (squircle - 1.0) * np.float32(deep)
     wall = skin + np.float32(trunk.fat_mm) * (1.0 + 0.5 * np.clip(-plane.y / deep, -0.6, 1.0))
     blend(canvas, np.clip(0.5 - skin, 0, 1), 0.0)

@@ -109,8 +109,22 @@ def _surface(rng: np.random.Generator, hit: _Hits) -> Float[np.ndarray, "n 1"]:
     pool = np.exp(-((hit.a - centre_a) ** 2 + (hit.b - centre_b) ** 2) / (2 * size**2))
     phase = rng.uniform(0, 6.3, 4)
     blotch = np.sin(2.1 * hit.a + phase[0] + np.sin(1.7 * hit.b + phase[1])) * np.sin(2.7 * hit.b + phase[2])
+    blotch = blotch + _pattern(rng, hit)
     shade = (0.4 + rng.uniform(0.2, 1.2) * pool) * (1 - rng.uniform(0.1, 0.4) * corner) * (1 + 0.06 * blotch)
     return np.maximum(shade, 0.02)[:, None].astype(np.float32)
+
+
+def _pattern(rng: np.random.Generator, hit: _Hits) -> Float[np.ndarray, " n"] | float:
+    """Planks, tiles or panels: steps of brightness from one to the next, dark joints; often nothing."""
+    if rng.random() < 0.5:
+        return 0.0
+    pitch_a, pitch_b = rng.uniform(0.1, 0.8), rng.uniform(0.1, 2.5)
+    row = np.floor(hit.b / pitch_b)
+    a, b = hit.a / pitch_a + 0.37 * row, hit.b / pitch_b
+    hashed = np.sin(12.9898 * np.floor(a) + 78.233 * row) * 43758.5453  # the usual shader hash: no table needed
+    joint = (a % 1.0 < 0.02 / pitch_a) | (b % 1.0 < 0.02 / pitch_b)
+    strength = rng.uniform(0.5, 4.0)
+    return strength * (2.0 * (hashed % 1.0) - 1.0) - 6.0 * joint
 
 
 def _rectangle(hit: _Hits, a: tuple[float, float], b: tuple[float, float]) -> Int[np.ndarray, " m"]:
@@ -155,8 +169,8 @@ def _add_wall_things(
     rng: np.random.Generator, out: Float[np.ndarray, "n 3"], hit: _Hits, floor: bool, day: bool
 ) -> None:
     """Clutter everywhere; on walls also doors, shelves, pictures, screens and windows."""
-    for _ in range(int(rng.integers(0, 9))):
-        length, height = rng.uniform(0.1, 1.6), rng.uniform(0.1, 1.2)
+    for _ in range(int(rng.integers(0, 14))):
+        length, height = np.exp(rng.uniform(np.log(0.05), np.log(1.8), 2))
         low = rng.uniform(*hit.span_b) if floor or rng.random() < 0.3 else hit.span_b[0]
         inside = _rectangle(hit, _place(rng, hit.span_a, length), (low, low + height))
         out[hit.index[inside]] = _tint(rng, 0.7) * rng.uniform(0.02, 0.9)
@@ -223,8 +237,9 @@ def _add_lamp_spots(
 
 
 def _tint(rng: np.random.Generator, strength: float) -> Float[np.ndarray, " 3"]:
-    """A colour of mean 1, whiter for small ``strength``."""
-    colour = np.maximum(1.0 + strength * rng.uniform(-1.0, 1.0, 3), 0.05)
+    """A colour of mean 1, whiter for small ``strength``; mostly between orange and blue, as lamps and walls are."""
+    warm = rng.uniform(-1.0, 1.0) * np.array([1.0, 0.1, -1.0])
+    colour = np.maximum(1.0 + strength * (warm + 0.35 * rng.uniform(-1.0, 1.0, 3)), 0.05)
     return (colour / colour.mean()).astype(np.float32)
 
 
