@@ -59,6 +59,10 @@ class GridConfig:
     """Prior standard deviation of a comb's place, in film units."""
     pitch_sigma: float = 0.004
     """Prior standard deviation of a comb's pitch, in film units."""
+    snug: float = 0.008
+    """A grid whose ends lie this near to the film's edges is taken to fill the film."""
+    snug_sigma: float = 0.001
+    """Prior standard deviation of its place then, in film units."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,6 +92,12 @@ class Comb:
         """The comb with its lines where they belong: for a view through a map that has been put right."""
         places = np.repeat(self.lines()[self.seen][:, None], self.tracks.shape[1], axis=1)
         return replace(self, tracks=places)
+
+    def adjusted(self, sightings: Sightings, constants: Float[np.ndarray, "2"]) -> Comb:
+        """With the place and pitch that a fit of its sightings found."""
+        middle = float(np.mean((sightings.known - self.first) / self.pitch))
+        first = self.first + float(constants[0] - middle * constants[1])
+        return replace(self, first=first, pitch=self.pitch + float(constants[1]))
 
     def lines(self) -> Float[np.ndarray, " n"]:
         """Film coordinates of all lines, the grid's ends included."""
@@ -297,9 +307,11 @@ def follow_comb(view: FilmView, comb: Comb, config: GridConfig) -> Sightings | N
     number = inner[index].astype(np.float64)
     sigma = np.full(len(across), config.sigma_px / h * np.sqrt(max(1.0, n / config.stations)))
     shared = np.column_stack([np.ones(len(across)), number - number.mean()])
-    return Sightings(
-        comb.axis, uv, lines[inner[index]], sigma, shared, np.array([config.origin_sigma, config.pitch_sigma])
-    )
+    shared_sigma = np.array([config.origin_sigma, config.pitch_sigma])
+    if max(abs(lines[0]), abs(1.0 - lines[-1])) < config.snug:
+        lines = np.linspace(0.0, 1.0, comb.cells + 1)
+        shared_sigma = config.snug_sigma * np.array([1.0, 1.0 / comb.cells])
+    return Sightings(comb.axis, uv, lines[inner[index]], sigma, shared, shared_sigma)
 
 
 def _peaks_on_paths(

@@ -22,6 +22,7 @@ from hybrid.records import SliceGrid, StageReport
 from hybrid.rectify.film_view import FilmView, view_film
 from hybrid.rectify.grid import Comb, GridConfig, find_comb, follow_comb
 from hybrid.rectify.outline import OutlineConfig, find_outline
+from hybrid.rectify.repeat import MatchRound, RepeatConfig, Repeats, find_repeats, match_cells
 from hybrid.rectify.sightings import (
     Displacement,
     DisplacementFit,
@@ -38,11 +39,14 @@ class RefineConfig:
 
     outline: OutlineConfig = field(default_factory=OutlineConfig)
     grid: GridConfig = field(default_factory=GridConfig)
+    repeat: RepeatConfig = field(default_factory=RepeatConfig)
     spline: SplineConfig = field(default_factory=SplineConfig)
     working_px: int = 1000
     """Longer side of the film, in pixels, at which the photo is looked at; larger films are scaled down to it."""
     near_band: float = 0.015
     """Half width of the search band for edges once the map has been improved, in film units."""
+    sure_lines: float = 0.95
+    """Share of the film's length on which lines must be seen if nothing repeats at their pitch."""
     max_move: float = 0.08
     """Largest displacement believed, in film units."""
     min_gain: float = 0.9
@@ -75,37 +79,106 @@ def refine(photo: UInt8[np.ndarray, "H W 3"], coarse: BackwardMap, config: Refin
     the correction does not explain the photo better, or where it would fold the film or move it too far; the
     report of stage ``spline`` says which. Raises nothing on any photo.
     """
-    start = perf_counter()
+    clock = _Clock()
     scene = _working_scene(photo, coarse, config)
-    nothing = no_displacement(config.spline)
     outline = find_outline(scene.photo, scene.coarse, config.outline)
-    rough = fit_displacement(outline, config.spline).displacement if outline else nothing
-    outline_seconds = perf_counter() - start
+    displacement = no_displacement(config.spline)
+    if outline:
+        displacement = fit_displacement(outline, config.spline).displacement
+    clock.lap("outline")
 
-    start = perf_counter()
-    combs, grid_sightings = _find_grid(scene, rough, config)
-    grid_seconds = perf_counter() - start
-
-    start = perf_counter()
-    first = [*outline, *(rough.lift(s) for s in grid_sightings)]
-    if not first:
-        return _unchanged(coarse, "no edge, rule or gutter was seen", (outline_seconds, grid_seconds, 0.0))
-    better = fit_displacement(first, config.spline).displacement
+    layout, evidence, fit = _Layout(), [_Evidence(s) for s in outline], None
     near = replace(config.outline, band=config.near_band)
-    again = find_outline(scene.photo, better.composed(scene.coarse), near)
-    sightings = [better.lift(s) for s in (*again, *_follow(scene, better, combs, config))]
-    fit = fit_displacement(sightings, config.spline)
-    backward, verdict = _judge(coarse, sightings, fit, config)
-    seconds = (outline_seconds, grid_seconds, perf_counter() - start)
+    for search in config.repeat.rounds:
+        view = _view(scene, displacement)
+        layout = _find_layout(view, layout, config)
+        evidence = _observe_print(view, layout, search, config)
+        clock.lap("grid")
+        edges = find_outline(scene.photo, displacement.composed(scene.coarse), near)
+        evidence = [e.lifted(displacement) for e in (*evidence, *map(_Evidence, edges))]
+        clock.lap("outline")
+        if not evidence:
+            return _unchanged(coarse, "no edge, rule, gutter or repeated text was seen", clock)
+        fit = fit_displacement([e.sightings for e in evidence], config.spline)
+        displacement, layout = fit.displacement, layout.adjusted(evidence, fit)
+        clock.lap("spline")
+        if not (layout.any_found or outline):
+            break
+    backward, verdict = _judge(coarse, [e.sightings for e in evidence], fit, config)
+    clock.lap("spline")
     if backward is None:
-        return _unchanged(coarse, verdict, seconds)
-    grid = _slice_grid(combs, sightings, fit, backward)
+        return _unchanged(coarse, verdict, clock)
     stages = (
-        StageReport("outline", bool(again), _outline_reason(again), seconds[0]),
-        StageReport("grid", any(combs), _grid_reason(combs), seconds[1]),
-        StageReport("spline", True, verdict, seconds[2]),
+        StageReport("outline", any(e.source is None for e in evidence), _outline_reason(evidence), clock["outline"]),
+        StageReport("grid", layout.any_found, layout.reason(), clock["grid"]),
+        StageReport("spline", True, verdict, clock["spline"]),
     )
-    return Refinement(backward, grid, stages)
+    return Refinement(backward, _slice_grid(layout, backward), stages)
+
+
+@dataclass(frozen=True, eq=False)
+class _Evidence:
+    """Sightings and what they are of: a comb of lines, cells that repeat, or (None) the sheet's edge."""
+
+    sightings: Sightings
+    source: Comb | Repeats | None = None
+
+    def lifted(self, displacement: Displacement) -> _Evidence:
+        """As if seen through the coarse map."""
+        return replace(self, sightings=displacement.lift(self.sightings))
+
+
+@dataclass(frozen=True, eq=False)
+class _Layout:
+    """What is known of the grid along u and along v."""
+
+    combs: tuple[Comb | None, Comb | None] = (None, None)
+    repeats: tuple[Repeats | None, Repeats | None] = (None, None)
+
+    @property
+    def any_found(self) -> bool:
+        """True where lines or repetition were found along any axis."""
+        return any(x is not None for x in (*self.combs, *self.repeats))
+
+    def along(self, axis: int) -> Comb | Repeats | None:
+        """What is best known along one axis."""
+        return self.combs[axis] if self.combs[axis] is not None else self.repeats[axis]
+
+    def adjusted(self, evidence: Sequence[_Evidence], fit: DisplacementFit) -> _Layout:
+        """With the places and pitches that the fit found; lines are straight through the map that it gives."""
+        combs, repeats = list(self.combs), list(self.repeats)
+        for e, constants in zip(evidence, fit.constants, strict=True):
+            if isinstance(e.source, Comb):
+                combs[e.source.axis] = e.source.adjusted(e.sightings, constants).straight()
+            elif isinstance(e.source, Repeats):
+                repeats[e.source.axis] = e.source.adjusted(constants)
+        return _Layout((combs[0], combs[1]), (repeats[0], repeats[1]))
+
+    def reason(self) -> str:
+        """What was found, for the report."""
+        found = []
+        for axis, name in ((0, "columns"), (1, "rows")):
+            best = self.along(axis)
+            how = "lines" if isinstance(best, Comb) else "repetition"
+            found.append(f"{best.cells} {name} by {how}" if best is not None else f"no {name} seen")
+        return ", ".join(found)
+
+
+class _Clock:
+    """Seconds spent in each stage."""
+
+    def __init__(self) -> None:
+        self._last = perf_counter()
+        self._spent: dict[str, float] = {}
+
+    def lap(self, stage: str) -> None:
+        """Books the time since the last call on a stage."""
+        now = perf_counter()
+        self._spent[stage] = self._spent.get(stage, 0.0) + now - self._last
+        self._last = now
+
+    def __getitem__(self, stage: str) -> float:
+        return self._spent.get(stage, 0.0)
 
 
 # ---------------------------------------------------------------- steps
@@ -131,30 +204,45 @@ def _view(scene: _Scene, displacement: Displacement) -> FilmView:
     return view_film(scene.grey, displacement.composed(scene.coarse), film_centres_1d(width), film_centres_1d(height))
 
 
-def _find_grid(
-    scene: _Scene, displacement: Displacement, config: RefineConfig
-) -> tuple[tuple[Comb | None, Comb | None], list[Sightings]]:
-    """Combs of columns (lines u = const) and rows (v = const), each only if it can be followed, and their sightings."""
-    view = _view(scene, displacement)
-    combs: list[Comb | None] = []
-    found = []
+def _find_layout(view: FilmView, known: _Layout, config: RefineConfig) -> _Layout:
+    """What is found of the grid in this view, added to what was known. Lines that contradict the repeats are dropped:
+    tables and bones make lines too."""
+    grey = view.image[..., 0]
+    combs, repeats = list(known.combs), list(known.repeats)
     for axis in (0, 1):
-        comb = find_comb(view.image[..., 0], axis, config.grid)
+        if repeats[axis] is None:
+            repeats[axis] = find_repeats(grey, axis, config.repeat)
+        comb, repeat = combs[axis], repeats[axis]
+        if comb is None:
+            comb = find_comb(grey, axis, config.grid)
+            if comb is not None and not _plausible(comb, repeat, config):
+                comb = None
+        if comb is not None and follow_comb(view, comb, config.grid) is None:
+            comb = None
+        combs[axis] = comb
+    return _Layout((combs[0], combs[1]), (repeats[0], repeats[1]))
+
+
+def _plausible(comb: Comb, repeat: Repeats | None, config: RefineConfig) -> bool:
+    """True where the cells repeat at the comb's pitch or, if no repetition is seen, the lines are unbroken."""
+    if repeat is None:
+        return comb.strength >= config.sure_lines
+    return abs(comb.pitch - repeat.pitch) < 0.04 * repeat.pitch
+
+
+def _observe_print(view: FilmView, layout: _Layout, search: MatchRound, config: RefineConfig) -> list[_Evidence]:
+    """Sightings of lines and, where they are missing along an axis, of what the cells have in common."""
+    evidence = []
+    for comb in layout.combs:
         sightings = follow_comb(view, comb, config.grid) if comb is not None else None
-        combs.append(comb if sightings is not None else None)
-        found += [sightings] if sightings is not None else []
-    return (combs[0], combs[1]), found
-
-
-def _follow(
-    scene: _Scene, displacement: Displacement, combs: tuple[Comb | None, Comb | None], config: RefineConfig
-) -> list[Sightings]:
-    """The combs' lines observed again through a better map."""
-    if not any(combs):
-        return []
-    view = _view(scene, displacement)
-    again = [follow_comb(view, comb.straight(), config.grid) for comb in combs if comb is not None]
-    return [s for s in again if s is not None]
+        if sightings is not None:
+            evidence.append(_Evidence(sightings, comb))
+    columns, rows = layout.repeats
+    if columns is not None and rows is not None and None in layout.combs:
+        evidence += [
+            _Evidence(s, layout.repeats[s.axis]) for s in match_cells(view, columns, rows, search, config.repeat)
+        ]
+    return evidence
 
 
 def _judge(
@@ -208,46 +296,26 @@ def _without_shared(sightings: Sightings) -> Float[np.ndarray, " n"]:
 # ---------------------------------------------------------------- reports
 
 
-def _slice_grid(
-    combs: tuple[Comb | None, Comb | None], sightings: list[Sightings], fit: DisplacementFit, backward: BackwardMap
-) -> SliceGrid | None:
-    """The grid of two combs at the place and pitch that the fit found; None where one of them is missing."""
-    columns, rows = combs
+def _slice_grid(layout: _Layout, backward: BackwardMap) -> SliceGrid | None:
+    """The grid of slices; None where an axis shows neither lines nor repetition."""
+    columns, rows = (layout.along(axis) for axis in (0, 1))
     if columns is None or rows is None:
         return None
-    lines = []
-    for comb in (columns, rows):
-        place = comb.lines()
-        for s, constants in zip(sightings, fit.constants, strict=True):
-            if s.axis == comb.axis and s.shared.shape[1] == 2:
-                number, mean = np.arange(comb.cells + 1), _mean_line(s, comb)
-                place = place + constants[0] + constants[1] * (number - mean)
-        lines.append(np.clip(place, 0.0, 1.0))
-    u, v = np.meshgrid(lines[0], lines[1])
+    u, v = np.meshgrid(np.clip(columns.lines(), 0.0, 1.0), np.clip(rows.lines(), 0.0, 1.0))
     vertices = np.stack([u, v], axis=-1)
-    confidence = float(min(columns.strength, rows.strength, 1.0))
+    trust = [a.strength if isinstance(a, Comb) else a.correlation for a in (columns, rows)]
+    confidence = float(np.clip(min(trust), 0.0, 1.0))
     return SliceGrid(rows.cells, columns.cells, vertices, backward.photo_from_film(vertices), confidence)
 
 
-def _mean_line(sightings: Sightings, comb: Comb) -> float:
-    """Mean index of the lines sighted: where the comb's place and pitch were made independent."""
-    return float(np.mean((sightings.known - comb.first) / comb.pitch))
+def _outline_reason(evidence: Sequence[_Evidence]) -> str:
+    edges = [e.sightings for e in evidence if e.source is None]
+    return f"{len(edges)} of 4 edges, {sum(len(s) for s in edges)} points"
 
 
-def _outline_reason(outline: Sequence[Sightings]) -> str:
-    return f"{len(outline)} of 4 edges, {sum(len(s) for s in outline)} points"
-
-
-def _grid_reason(combs: tuple[Comb | None, Comb | None]) -> str:
-    names = [f"{c.cells} {name}" for c, name in zip(combs, ("columns", "rows"), strict=True) if c is not None]
-    return " x ".join(names) if names else "no rules or gutters seen"
-
-
-def _unchanged(coarse: BackwardMap, reason: str, seconds: tuple[float, float, float]) -> Refinement:
-    names = ("outline", "grid", "spline")
-    return Refinement(
-        coarse, None, tuple(StageReport(name, False, reason, s) for name, s in zip(names, seconds, strict=True))
-    )
+def _unchanged(coarse: BackwardMap, reason: str, clock: _Clock) -> Refinement:
+    stages = tuple(StageReport(name, False, reason, clock[name]) for name in ("outline", "grid", "spline"))
+    return Refinement(coarse, None, stages)
 
 
 __all__ = ["RefineConfig", "Refinement", "held_out_residuals", "refine"]

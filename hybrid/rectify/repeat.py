@@ -1,0 +1,272 @@
+"""Cells that look alike: what a film without rules still tells about its grid.
+
+Corner texts, scale bars and tables are printed at the same place of every cell, and slices of one series look
+alike. The pitch shows in the autocorrelation of the flat film. Then windows of each cell are matched to the mean
+cell. A match observes where the cell's content lies relative to the other cells; distortions that all cells
+share stay unknown constants, one for each window, which the sheet's outline has to pin.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from jaxtyping import Float
+
+from hybrid.coords import opencv_from_photo
+from hybrid.rectify.film_view import FilmView
+from hybrid.rectify.sightings import Sightings
+
+
+@dataclass(frozen=True)
+class MatchRound:
+    """How cells are matched in one round: far, coarse and by all their detail first; then by their texts."""
+
+    reach_px: int
+    """How far a window is searched, in pixels of the view."""
+    fine_px: float
+    """Details below this size are smoothed away."""
+    window_share: float
+    """Side of a window, as a fraction of the cell's."""
+    agreement: float
+    """Power of the share that all cells have in common, by which details of the mean cell are weighted."""
+
+
+@dataclass(frozen=True)
+class RepeatConfig:
+    """Options of the search for cells that repeat."""
+
+    max_cells: int = 10
+    """Most cells along one side."""
+    margin: float = 0.06
+    """Widest margin on either side of the grid, in film units."""
+    min_correlation: float = 0.2
+    """Least autocorrelation of the film at one pitch."""
+    octave_ratio: float = 0.8
+    """Of the pitches that correlate at least this well relative to the best, the smallest counts."""
+    windows: int = 14
+    """Windows of a cell that are matched: those with most detail that all cells have in common."""
+    rounds: tuple[MatchRound, ...] = (
+        MatchRound(10, 2.0, 0.32, 0.0),
+        MatchRound(6, 1.5, 0.28, 1.0),
+        MatchRound(4, 1.2, 0.24, 2.0),
+    )
+    """What is done in each round of the refinement."""
+    min_match: float = 0.5
+    """Least normalised correlation of a window with the mean cell."""
+    sigma_px: tuple[float, float] = (0.4, 1.5)
+    """Least noise stated for a match, and the largest with which it still counts, in pixels of the view."""
+    constant_sigma: float = 0.01
+    """Prior standard deviation of what all cells share in one window, in film units."""
+    pitch_sigma: float = 0.004
+    """Prior standard deviation of the pitch, in film units."""
+    snug: float = 0.992
+    """A grid that fills more than this fraction of the film is taken to have no margins."""
+
+
+@dataclass(frozen=True)
+class Repeats:
+    """Cells that repeat along one axis (0: u, 1: v): cell i starts at ``first + i * pitch``, in film units."""
+
+    axis: int
+    first: float
+    pitch: float
+    cells: int
+    correlation: float
+
+    def lines(self) -> Float[np.ndarray, " n"]:
+        """Film coordinates of the cells' ends."""
+        return self.first + self.pitch * np.arange(self.cells + 1)
+
+    def adjusted(self, constants: Float[np.ndarray, " g"]) -> Repeats:
+        """With the pitch that a fit of its matches found; the place, which texts do not tell, stays centred."""
+        pitch = float(np.clip(self.pitch + constants[-1], 0.5 * self.pitch, 1.0 / self.cells))
+        return replace(self, first=0.5 * (1.0 - self.cells * pitch), pitch=pitch)
+
+
+def detail(image: Float[np.ndarray, "h w"], fine: float, coarse: float) -> Float[np.ndarray, "h w"]:
+    """The image without its light (scales above ``coarse`` px) and noise (below ``fine`` px), strong contrasts cut."""
+    band = cv2.GaussianBlur(image, (0, 0), fine) - cv2.GaussianBlur(image, (0, 0), coarse)
+    cap = 3.0 * float(np.mean(np.abs(band))) + 1e-3
+    return np.clip(band, -cap, cap)
+
+
+def find_repeats(grey: Float[np.ndarray, "h w"], axis: int, config: RepeatConfig) -> Repeats | None:
+    """The pitch at which the flat film looks like itself along one axis; None where it does not."""
+    small = cv2.resize(grey, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
+    band = detail(small, 2.0, 8.0)
+    curve = _autocorrelation(band if axis == 0 else band.T)
+    n = len(curve)
+    best: list[tuple[float, int, float]] = []
+    for cells in range(2, config.max_cells + 1):
+        low = int(np.floor((1.0 - 2.0 * config.margin) / cells * n))
+        high = min(int(np.ceil(1.01 / cells * n)), n - 2)
+        if low < 8:
+            break
+        lag = low + int(np.argmax(curve[low : high + 1]))
+        left, here, right = curve[lag - 1 : lag + 2]
+        if here < max(left, right):
+            continue  # a slope, not a peak
+        shift = 0.5 * (left - right) / min(left - 2 * here + right, -1e-9)
+        best.append((float(here), cells, float(np.clip((lag + shift) / n, 0.0, 1.0 / cells))))
+    top = max((b[0] for b in best), default=0.0)
+    if top < config.min_correlation:
+        return None
+    correlation, cells, pitch = [b for b in best if b[0] >= config.octave_ratio * top][-1]
+    if pitch * cells > config.snug:
+        pitch = 1.0 / cells
+    return Repeats(axis, 0.5 * (1.0 - cells * pitch), pitch, cells, correlation)
+
+
+def _autocorrelation(band: Float[np.ndarray, "h w"]) -> Float[np.ndarray, " n"]:
+    """Correlation of the image with itself shifted by 0, 1, ... w - 1 columns, over what overlaps."""
+    w = band.shape[1]
+    size = 2 * cv2.getOptimalDFTSize(w)
+    spectrum = np.fft.rfft(band, size, axis=1)
+    products = np.fft.irfft(np.sum(np.abs(spectrum) ** 2, axis=0), size)[:w]
+    energy = np.cumsum(np.sum(band**2, axis=0))
+    # Energy of the first and of the last w - lag columns
+    first, last = energy[::-1], energy[-1] - np.concatenate([[0.0], energy[:-1]])
+    return products / np.sqrt(np.maximum(first * last, 1e-9))
+
+
+# ---------------------------------------------------------------- matching
+
+
+def match_cells(
+    view: FilmView, columns: Repeats, rows: Repeats, search: MatchRound, config: RepeatConfig
+) -> tuple[Sightings, ...]:
+    """Where the content of each cell lies against the mean cell: sightings of u and of v.
+
+    view: the flat grey film, covering [0, 1]^2.
+    """
+    image = detail(view.image[..., 0], search.fine_px, 4.0 * search.fine_px + 4.0)
+    h, w = image.shape
+    cell_px = np.array([columns.pitch * w, rows.pitch * h])
+    half = np.maximum(np.rint(0.5 * search.window_share * cell_px).astype(int), 6)
+    mean_cell = _mean_cell(image, columns, rows, search.agreement)
+    matches = []
+    for number, xy_px in enumerate(_choose_windows(mean_cell, half, config.windows)):
+        window = cv2.getRectSubPix(mean_cell, (2 * int(half[0]) + 1, 2 * int(half[1]) + 1), _opencv_point(xy_px))
+        x, y = xy_px / cell_px
+        for i in range(rows.cells):
+            for j in range(columns.cells):
+                uv = np.array([columns.first + (j + x) * columns.pitch, rows.first + (i + y) * rows.pitch])
+                area = _patch(image, uv * (w, h), half + search.reach_px)
+                if area is not None:
+                    matches.append((*uv, number, j, i, *_match(window, area, search.reach_px)))
+    if not matches:
+        return ()
+    table = np.array(matches)
+    made = [_match_sightings(table, axis, (h, w), config) for axis in (0, 1)]
+    return tuple(s for s in made if s is not None)
+
+
+def _mean_cell(
+    image: Float[np.ndarray, "h w"], columns: Repeats, rows: Repeats, power: float
+) -> Float[np.ndarray, "ch cw"]:
+    """The cells' mean in pixels of the view, weighted by how far the cells agree: texts stay, anatomy fades.
+
+    The weight is (mean^2 / mean square)^power of each pixel's neighbourhood: 1 where all cells are the same.
+    """
+    h, w = image.shape
+    size = (max(8, round(columns.pitch * w)), max(8, round(rows.pitch * h)))
+    total, squares = (np.zeros((size[1], size[0]), dtype=np.float32) for _ in range(2))
+    for i in range(rows.cells):
+        for j in range(columns.cells):
+            centre = ((columns.first + (j + 0.5) * columns.pitch) * w, (rows.first + (i + 0.5) * rows.pitch) * h)
+            corner = (centre[0] - 0.5 * size[0], centre[1] - 0.5 * size[1])
+            shift = np.array([[1.0, 0.0, corner[0]], [0.0, 1.0, corner[1]]])
+            cell = cv2.warpAffine(image, shift, size, flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP)
+            total += cell
+            squares += cell * cell
+    count = rows.cells * columns.cells
+    mean = total / count
+    agreement = cv2.GaussianBlur(mean * mean, (0, 0), 2.0) / (cv2.GaussianBlur(squares, (0, 0), 2.0) / count + 1e-2)
+    return mean * np.clip(agreement, 0.0, 1.0) ** power
+
+
+def _choose_windows(
+    mean_cell: Float[np.ndarray, "ch cw"], half: np.ndarray, count: int
+) -> list[Float[np.ndarray, "2"]]:
+    """Centres (x, y), in pixels of the cell, of the windows with most detail, at least half a window apart."""
+    energy = cv2.boxFilter(mean_cell * mean_cell, -1, (2 * int(half[0]) + 1, 2 * int(half[1]) + 1))
+    x = np.arange(half[0] + 1.0, mean_cell.shape[1] - half[0] - 1.0, max(2.0, half[0] / 3.0))
+    y = np.arange(half[1] + 1.0, mean_cell.shape[0] - half[1] - 1.0, max(2.0, half[1] / 3.0))
+    points = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    value = energy[points[:, 1].astype(int), points[:, 0].astype(int)]
+    chosen: list[np.ndarray] = []
+    floor = 0.02 * float(value.max(initial=0.0))
+    for k in np.argsort(-value):
+        apart = all((np.abs(points[k] - c) >= 0.9 * half).any() for c in chosen)
+        if apart and value[k] > floor:
+            chosen.append(points[k])
+        if len(chosen) == count:
+            break
+    return chosen
+
+
+def _patch(
+    image: Float[np.ndarray, "h w"], centre: Float[np.ndarray, "2"], half: np.ndarray
+) -> Float[np.ndarray, "ph pw"] | None:
+    """The patch of ``2 half + 1`` pixels around a point (x, y) of the image's frame; None beyond its rim."""
+    size = (2 * int(half[0]) + 1, 2 * int(half[1]) + 1)
+    h, w = image.shape
+    low, high = centre - half - 1.0, centre + half + 1.0
+    if (low < 0).any() or high[0] > w or high[1] > h:
+        return None
+    return cv2.getRectSubPix(image, size, _opencv_point(centre))
+
+
+def _opencv_point(xy: Float[np.ndarray, "2"]) -> tuple[float, float]:
+    """OpenCV pixel coordinates of a point of an image's frame."""
+    x, y = opencv_from_photo(xy)
+    return float(x), float(y)
+
+
+def _match(
+    window: Float[np.ndarray, "wh ww"], area: Float[np.ndarray, "ah aw"], reach: int
+) -> tuple[float, float, float, float, float]:
+    """Shift (x, y) of the window's best place in the area, the variances of both in px^2, and the correlation."""
+    score = cv2.matchTemplate(area, window, cv2.TM_CCOEFF_NORMED)
+    row, column = divmod(int(np.argmax(score)), score.shape[1])
+    peak = float(score[row, column])
+    if not (0 < row < 2 * reach and 0 < column < 2 * reach):
+        return 0.0, 0.0, np.inf, np.inf, peak
+    near = score[row - 1 : row + 2, column - 1 : column + 2].astype(np.float64)
+    xx = near[1, 0] - 2 * near[1, 1] + near[1, 2]
+    yy = near[0, 1] - 2 * near[1, 1] + near[2, 1]
+    xy = 0.25 * (near[0, 0] + near[2, 2] - near[0, 2] - near[2, 0])
+    gx, gy = 0.5 * (near[1, 2] - near[1, 0]), 0.5 * (near[2, 1] - near[0, 1])
+    det = xx * yy - xy * xy
+    if xx >= 0 or yy >= 0 or det <= 1e-3 * xx * yy:
+        return 0.0, 0.0, np.inf, np.inf, peak
+    dx, dy = (xy * gy - yy * gx) / det, (xy * gx - xx * gy) / det
+    # Variance of the peak of a correlation surface: residual variance over curvature, pixels correlated in tens.
+    scale = max(1.0 - peak * peak, 0.02) * 10.0 / window.size
+    shift = np.clip([dx, dy], -1.0, 1.0)
+    return column - reach + shift[0], row - reach + shift[1], -scale * yy / det, -scale * xx / det, peak
+
+
+def _match_sightings(
+    table: Float[np.ndarray, "n 10"], axis: int, size: tuple[int, int], config: RepeatConfig
+) -> Sightings | None:
+    """Sightings along one axis from matches (u, v, window, column, row, dx, dy, variances, correlation)."""
+    sigma_px = np.sqrt(table[:, 7 + axis]) + config.sigma_px[0]
+    good = (table[:, 9] >= config.min_match) & (sigma_px <= config.sigma_px[1])
+    if good.sum() < 12:
+        return None
+    t, sigma_px = table[good], sigma_px[good]
+    pixels = size[1 - axis]
+    seen = t[:, :2].copy()
+    seen += t[:, 5:7] / (size[1], size[0])
+    windows = np.unique(t[:, 2])
+    member = (t[:, 2][:, None] == windows).astype(np.float64)
+    number = t[:, 3 + axis]
+    shared = np.column_stack([member, number - number.mean()])
+    shared_sigma = np.append(np.full(len(windows), config.constant_sigma), config.pitch_sigma)
+    return Sightings(axis, seen, t[:, axis].copy(), sigma_px / pixels, shared, shared_sigma)
+
+
+__all__ = ["MatchRound", "RepeatConfig", "Repeats", "find_repeats", "match_cells"]
