@@ -17,7 +17,10 @@ AIR, FAT, MUSCLE, LUNG, BONE = -1000.0, -100.0, 50.0, -850.0, 700.0
 
 @dataclass(frozen=True, eq=False)
 class _Trunk:
-    """One trunk: half width and depth in mm, exponent of the outline (2 is an ellipse), thickness of the fat, organs, the height of the diaphragm."""
+    """One trunk: half width and depth in mm, exponent of the outline (2 is an ellipse), fat, organs, ribs, table.
+
+    table_mm: its lowest point below the middle and its radius.
+    """
 
     radii: tuple[float, float]
     squareness: float
@@ -28,7 +31,6 @@ class _Trunk:
     spine: tuple[Blob, ...]
     rib_slope: float
     rib_pitch_mm: float
-    contrast_hu: float
     table_mm: tuple[float, float]
 
 
@@ -104,8 +106,8 @@ def _random_trunk(rng: np.random.Generator) -> _Trunk:
     ]
     spine = (*vertebrae, at(0, 76, 0, 9, 8, 600, 20.0))
     return _Trunk(
-        (wide, deep), rng.uniform(1.9, 2.5), fat, lungs, chest, belly, spine, rng.uniform(0.5, 1.1), rng.uniform(24, 32), float(vessel),
-        (deep + rng.uniform(4, 16), rng.uniform(250, 900)),
+        (wide, deep), rng.uniform(1.9, 2.5), fat, lungs, chest, belly, spine, rng.uniform(0.5, 1.1),
+        rng.uniform(24, 32), (deep + rng.uniform(4, 16), rng.uniform(250, 900)),
     )  # fmt: skip
 
 

@@ -39,7 +39,7 @@ def head_phantom(rng: np.random.Generator, size: int = 256, slices: int = 40) ->
     low, high = rng.uniform(-128.0, -70.0), rng.uniform(72.0, 92.0)
     heights = np.linspace(low, high, slices)
     axis = (centres_1d(size) / size - rng.uniform(0.49, 0.51)) * field_mm
-    shape, noise_hu = (slices, size, size), rng.uniform(1.5, 6.0)
+    shape, noise_hu = (slices, size, size), rng.uniform(1.0, 4.5)
     texture = smooth_noise(rng, shape, (max(2, slices // 3), 22, 22))
     folds = smooth_noise(rng, shape, (max(2, slices // 4), 15, 15))
     blur_px = rng.uniform(0.5, 0.9) * size / 256
@@ -220,7 +220,7 @@ def _draw_brain(canvas: Canvas, inside: Canvas, plane: Plane, head: _Head, folds
     paint_all(tissue, plane, head.brain)
     groove = np.abs(folds + 0.25 * np.sin(0.22 * plane.x + 3 * folds))
     near_rim = np.clip(1.0 + (inside + 4.0) / 20.0, 0.0, 1.0)
-    sulcus = np.clip(1.0 - groove / np.float32(0.11 * head.sulci), 0.0, 1.0) * near_rim
+    sulcus = np.clip(1.0 - groove / np.float32(0.2 * head.sulci), 0.0, 1.0) * near_rim
     blend(tissue, sulcus * np.float32(min(1.0, 0.5 + 0.4 * head.sulci)), CSF)
     blend(tissue, np.clip((inside + 0.8 + 1.6 * head.sulci) / 1.0, 0.0, 1.0), CSF)
     midline = np.clip(1.6 - np.abs(plane.x + 1.5 * folds), 0.0, 1.0) * np.clip(
