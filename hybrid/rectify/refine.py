@@ -224,9 +224,9 @@ def _find_layout(view: FilmView, known: _Layout, config: RefineConfig) -> _Layou
 
 
 def _plausible(comb: Comb, repeat: Repeats | None, config: RefineConfig) -> bool:
-    """True where the cells repeat at the comb's pitch or, if no repetition is seen, the lines are unbroken."""
+    """True where the cells repeat at the comb's pitch or, if no repetition is seen, several lines are unbroken."""
     if repeat is None:
-        return comb.strength >= config.sure_lines
+        return comb.cells > 2 and comb.strength >= config.sure_lines
     return abs(comb.pitch - repeat.pitch) < 0.04 * repeat.pitch
 
 

@@ -41,9 +41,11 @@ class RepeatConfig:
     """Most cells along one side."""
     margin: float = 0.06
     """Widest margin on either side of the grid, in film units."""
+    stretch: float = 0.12
+    """How much longer than the mean cell a cell may look through a map that is not yet straight."""
     min_correlation: float = 0.2
     """Least autocorrelation of the film at one pitch."""
-    octave_ratio: float = 0.8
+    octave_ratio: float = 0.7
     """Of the pitches that correlate at least this well relative to the best, the smallest counts."""
     windows: int = 14
     """Windows of a cell that are matched: those with most detail that all cells have in common."""
@@ -97,26 +99,44 @@ def find_repeats(grey: Float[np.ndarray, "h w"], axis: int, config: RepeatConfig
     small = cv2.resize(grey, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
     band = detail(small, 2.0, 8.0)
     curve = _autocorrelation(band if axis == 0 else band.T)
-    n = len(curve)
-    best: list[tuple[float, int, float]] = []
+    found = []
     for cells in range(2, config.max_cells + 1):
-        low = int(np.floor((1.0 - 2.0 * config.margin) / cells * n))
-        high = min(int(np.ceil(1.01 / cells * n)), n - 2)
-        if low < 8:
-            break
-        lag = low + int(np.argmax(curve[low : high + 1]))
-        left, here, right = curve[lag - 1 : lag + 2]
-        if here < max(left, right):
-            continue  # a slope, not a peak
-        shift = 0.5 * (left - right) / min(left - 2 * here + right, -1e-9)
-        best.append((float(here), cells, float(np.clip((lag + shift) / n, 0.0, 1.0 / cells))))
-    top = max((b[0] for b in best), default=0.0)
+        chain = _peak_chain(curve, cells, config)
+        if chain is not None:
+            found.append((chain[0], cells, chain[1]))
+    top = max((f[0] for f in found), default=0.0)
     if top < config.min_correlation:
         return None
-    correlation, cells, pitch = [b for b in best if b[0] >= config.octave_ratio * top][-1]
-    if pitch * cells > config.snug:
-        pitch = 1.0 / cells
-    return Repeats(axis, 0.5 * (1.0 - cells * pitch), pitch, cells, correlation)
+    correlation, cells, pitch = [f for f in found if f[0] >= config.octave_ratio * top][-1]
+    pitch = 1.0 / cells if pitch * cells > config.snug else pitch
+    return Repeats(axis, 0.5 * (1.0 - cells * pitch), pitch, cells, min(correlation, 1.0))
+
+
+def _peak_chain(curve: Float[np.ndarray, " n"], cells: int, config: RepeatConfig) -> tuple[float, float] | None:
+    """Correlation at one pitch, and the pitch in film units, if the film repeats ``cells`` times; else None.
+
+    The peaks at 1, 2, ... pitches are followed, each from the last: the map is not yet straight, and the longest
+    lag averages over most of the film. A peak must be one (not a slope), and lie where ``cells`` cells fit best.
+    """
+    n = len(curve)
+    low, high = int((1.0 - 2.0 * config.margin) / cells * n), int(np.ceil((1.0 + config.stretch) / cells * n))
+    first, lag, height, count = 0.0, 0.0, 0.0, 1
+    for multiple in range(1, max(2, int(0.75 * cells) + 1)):
+        if multiple > 1:
+            low, high = int(lag * multiple / (multiple - 1) * 0.95), int(lag * multiple / (multiple - 1) * 1.05) + 1
+        if low < 8 or high > n - 2:
+            break
+        peak = low + int(np.argmax(curve[low : high + 1]))
+        left, here, right = (float(c) for c in curve[peak - 1 : peak + 2])
+        if here < max(left, right) or here < 0.5 * height:
+            break
+        height = max(height, here)
+        first = here if multiple == 1 else first
+        lag, count = peak + 0.5 * (left - right) / min(left - 2 * here + right, -1e-9), multiple
+    if first == 0.0:
+        return None
+    pitch = lag / count / n
+    return (first, min(pitch, 1.0 / cells)) if round(0.98 / pitch) == cells else None
 
 
 def _autocorrelation(band: Float[np.ndarray, "h w"]) -> Float[np.ndarray, " n"]:
