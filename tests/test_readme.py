@@ -1,0 +1,71 @@
+"""The README runs: its Python blocks are executed, its commands exist, its links lead somewhere."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+README = (ROOT / "README.md").read_text()
+GUIDE = (ROOT / "docs" / "how_it_works.md").read_text()
+PYTHON_BLOCKS = re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL)
+
+
+def missing_parts() -> str | None:
+    """Why the examples cannot run yet, or None."""
+    if not list((ROOT / "hybrid" / "learn" / "weights").glob("*.safetensors")):
+        return "hybrid/learn/weights holds no weights yet"
+    if not (ROOT / "hybrid" / "examples" / "film.jpg").exists():
+        return "hybrid/examples/film.jpg has not been made yet"
+    return None
+
+
+def test_there_are_python_blocks() -> None:
+    assert PYTHON_BLOCKS
+
+
+@pytest.mark.parametrize("block", PYTHON_BLOCKS)
+def test_python_blocks_compile(block: str) -> None:
+    compile(block, "README.md", "exec")
+
+
+@pytest.mark.parametrize("block", PYTHON_BLOCKS)
+def test_python_blocks_run(block: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    reason = missing_parts()
+    if reason:
+        pytest.skip(reason)
+    monkeypatch.chdir(ROOT)
+    names: dict[str, object] = {}
+    exec(compile(block, "README.md", "exec"), names)
+    assert names["film"] is not None, "the example photo gives a film"
+
+
+@pytest.mark.parametrize("text", [README, GUIDE], ids=["README.md", "how_it_works.md"])
+def test_commands_exist(text: str) -> None:
+    targets = set(re.findall(r"^([a-z]+):", (ROOT / "Makefile").read_text(), flags=re.MULTILINE))
+    assert set(re.findall(r"\bmake (demo|test|setup|lint|types|clean)\b", text)) <= targets
+    for module in re.findall(r"python -m ([\w.]+)", text):
+        assert (ROOT / Path(*module.split("."))).with_suffix(".py").exists(), f"python -m {module}"
+
+
+@pytest.mark.parametrize("page", ["README.md", "docs/how_it_works.md", "docs/conventions.md", "CHANGELOG.md"])
+def test_links_lead_somewhere(page: str) -> None:
+    path = ROOT / page
+    for link in re.findall(r"\]\(([^)#]+)[^)]*\)", path.read_text()):
+        if link.startswith("http"):
+            continue
+        if link == "docs/images/example.jpg" and not (ROOT / link).exists():
+            pytest.skip("docs/images/example.jpg has not been made yet")
+        assert (path.parent / link).exists(), link
+
+
+def test_code_named_in_the_guide_exists() -> None:
+    for name in re.findall(r"`((?:rectify|learn)/\w+\.py|\w+\.py)`", GUIDE):
+        places = [ROOT / "hybrid" / name, ROOT / "data_gen" / name]
+        assert any(place.exists() for place in places), name
+
+
+def test_readme_fits_a_screen_or_two() -> None:
+    assert len(README.splitlines()) <= 90
