@@ -2,15 +2,27 @@
 
 from __future__ import annotations
 
+import os
+from pathlib import Path
+
 import cv2
 import numpy as np
 import pytest
 from scipy.stats import spearmanr
 
 from hybrid.backward import BackwardMap
-from hybrid.coords import film_centres, linear_from_srgb, pixel_centres, pixel_from_film, srgb_from_linear
-from hybrid.records import CoarseMaps
+from hybrid.coords import (
+    film_centres,
+    film_nodes,
+    linear_from_srgb,
+    pixel_centres,
+    pixel_from_film,
+    rgb_from_bgr,
+    srgb_from_linear,
+)
+from hybrid.records import CoarseMaps, SliceGrid
 from hybrid.rectify.deilluminate import deilluminate, film_guide, find_glare
+from hybrid.rectify.resample import rectify_photo
 
 SIZE = (600, 480)
 
@@ -189,3 +201,37 @@ def test_linear_light_is_where_the_model_holds():
     photo = light(0.5, 0.1)
     seen = linear_from_srgb(photo[..., 1] / 255.0)
     np.testing.assert_allclose(seen, 0.5 * print_of_cells() ** 1.6 + 0.1, atol=0.01)
+
+
+def test_cells_without_a_slice_stay_black():
+    gain, veil = uneven()
+    empty = np.zeros(SIZE, bool)
+    empty[480:, 240:] = True
+    truth = np.where(empty, 0.05, print_of_cells())
+    linear = (truth**1.6 * gain + veil)[..., None].repeat(3, axis=2)
+    film = deilluminate(np.rint(255 * srgb_from_linear(linear)).astype(np.uint8), everywhere()).film
+    assert film[empty].max() < 0.2
+    assert psnr_after_affine(film, truth) > 24
+
+
+def test_the_grid_of_slices_may_lead():
+    nodes = film_nodes((6, 5))
+    grid = SliceGrid(5, 4, nodes, nodes, confidence=0.9)
+    photo, truth = light(*uneven()), print_of_cells()
+    assert psnr_after_affine(deilluminate(photo, everywhere(), grid=grid).film, truth) > 26
+
+
+@pytest.mark.skipif("HYBRID_SHARED_DATA" not in os.environ, reason="HYBRID_SHARED_DATA names no folder of photos")
+def test_rendered_photos_come_closer_to_their_print():
+    folder = Path(os.environ["HYBRID_SHARED_DATA"], "photos")
+    gains = []
+    for path in sorted(folder.glob("*.npz"))[::3]:
+        with np.load(path) as data:
+            backward = BackwardMap(data["lattice"].astype(np.float64)).resized((33, 33))
+            truth = cv2.imread(str(folder / "textures" / str(data["texture"])), cv2.IMREAD_GRAYSCALE)
+        photo = rgb_from_bgr(cv2.imread(str(path.with_suffix(".jpg"))))
+        flat = rectify_photo(photo, backward, (512, 512))
+        small = cv2.resize(truth, (512, 512), interpolation=cv2.INTER_AREA) / 255.0
+        before = psnr_after_affine(flat.image.mean(axis=-1), small)
+        gains.append(psnr_after_affine(deilluminate(flat.image, flat.valid).film, small) - before)
+    assert np.median(gains) > 0.5
