@@ -140,10 +140,13 @@ def _even_box(width: int) -> Float[np.ndarray, " n"]:
     return np.array([0.5, *[1.0] * (width - 1), 0.5]) / width
 
 
-def find_comb(grey: Float[np.ndarray, "h w"], axis: int, config: GridConfig) -> Comb | None:
+def find_comb(
+    grey: Float[np.ndarray, "h w"], axis: int, config: GridConfig, pitch_range: tuple[float, float] = (0.0, 1.0)
+) -> Comb | None:
     """The comb of lines across ``axis`` of a film view that covers [0, 1]^2, or None where none is certain.
 
-    Of the widths that show it about as well the narrowest counts: it is the most exact.
+    pitch_range: the pitches considered, where something else tells about them. Of the widths that show the comb
+    about as well the narrowest counts: it is the most exact.
     """
     image = narrowed(grey if axis == 1 else np.ascontiguousarray(grey.T))
     found: list[Comb] = []
@@ -151,7 +154,7 @@ def find_comb(grey: Float[np.ndarray, "h w"], axis: int, config: GridConfig) -> 
         response = line_response(image, width)
         for sign in (1, -1):
             lines = _find_lines(sign * response, config)
-            match = _fit_comb(lines, config)
+            match = _fit_comb(lines, pitch_range, config)
             if match is not None:
                 tracks = np.stack([lines[k].track for k in match.matched])
                 found.append(
@@ -187,7 +190,7 @@ def _find_lines(response: Float[np.ndarray, "h n"], config: GridConfig) -> list[
     around = np.ones((2 * max(2, round(0.012 * h)) + 1, 1), np.uint8)
     rows = np.flatnonzero((share >= cv2.dilate(share[:, None], around)[:, 0]) & (share >= config.share))
     groups = np.split(rows, np.flatnonzero(np.diff(rows) > config.slack_px) + 1) if len(rows) else []
-    starts = sorted((g[len(g) // 2] for g in groups), key=lambda r: -share[r])[:16]
+    starts = sorted((g[len(g) // 2] for g in groups), key=lambda r: -share[r])[:12]
     return [_Line(_trace(sums, int(r), config.slack_px), float(share[r])) for r in starts]
 
 
@@ -215,13 +218,15 @@ class _Match:
     strength: float
 
 
-def _fit_comb(lines: list[_Line], config: GridConfig) -> _Match | None:
+def _fit_comb(lines: list[_Line], pitch_range: tuple[float, float], config: GridConfig) -> _Match | None:
     """The comb that explains most of the lines."""
     at = np.array([line.at for line in lines])
     evidence = np.array([line.evidence for line in lines])
     value = np.maximum(evidence - config.share, 0.0) / (1.0 - config.share)
     best, best_score = None, 0.0
     for anchor, pitch in _comb_candidates(at, config):
+        if not pitch_range[0] <= pitch <= pitch_range[1]:
+            continue
         match = _match_comb(at, evidence, anchor, pitch, config)
         if match is None:
             continue
@@ -237,6 +242,13 @@ def _comb_candidates(at: Float[np.ndarray, " n"], config: GridConfig) -> list[tu
     return pairs + [(float(a), 0.5) for a in at if abs(a - 0.5) < 0.04]
 
 
+def _straight_fit(index: Int[np.ndarray, " k"], at: Float[np.ndarray, " k"]) -> tuple[float, float]:
+    """Value at index 0 and step of the least-squares line through the places of some lines."""
+    middle = float(index.mean())
+    step = float((index - middle) @ at) / float((index - middle) @ (index - middle))
+    return float(at.mean()) - step * middle, step
+
+
 def _match_comb(
     at: Float[np.ndarray, " n"], evidence: Float[np.ndarray, " n"], anchor: float, pitch: float, config: GridConfig
 ) -> _Match | None:
@@ -248,8 +260,7 @@ def _match_comb(
         nearest = np.argmin(np.abs(places[:, None] - at[None]), axis=1)
         met = np.abs(at[nearest] - places) <= config.tolerance
         if met.sum() >= 2:
-            slope, start = np.polyfit(index[met], at[nearest[met]], 1)
-            anchor, pitch = float(start), float(slope)
+            anchor, pitch = _straight_fit(index[met], at[nearest[met]])
     while len(places) > 2 and not met[0] and places[0] > config.margin:
         index, places, nearest, met = index[1:], places[1:], nearest[1:], met[1:]
     while len(places) > 2 and not met[-1] and places[-1] < 1.0 - config.margin:

@@ -136,6 +136,11 @@ class _Layout:
     repeats: tuple[Repeats | None, Repeats | None] = (None, None)
 
     @property
+    def settled(self) -> bool:
+        """True where repetition was seen along both axes before: what lines there are have been found then."""
+        return all(r is not None for r in self.repeats)
+
+    @property
     def any_found(self) -> bool:
         """True where lines or repetition were found along any axis."""
         return any(x is not None for x in (*self.combs, *self.repeats))
@@ -213,8 +218,9 @@ def _find_layout(view: FilmView, known: _Layout, config: RefineConfig) -> _Layou
         if repeats[axis] is None:
             repeats[axis] = find_repeats(grey, axis, config.repeat)
         comb, repeat = combs[axis], repeats[axis]
-        if comb is None:
-            comb = find_comb(grey, axis, config.grid)
+        if comb is None and not known.settled:
+            around = (0.94 * repeat.pitch, 1.06 * repeat.pitch) if repeat is not None else (0.0, 1.0)
+            comb = find_comb(grey, axis, config.grid, around)
             if comb is not None and not _plausible(comb, repeat, config):
                 comb = None
         if comb is not None and follow_comb(view, comb, config.grid) is None:

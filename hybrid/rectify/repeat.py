@@ -31,6 +31,8 @@ class MatchRound:
     """Side of a window, as a fraction of the cell's."""
     agreement: float
     """Power of the share that all cells have in common, by which details of the mean cell are weighted."""
+    sigma_px: float
+    """Least noise stated for a match, in pixels of the view: anatomy misleads by more than texts do."""
 
 
 @dataclass(frozen=True)
@@ -50,15 +52,16 @@ class RepeatConfig:
     windows: int = 14
     """Windows of a cell that are matched: those with most detail that all cells have in common."""
     rounds: tuple[MatchRound, ...] = (
-        MatchRound(10, 2.0, 0.32, 0.0),
-        MatchRound(6, 1.5, 0.28, 1.0),
-        MatchRound(4, 1.2, 0.24, 2.0),
+        MatchRound(12, 3.0, 0.4, 0.0, 2.0),
+        MatchRound(8, 2.0, 0.3, 1.0, 1.0),
+        MatchRound(6, 1.5, 0.25, 2.0, 0.6),
+        MatchRound(5, 1.2, 0.2, 3.0, 0.4),
     )
     """What is done in each round of the refinement."""
     min_match: float = 0.5
     """Least normalised correlation of a window with the mean cell."""
-    sigma_px: tuple[float, float] = (0.4, 1.5)
-    """Least noise stated for a match, and the largest with which it still counts, in pixels of the view."""
+    worst_sigma_px: float = 1.5
+    """A match less exact than this, beside the least noise of its round, does not count."""
     constant_sigma: float = 0.01
     """Prior standard deviation of what all cells share in one window, in film units."""
     pitch_sigma: float = 0.004
@@ -179,7 +182,7 @@ def match_cells(
     if not matches:
         return ()
     table = np.array(matches)
-    made = [_match_sightings(table, axis, (h, w), config) for axis in (0, 1)]
+    made = [_match_sightings(table, axis, (h, w), search, config) for axis in (0, 1)]
     return tuple(s for s in made if s is not None)
 
 
@@ -270,14 +273,14 @@ def _match(
 
 
 def _match_sightings(
-    table: Float[np.ndarray, "n 10"], axis: int, size: tuple[int, int], config: RepeatConfig
+    table: Float[np.ndarray, "n 10"], axis: int, size: tuple[int, int], search: MatchRound, config: RepeatConfig
 ) -> Sightings | None:
     """Sightings along one axis from matches (u, v, window, column, row, dx, dy, variances, correlation)."""
-    sigma_px = np.sqrt(table[:, 7 + axis]) + config.sigma_px[0]
-    good = (table[:, 9] >= config.min_match) & (sigma_px <= config.sigma_px[1])
+    sigma_px = np.sqrt(table[:, 7 + axis])
+    good = (table[:, 9] >= config.min_match) & (sigma_px <= config.worst_sigma_px)
     if good.sum() < 12:
         return None
-    t, sigma_px = table[good], sigma_px[good]
+    t, sigma_px = table[good], np.hypot(sigma_px[good], search.sigma_px)
     pixels = size[1 - axis]
     seen = t[:, :2].copy()
     seen += t[:, 5:7] / (size[1], size[0])
