@@ -35,9 +35,7 @@ class BackwardMap:
     def __post_init__(self) -> None:
         nodes = np.array(self.nodes, dtype=np.float64)
         if nodes.ndim != 3 or nodes.shape[2] != 2 or min(nodes.shape[:2]) < MIN_NODES:
-            raise ValueError(
-                f"BackwardMap.nodes: got shape {nodes.shape}; allowed: (gh, gw, 2), gh, gw >= {MIN_NODES}"
-            )
+            raise ValueError(f"BackwardMap.nodes: got shape {nodes.shape}; allowed: (gh, gw, 2), gh, gw >= {MIN_NODES}")
         if not np.isfinite(nodes).all():
             raise ValueError("BackwardMap.nodes: got NaN or infinity; allowed: finite photo points")
         nodes.setflags(write=False)
@@ -81,13 +79,13 @@ class BackwardMap:
         A point counts as on the film if it maps back to within ``tolerance_px`` from a uv within [0, 1]^2
         (with one part in a million to spare for points on the edge).
         """
-        from scipy.spatial import cKDTree
+        from scipy.spatial import KDTree
 
         shape = np.shape(xy)
         target = np.asarray(xy, dtype=np.float64).reshape(-1, 2)
         uv_nodes = film_nodes(self.nodes.shape[:2]).reshape(-1, 2)
         finite = np.isfinite(target).all(axis=1)
-        _, nearest = cKDTree(self.nodes.reshape(-1, 2)).query(np.where(finite[:, None], target, 0.0))
+        _, nearest = KDTree(self.nodes.reshape(-1, 2)).query(np.where(finite[:, None], target, 0.0))
         uv = uv_nodes[nearest]
         for _ in range(iterations):
             error = target - self.photo_from_film(uv)
@@ -105,7 +103,8 @@ class BackwardMap:
             if np.nanmax(np.abs(step), initial=0.0) < 1e-10:
                 break
         miss = np.linalg.norm(target - self.photo_from_film(uv), axis=1)
-        on_film = finite & (miss <= tolerance_px) & (uv >= -1e-6).all(axis=1) & (uv <= 1 + 1e-6).all(axis=1)
+        on_sheet = ((uv >= -1e-6) & (uv <= 1 + 1e-6)).all(axis=1)
+        on_film = np.asarray(finite & on_sheet & (miss <= tolerance_px))
         return np.where(on_film[:, None], uv, np.nan).reshape(shape)
 
     def dense(self, size: tuple[int, int]) -> Float[np.ndarray, "h w 2"]:
@@ -141,9 +140,7 @@ class BackwardMap:
         return not (np.all(det > 0) or np.all(det < 0))
 
 
-def end_point_error(
-    predicted: BackwardMap, true_points: Float[np.ndarray, "n n 2"]
-) -> Float[np.ndarray, "n n"]:
+def end_point_error(predicted: BackwardMap, true_points: Float[np.ndarray, "n n 2"]) -> Float[np.ndarray, "n n"]:
     """Distance in photo pixels between predicted and true photo points of a film lattice, edges included."""
     uv = film_nodes(true_points.shape[:2])
     return np.linalg.norm(predicted.photo_from_film(uv) - true_points, axis=-1)

@@ -23,7 +23,7 @@ def run(arguments: list[str]) -> int:
     print(f"processors   {os.cpu_count()}")
     for package in PACKAGES:
         print(f"{package:<12} {version_of(package)}")
-    folder = files("hybrid.learn") / "weights"
+    folder = files("hybrid.learn") / "packaged"
     weights = sorted(w.name for w in folder.iterdir() if w.name.endswith(".safetensors")) if folder.is_dir() else []
     print(f"weights      {', '.join(weights) or 'none'}")
     return 0

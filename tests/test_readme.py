@@ -15,8 +15,8 @@ PYTHON_BLOCKS = re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL)
 
 def missing_parts() -> str | None:
     """Why the examples cannot run yet, or None."""
-    if not list((ROOT / "hybrid" / "learn" / "weights").glob("*.safetensors")):
-        return "hybrid/learn/weights holds no weights yet"
+    if not list((ROOT / "hybrid" / "learn" / "packaged").glob("*.safetensors")):
+        return "hybrid/learn/packaged holds no weights yet"
     if not (ROOT / "hybrid" / "examples" / "film.jpg").exists():
         return "hybrid/examples/film.jpg has not been made yet"
     return None
