@@ -80,9 +80,9 @@ def _read_if_jpeg(path: Path) -> bytes:
     """The whole file if it is a JPEG, else its first bytes; PhotoError for what is no file, or an empty one."""
     try:
         if not path.exists():
-            _refuse_file("no such file", path, "Check the name and the folder.")
+            _refuse_file("No such file", path, "Check the name and the folder.")
         if path.is_dir():
-            _refuse_file("this is a folder, not a photo", path, "Name the photos in it, for example FOLDER/*.jpg.")
+            _refuse_file("This is a folder, not a photo", path, "Name the photos in it, for example FOLDER/*.jpg.")
         with path.open("rb") as file:
             start = file.read(len(_JPEG_START))
             data = start + file.read() if start == _JPEG_START else start
@@ -91,7 +91,7 @@ def _read_if_jpeg(path: Path) -> bytes:
             describe(what="The photo cannot be opened", where=path, got=error.strerror, do="Check its permissions.")
         ) from error
     if not data:
-        _refuse_file("the file is empty (0 bytes)", path, "Copy it from the phone once more.")
+        _refuse_file("The file is empty", path, "Copy it from the phone once more.")
     return data
 
 
@@ -193,8 +193,8 @@ def _kind_of(path: Path) -> str:
 # ---------------------------------------------------------------- refusals
 
 
-def _refuse_file(got: str, path: Path, do: str) -> NoReturn:
-    raise PhotoError(describe(what="The photo cannot be read", where=path, got=got, do=do))
+def _refuse_file(what: str, path: Path, do: str) -> NoReturn:
+    raise PhotoError(describe(what=what, where=path, do=do))
 
 
 def _refuse_array(got: str, do: str) -> NoReturn:

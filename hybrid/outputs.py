@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import hashlib
 import json
+import time
 import traceback
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -18,7 +19,7 @@ from hybrid import __version__
 from hybrid.draw import annotated, rgb_from_film, side_by_side
 from hybrid.errors import ConfigError, HybridError, describe
 from hybrid.image_io import read_photo, write_bytes, write_film, write_rgb
-from hybrid.records import RectifyResult
+from hybrid.records import RectifyResult, StageReport
 
 Rectify = Callable[[np.ndarray], RectifyResult]
 Say = Callable[[str], Any]
@@ -49,10 +50,13 @@ def rectify_files(
     outcomes = []
     for path in tqdm(photos, desc="rectify", unit="photo", disable=len(photos) < 2):
         try:
+            start = time.perf_counter()
             photo = read_photo(path)
+            read = StageReport("file", True, f"{path.stat().st_size / 1e6:.1f} MB", time.perf_counter() - start)
             name = free_name(path, out, taken)
             taken.add(name)
             result = rectify(photo)
+            result = replace(result, stages=(read, *result.stages))
             files = write_result(out, name, path, photo, result, rectified_format)
             outcomes.append(Outcome(path, result.status.ok, str(result.status), files))
             say("\n".join(report_lines(path, result, files)))

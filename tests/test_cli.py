@@ -102,7 +102,7 @@ def test_one_photo(photo: Path, tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert (record["grid"]["rows"], record["grid"]["cols"]) == (2, 3)
     assert (record["photo_size"], record["film_size"]) == ([60, 90], [60, 90])
     assert set(record["files"]) == slices | pictures
-    assert [stage["name"] for stage in record["stages"]] == ["network", "spline"]
+    assert [stage["name"] for stage in record["stages"]] == ["file", "network", "spline"]
     printed = capsys.readouterr().out
     assert "network" in printed
     assert "skipped" in printed
@@ -163,8 +163,8 @@ def test_bad_photos_do_not_stop_the_good_ones(photo: Path, tmp_path: Path, capsy
     assert cli.main(["rectify", *map(str, bad), str(photo), "-o", str(out)]) == 1
     printed = capsys.readouterr().out
     for message in (
-        "no such file",
-        "0 bytes",
+        "No such file",
+        "is empty",
         "got text",
         "a folder",
         StatusCode.NO_FILM.value,
