@@ -266,6 +266,9 @@ class Options:
     runs: int = 3
     """Runs of each photo; their median is the run time."""
 
+    weights: Path | None = None
+    """Another network than the packaged one."""
+
 
 def run(options: Options, rectify: Rectify, command: list[str]) -> list[PhotoScore]:
     """Score all photos, print the table, write JSON and pictures."""
@@ -296,7 +299,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     import hybrid
 
     try:
-        scores = run(options, hybrid.Rectifier(), ["python -m benchmarks.rectify", *arguments])
+        rectifier = hybrid.Rectifier(hybrid.RectifyConfig(weights=options.weights))
+        scores = run(options, rectifier, ["python -m benchmarks.rectify", *arguments])
     except HybridError as error:
         print(f"benchmarks.rectify: {error}", file=sys.stderr)
         return 1

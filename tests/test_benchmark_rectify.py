@@ -157,10 +157,12 @@ def test_folder_without_truth(tmp_path: Path, folder: Path) -> None:
         load_photo(folder / "film_bb.npz")
 
 
-def test_command_shows_no_absolute_path(tmp_path: Path) -> None:
-    near = Path.cwd().parent / "beside" / "photos"
-    command = relative_command(["python -m x", "--a", str(tmp_path), f"--b={near}", "--c", "plain"])
-    assert command == f"python -m x --a .../{tmp_path.name} --b=../beside/photos --c plain"
+def test_command_shows_no_absolute_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "a" / "b").mkdir(parents=True)
+    monkeypatch.chdir(tmp_path / "a" / "b")
+    inside, beside, far = tmp_path / "a" / "b" / "x.json", tmp_path / "a" / "photos", tmp_path / "c" / "photos"
+    command = relative_command(["python -m x", "--a", str(far), f"--b={beside}", "--c", str(inside), "-d", "plain"])
+    assert command == "python -m x --a .../photos --b=../photos --c x.json -d plain"
 
 
 def test_run_is_described() -> None:
