@@ -8,8 +8,9 @@ agree: the spline is fitted to half of them and must explain the other half bett
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from time import perf_counter
 
 import cv2
@@ -22,7 +23,7 @@ from hybrid.records import SliceGrid, StageReport
 from hybrid.rectify.film_view import FilmView, view_film
 from hybrid.rectify.grid import Comb, GridConfig, find_comb, follow_comb
 from hybrid.rectify.outline import OutlineConfig, find_outline
-from hybrid.rectify.repeat import MatchRound, RepeatConfig, Repeats, find_repeats, match_cells
+from hybrid.rectify.repeat import RepeatConfig, Repeats, cell_agreement, find_repeats, match_cells, match_to_one_cell
 from hybrid.rectify.sightings import (
     Displacement,
     DisplacementFit,
@@ -47,6 +48,8 @@ class RefineConfig:
     """Half width of the search band for edges once the map has been improved, in film units."""
     sure_lines: float = 0.95
     """Share of the film's length on which lines must be seen if nothing repeats at their pitch."""
+    line_rounds: int = 3
+    """Rounds in which lines are looked for where they have not been found: they show better in a straighter view."""
     max_move: float = 0.08
     """Largest displacement believed, in film units."""
     min_gain: float = 0.9
@@ -87,32 +90,37 @@ def refine(photo: UInt8[np.ndarray, "H W 3"], coarse: BackwardMap, config: Refin
         displacement = fit_displacement(outline, config.spline).displacement
     clock.lap("outline")
 
-    layout, evidence, fit = _Layout(), [_Evidence(s) for s in outline], None
+    layout, attempts = _Layout(), [_Attempt(displacement, tuple(_Evidence(s) for s in outline))]
     near = replace(config.outline, band=config.near_band)
-    for search in config.repeat.rounds:
+    matchers = [partial(match_to_one_cell, search=config.repeat.first, config=config.repeat)]
+    matchers += [partial(match_cells, search=search, config=config.repeat) for search in config.repeat.rounds]
+    for number, matcher in enumerate(matchers):
+        displacement = attempts[-1].displacement
         view = _view(scene, displacement)
-        layout = _find_layout(view, layout, config)
-        evidence = _observe_print(view, layout, search, config)
+        layout = _find_layout(view, layout, number < config.line_rounds, config)
+        found = _observe_print(view, layout, matcher, config)
         clock.lap("grid")
-        edges = find_outline(scene.photo, displacement.composed(scene.coarse), near)
-        evidence = [e.lifted(displacement) for e in (*evidence, *map(_Evidence, edges))]
+        found += map(_Evidence, find_outline(scene.photo, displacement.composed(scene.coarse), near))
+        evidence = tuple(e.lifted(displacement) for e in found)
         clock.lap("outline")
         if not evidence:
             return _unchanged(coarse, "no edge, rule, gutter or repeated text was seen", clock)
         fit = fit_displacement([e.sightings for e in evidence], config.spline)
-        displacement, layout = fit.displacement, layout.adjusted(evidence, fit)
+        attempts.append(_Attempt(fit.displacement, evidence))
+        layout = layout.adjusted(evidence, fit)
         clock.lap("spline")
-        if not (layout.any_found or outline):
+        if number >= 1 and not layout.uses_repeats:
             break
-    backward, verdict = _judge(coarse, [e.sightings for e in evidence], fit, config)
+    chosen = _most_alike(scene, layout, attempts, config)
+    backward, verdict = _judge(coarse, chosen, config)
     clock.lap("spline")
-    if backward is None:
-        return _unchanged(coarse, verdict, clock)
+    edges = [e for e in chosen.evidence if e.source is None]
     stages = (
-        StageReport("outline", any(e.source is None for e in evidence), _outline_reason(evidence), clock["outline"]),
+        StageReport("outline", bool(edges), f"{len(edges)} of 4 edges", clock["outline"]),
         StageReport("grid", layout.any_found, layout.reason(), clock["grid"]),
-        StageReport("spline", True, verdict, clock["spline"]),
+        StageReport("spline", backward is not None, verdict, clock["spline"]),
     )
+    backward = coarse if backward is None else backward
     return Refinement(backward, _slice_grid(layout, backward), stages)
 
 
@@ -129,11 +137,24 @@ class _Evidence:
 
 
 @dataclass(frozen=True, eq=False)
+class _Attempt:
+    """A displacement and what it was fitted to, as seen through the coarse map."""
+
+    displacement: Displacement
+    evidence: tuple[_Evidence, ...]
+
+
+@dataclass(frozen=True, eq=False)
 class _Layout:
     """What is known of the grid along u and along v."""
 
     combs: tuple[Comb | None, Comb | None] = (None, None)
     repeats: tuple[Repeats | None, Repeats | None] = (None, None)
+
+    @property
+    def uses_repeats(self) -> bool:
+        """True where cells are matched, because lines are missing along an axis."""
+        return None in self.combs and self.settled
 
     @property
     def settled(self) -> bool:
@@ -209,16 +230,18 @@ def _view(scene: _Scene, displacement: Displacement) -> FilmView:
     return view_film(scene.grey, displacement.composed(scene.coarse), film_centres_1d(width), film_centres_1d(height))
 
 
-def _find_layout(view: FilmView, known: _Layout, config: RefineConfig) -> _Layout:
-    """What is found of the grid in this view, added to what was known. Lines that contradict the repeats are dropped:
-    tables and bones make lines too."""
+def _find_layout(view: FilmView, known: _Layout, looking: bool, config: RefineConfig) -> _Layout:
+    """What is found of the grid in this view, added to what was known; lines only if ``looking`` for them.
+
+    Lines that contradict the repeats are dropped: tables and bones make lines too.
+    """
     grey = view.image[..., 0]
     combs, repeats = list(known.combs), list(known.repeats)
     for axis in (0, 1):
         if repeats[axis] is None:
             repeats[axis] = find_repeats(grey, axis, config.repeat)
         comb, repeat = combs[axis], repeats[axis]
-        if comb is None and not known.settled:
+        if comb is None and looking:
             around = (0.94 * repeat.pitch, 1.06 * repeat.pitch) if repeat is not None else (0.0, 1.0)
             comb = find_comb(grey, axis, config.grid, around)
             if comb is not None and not _plausible(comb, repeat, config):
@@ -236,7 +259,9 @@ def _plausible(comb: Comb, repeat: Repeats | None, config: RefineConfig) -> bool
     return abs(comb.pitch - repeat.pitch) < 0.04 * repeat.pitch
 
 
-def _observe_print(view: FilmView, layout: _Layout, search: MatchRound, config: RefineConfig) -> list[_Evidence]:
+def _observe_print(
+    view: FilmView, layout: _Layout, matcher: Callable[..., tuple[Sightings, ...]], config: RefineConfig
+) -> list[_Evidence]:
     """Sightings of lines and, where they are missing along an axis, of what the cells have in common."""
     evidence = []
     for comb in layout.combs:
@@ -244,25 +269,32 @@ def _observe_print(view: FilmView, layout: _Layout, search: MatchRound, config: 
         if sightings is not None:
             evidence.append(_Evidence(sightings, comb))
     columns, rows = layout.repeats
-    if columns is not None and rows is not None and None in layout.combs:
-        evidence += [
-            _Evidence(s, layout.repeats[s.axis]) for s in match_cells(view, columns, rows, search, config.repeat)
-        ]
+    if columns is not None and rows is not None and layout.uses_repeats:
+        evidence += [_Evidence(s, layout.repeats[s.axis]) for s in matcher(view, columns, rows)]
     return evidence
 
 
-def _judge(
-    coarse: BackwardMap, sightings: list[Sightings], fit: DisplacementFit, config: RefineConfig
-) -> tuple[BackwardMap | None, str]:
+def _most_alike(scene: _Scene, layout: _Layout, attempts: list[_Attempt], config: RefineConfig) -> _Attempt:
+    """The attempt through which the cells look most alike; the last where cells were not matched."""
+    columns, rows = layout.repeats
+    if not layout.uses_repeats or columns is None or rows is None:
+        return attempts[-1]
+    candidates = [_Attempt(no_displacement(config.spline), ()), *attempts]
+    return max(candidates, key=lambda a: cell_agreement(_view(scene, a.displacement), columns, rows))
+
+
+def _judge(coarse: BackwardMap, attempt: _Attempt, config: RefineConfig) -> tuple[BackwardMap | None, str]:
     """The corrected map if it is to be believed, and why or why not."""
-    before, after = held_out_residuals(sightings, config.spline)
+    if not attempt.evidence:
+        return None, "the cells look most alike through the coarse map"
+    before, after = held_out_residuals([e.sightings for e in attempt.evidence], config.spline)
     size = tuple(max(33, n) for n in coarse.nodes.shape[:2])
-    move = float(np.linalg.norm(fit.displacement.values, axis=1).max())
-    if not sightings or after > config.min_gain * before:
+    move = float(np.linalg.norm(attempt.displacement.values, axis=1).max())
+    if after > config.min_gain * before:
         return None, f"held-out residual {after:.2f} sigma against {before:.2f} before: no better"
     if move > config.max_move:
         return None, f"the film would move by {move:.3f} of its size"
-    backward = fit.displacement.composed(coarse, (size[0], size[1]))
+    backward = attempt.displacement.composed(coarse, (size[0], size[1]))
     if backward.folds() and not coarse.folds():
         return None, "the film would fold"
     return backward, f"held-out residual {before:.1f} -> {after:.1f} sigma, moved by up to {100 * move:.1f} %"
@@ -312,11 +344,6 @@ def _slice_grid(layout: _Layout, backward: BackwardMap) -> SliceGrid | None:
     trust = [a.strength if isinstance(a, Comb) else a.correlation for a in (columns, rows)]
     confidence = float(np.clip(min(trust), 0.0, 1.0))
     return SliceGrid(rows.cells, columns.cells, vertices, backward.photo_from_film(vertices), confidence)
-
-
-def _outline_reason(evidence: Sequence[_Evidence]) -> str:
-    edges = [e.sightings for e in evidence if e.source is None]
-    return f"{len(edges)} of 4 edges, {sum(len(s) for s in edges)} points"
 
 
 def _unchanged(coarse: BackwardMap, reason: str, clock: _Clock) -> Refinement:

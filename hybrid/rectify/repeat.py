@@ -21,7 +21,7 @@ from hybrid.rectify.sightings import Sightings
 
 @dataclass(frozen=True)
 class MatchRound:
-    """How cells are matched in one round: far, coarse and by all their detail first; then by their texts."""
+    """How cells are matched in one round."""
 
     reach_px: int
     """How far a window is searched, in pixels of the view."""
@@ -32,7 +32,9 @@ class MatchRound:
     agreement: float
     """Power of the share that all cells have in common, by which details of the mean cell are weighted."""
     sigma_px: float
-    """Least noise stated for a match, in pixels of the view: anatomy misleads by more than texts do."""
+    """Least noise stated for a match, in pixels of the view."""
+    windows: int
+    """Windows of a cell that are tried: those with most detail."""
 
 
 @dataclass(frozen=True)
@@ -49,16 +51,14 @@ class RepeatConfig:
     """Least autocorrelation of the film at one pitch."""
     octave_ratio: float = 0.7
     """Of the pitches that correlate at least this well relative to the best, the smallest counts."""
-    windows: int = 14
-    """Windows of a cell that are matched: those with most detail that all cells have in common."""
+    first: MatchRound = MatchRound(9, 1.5, 0.22, 0.0, 0.8, 24)
+    """What is done in the first round, against one cell."""
     rounds: tuple[MatchRound, ...] = (
-        MatchRound(12, 3.0, 0.4, 0.0, 2.0),
-        MatchRound(8, 2.0, 0.3, 1.0, 1.0),
-        MatchRound(6, 1.5, 0.25, 2.0, 0.6),
-        MatchRound(5, 1.2, 0.2, 3.0, 0.4),
+        MatchRound(7, 1.3, 0.22, 2.0, 0.5, 16),
+        MatchRound(5, 1.2, 0.2, 3.0, 0.4, 16),
     )
-    """What is done in each round of the refinement."""
-    min_match: float = 0.5
+    """What is done in the further rounds, against the mean cell."""
+    min_match: float = 0.6
     """Least normalised correlation of a window with the mean cell."""
     worst_sigma_px: float = 1.5
     """A match less exact than this, beside the least noise of its round, does not count."""
@@ -165,25 +165,69 @@ def match_cells(
     view: the flat grey film, covering [0, 1]^2.
     """
     image = detail(view.image[..., 0], search.fine_px, 4.0 * search.fine_px + 4.0)
+    return _match_template(image, _mean_cell(image, columns, rows, search.agreement), columns, rows, search, config)
+
+
+def match_to_one_cell(
+    view: FilmView, columns: Repeats, rows: Repeats, search: MatchRound, config: RepeatConfig
+) -> tuple[Sightings, ...]:
+    """The same against the cell in the middle of the film: for a view so crooked that the mean cell is a blur."""
+    image = detail(view.image[..., 0], search.fine_px, 4.0 * search.fine_px + 4.0)
+    cell = _cell(image, columns, rows, columns.cells // 2, rows.cells // 2)
+    return _match_template(image, cell, columns, rows, search, config)
+
+
+def _match_template(
+    image: Float[np.ndarray, "h w"],
+    template: Float[np.ndarray, "ch cw"],
+    columns: Repeats,
+    rows: Repeats,
+    search: MatchRound,
+    config: RepeatConfig,
+) -> tuple[Sightings, ...]:
+    """Windows of one cell matched in all cells. A window counts if half of the cells show it: texts, not anatomy."""
     h, w = image.shape
     cell_px = np.array([columns.pitch * w, rows.pitch * h])
     half = np.maximum(np.rint(0.5 * search.window_share * cell_px).astype(int), 6)
-    mean_cell = _mean_cell(image, columns, rows, search.agreement)
-    matches = []
-    for number, xy_px in enumerate(_choose_windows(mean_cell, half, config.windows)):
-        window = cv2.getRectSubPix(mean_cell, (2 * int(half[0]) + 1, 2 * int(half[1]) + 1), _opencv_point(xy_px))
+    size = (2 * int(half[0]) + 1, 2 * int(half[1]) + 1)
+    table = np.zeros((0, 10))
+    for number, xy_px in enumerate(_choose_windows(template, half, search.windows)):
+        window = cv2.getRectSubPix(template, size, _opencv_point(xy_px))
         x, y = xy_px / cell_px
+        matches = []
         for i in range(rows.cells):
             for j in range(columns.cells):
                 uv = np.array([columns.first + (j + x) * columns.pitch, rows.first + (i + y) * rows.pitch])
                 area = _patch(image, uv * (w, h), half + search.reach_px)
                 if area is not None:
                     matches.append((*uv, number, j, i, *_match(window, area, search.reach_px)))
-    if not matches:
-        return ()
-    table = np.array(matches)
+        if len(matches) >= 4 and np.median([m[9] for m in matches]) >= config.min_match:
+            table = np.vstack([table, matches])
     made = [_match_sightings(table, axis, (h, w), search, config) for axis in (0, 1)]
     return tuple(s for s in made if s is not None)
+
+
+def _cell(
+    image: Float[np.ndarray, "h w"], columns: Repeats, rows: Repeats, column: int, row: int
+) -> Float[np.ndarray, "ch cw"]:
+    """One cell in pixels of the view, shifted by the fraction of a pixel that brings its corner to a pixel's."""
+    h, w = image.shape
+    size = (max(8, round(columns.pitch * w)), max(8, round(rows.pitch * h)))
+    x = (columns.first + (column + 0.5) * columns.pitch) * w - 0.5 * size[0]
+    y = (rows.first + (row + 0.5) * rows.pitch) * h - 0.5 * size[1]
+    shift = np.array([[1.0, 0.0, x], [0.0, 1.0, y]])
+    return cv2.warpAffine(image, shift, size, flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP)
+
+
+def cell_agreement(view: FilmView, columns: Repeats, rows: Repeats, fine_px: float = 1.2) -> float:
+    """Share of the fine detail that all cells have in common, in [0, 1]: largest where the cells are straight.
+
+    Texts and scale bars a pixel off lower it, and it knows nothing of the matches that a map was made from:
+    an independent judge of maps made from them.
+    """
+    image = detail(view.image[..., 0], fine_px, 4.0 * fine_px + 4.0)
+    mean, square = _cell_moments(image, columns, rows)
+    return float(np.mean(mean * mean) / max(float(np.mean(square)), 1e-9))
 
 
 def _mean_cell(
@@ -193,21 +237,21 @@ def _mean_cell(
 
     The weight is (mean^2 / mean square)^power of each pixel's neighbourhood: 1 where all cells are the same.
     """
-    h, w = image.shape
-    size = (max(8, round(columns.pitch * w)), max(8, round(rows.pitch * h)))
-    total, squares = (np.zeros((size[1], size[0]), dtype=np.float32) for _ in range(2))
-    for i in range(rows.cells):
-        for j in range(columns.cells):
-            centre = ((columns.first + (j + 0.5) * columns.pitch) * w, (rows.first + (i + 0.5) * rows.pitch) * h)
-            corner = (centre[0] - 0.5 * size[0], centre[1] - 0.5 * size[1])
-            shift = np.array([[1.0, 0.0, corner[0]], [0.0, 1.0, corner[1]]])
-            cell = cv2.warpAffine(image, shift, size, flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP)
-            total += cell
-            squares += cell * cell
-    count = rows.cells * columns.cells
-    mean = total / count
-    agreement = cv2.GaussianBlur(mean * mean, (0, 0), 2.0) / (cv2.GaussianBlur(squares, (0, 0), 2.0) / count + 1e-2)
+    mean, square = _cell_moments(image, columns, rows)
+    agreement = cv2.GaussianBlur(mean * mean, (0, 0), 2.0) / (cv2.GaussianBlur(square, (0, 0), 2.0) + 1e-2)
     return mean * np.clip(agreement, 0.0, 1.0) ** power
+
+
+def _cell_moments(
+    image: Float[np.ndarray, "h w"], columns: Repeats, rows: Repeats
+) -> tuple[Float[np.ndarray, "ch cw"], Float[np.ndarray, "ch cw"]]:
+    """Mean and mean square over all cells, in pixels of the view."""
+    cells = [_cell(image, columns, rows, j, i) for i in range(rows.cells) for j in range(columns.cells)]
+    total, squares = np.zeros_like(cells[0]), np.zeros_like(cells[0])
+    for cell in cells:
+        total += cell
+        squares += cell * cell
+    return total / len(cells), squares / len(cells)
 
 
 def _choose_windows(
@@ -292,4 +336,12 @@ def _match_sightings(
     return Sightings(axis, seen, t[:, axis].copy(), sigma_px / pixels, shared, shared_sigma)
 
 
-__all__ = ["MatchRound", "RepeatConfig", "Repeats", "find_repeats", "match_cells"]
+__all__ = [
+    "MatchRound",
+    "RepeatConfig",
+    "Repeats",
+    "cell_agreement",
+    "find_repeats",
+    "match_cells",
+    "match_to_one_cell",
+]

@@ -72,7 +72,7 @@ class SplineConfig:
     """Rows and columns of the lattice of kernels; finer than any error of a smooth coarse map."""
     prior_px: float = 12.0
     """Expected size of the coarse map's error, in pixels of a film 1000 pixels long: holds what nothing observes."""
-    stiffness: tuple[float, float, int] = (1e0, 1e5, 6)
+    stiffness: tuple[float, float, int] = (5e3, 5e5, 5)
     """Lowest and highest bending weight tried, and how many; the evidence chooses. In 1 / (squared film units)."""
     reweightings: int = 6
     """Rounds of robust reweighting."""
@@ -116,12 +116,13 @@ class DisplacementFit:
     """A displacement, and how well it explains the sightings.
 
     weights: for each list of sightings, the robust weight of each in [0, 1].
-    residual: robust (median absolute) standardised residual, in stated standard deviations.
+    constants: for each list of sightings, the shared constants found.
+    stiffness: bending weight that the evidence chose for u and for v; 0 where nothing was seen.
     """
 
     displacement: Displacement
-    weights: tuple[Float[np.ndarray, " n"], ...]
-    constants: tuple[Float[np.ndarray, " g"], ...]
+    weights: tuple[Float[np.ndarray, " _"], ...]
+    constants: tuple[Float[np.ndarray, " _"], ...]
     stiffness: tuple[float, float]
 
 

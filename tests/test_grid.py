@@ -1,0 +1,96 @@
+"""The grid of slices: right where it is printed or repeats, none where there is none."""
+
+import numpy as np
+import pytest
+from synthetic_film import FilmDrawing, draw_print, make_photo
+
+from hybrid.coords import film_centres_1d
+from hybrid.rectify.film_view import FilmView, extended_weights, lattice_points, view_film
+from hybrid.rectify.grid import GridConfig, find_comb, follow_comb
+from hybrid.rectify.repeat import RepeatConfig, cell_agreement, find_repeats, match_cells
+
+GRID, REPEAT = GridConfig(), RepeatConfig()
+
+
+def flat_view(drawing: FilmDrawing, seed: int, size: tuple[int, int] = (600, 480)) -> FilmView:
+    rng = np.random.default_rng(seed)
+    import cv2
+
+    image = cv2.resize(draw_print(drawing, rng), size[::-1], interpolation=cv2.INTER_AREA).astype(np.float32)
+    image += rng.normal(0, 1.0, image.shape).astype(np.float32)
+    inside = np.ones(size, dtype=bool)
+    return FilmView(image[..., None], film_centres_1d(size[1]), film_centres_1d(size[0]), inside)
+
+
+@pytest.mark.parametrize(("rows", "cols"), [(3, 3), (4, 3), (6, 5), (5, 8)])
+@pytest.mark.parametrize("margin", [0.0, 0.03])
+def test_printed_rules_are_counted_and_placed(rows, cols, margin):
+    view = flat_view(FilmDrawing(rows, cols, texts=False, margin=margin), 1)
+    for axis, cells in ((0, cols), (1, rows)):
+        comb = find_comb(view.image[..., 0], axis, GRID)
+        assert comb is not None
+        assert comb.cells == cells
+        assert np.abs(comb.lines() - np.linspace(margin, 1 - margin, cells + 1)).max() < 0.006
+
+
+def test_followed_rules_are_straight_to_a_third_of_a_pixel():
+    view = flat_view(FilmDrawing(4, 3, margin=0.03), 2)
+    comb = find_comb(view.image[..., 0], 1, GRID)
+    assert comb is not None
+    sightings = follow_comb(view, comb, GRID)
+    assert sightings is not None
+    truth = np.linspace(0.03, 0.97, 5)
+    error_px = np.abs(sightings.seen[:, 1, None] - truth).min(axis=1) * 600
+    assert np.median(error_px) < 0.7  # the drawing's lines are on whole pixels of twice the size
+    assert np.std(sightings.offsets()) * 600 < 1.0
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_slices_alone_make_no_lines(seed):
+    view = flat_view(FilmDrawing(4, 3, rules=False, texts=False), seed)
+    for axis in (0, 1):
+        comb = find_comb(view.image[..., 0], axis, GRID)
+        assert comb is None or follow_comb(view, comb, GRID) is None
+
+
+def test_noise_has_no_grid():
+    noise = np.random.default_rng(3).normal(60, 4, (500, 400)).astype(np.float32)
+    for axis in (0, 1):
+        assert find_comb(noise, axis, GRID) is None
+        assert find_repeats(noise, axis, REPEAT) is None
+
+
+@pytest.mark.parametrize(("rows", "cols"), [(3, 3), (4, 3), (6, 5)])
+def test_cells_that_repeat_are_counted(rows, cols):
+    view = flat_view(FilmDrawing(rows, cols, rules=False), 4)
+    columns, rows_found = (find_repeats(view.image[..., 0], axis, REPEAT) for axis in (0, 1))
+    assert columns is not None
+    assert rows_found is not None
+    assert (rows_found.cells, columns.cells) == (rows, cols)
+
+
+def test_matches_see_a_moved_cell_and_agreement_falls():
+    view = flat_view(FilmDrawing(4, 3, rules=False), 5)
+    columns, rows = (find_repeats(view.image[..., 0], axis, REPEAT) for axis in (0, 1))
+    assert columns is not None
+    assert rows is not None
+    moved = view.image.copy()
+    moved[150:300, 160:320] = np.roll(moved[150:300, 160:320], 3, axis=1)
+    shifted = FilmView(moved, view.u, view.v, view.inside)
+    assert cell_agreement(shifted, columns, rows) < cell_agreement(view, columns, rows)
+    u = next(s for s in match_cells(shifted, columns, rows, REPEAT.rounds[-1], REPEAT) if s.axis == 0)
+    cell = (np.floor(u.known * 3) == 1) & (np.floor(u.places()[:, 1] * 4) == 1)
+    offsets_px = u.offsets() * 480
+    assert np.median(offsets_px[cell]) - np.median(offsets_px[~cell]) == pytest.approx(3.0, abs=0.5)
+
+
+def test_a_view_shows_what_the_map_says():
+    photo, true = make_photo(FilmDrawing(), np.random.default_rng(6), size=320)
+    u, v = np.linspace(-0.1, 1.1, 13), np.linspace(-0.1, 1.1, 11)
+    uu, vv = np.meshgrid(u, v)
+    expected = true.photo_from_film(np.stack([uu, vv], axis=-1))
+    assert (
+        np.abs(lattice_points(true, u, v) - expected).max() < 0.05
+    )  # BackwardMap goes on from corners in another order; float32
+    assert np.abs(extended_weights(9, u).sum(axis=1) - 1.0).max() < 1e-9
+    assert view_film(photo, true, u, v).image.shape == (11, 13, 3)

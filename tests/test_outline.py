@@ -1,0 +1,85 @@
+"""The sheet's edges: found to a fraction of a pixel where they show, and not found where they do not."""
+
+import numpy as np
+import pytest
+from synthetic_film import FilmDrawing, disturbed, make_photo
+
+from hybrid.backward import BackwardMap
+from hybrid.rectify.curves import best_paths, smooth_curve_weights
+from hybrid.rectify.outline import OutlineConfig, find_outline
+
+CONFIG = OutlineConfig()
+EDGE_PX = 0.5
+"""Median distance of edge points from the true edge: noise, blur, and a rule printed on the edge."""
+
+
+def distance_from_edge(seen_through: BackwardMap, true: BackwardMap, sightings) -> np.ndarray:
+    """Photo pixels between the places seen and the true edge."""
+    uv = true.film_from_photo(seen_through.photo_from_film(sightings.seen), tolerance_px=1e9)
+    xy = seen_through.photo_from_film(sightings.seen)
+    off_film = np.isnan(uv).any(axis=1)
+    t = np.linspace(0, 1, 4000)
+    edge = np.full((4000, 2), sightings.known[0])
+    edge[:, 1 - sightings.axis] = t
+    line = true.photo_from_film(edge)
+    assert off_film.mean() <= 1.0
+    return np.linalg.norm(xy[:, None] - line[None], axis=2).min(axis=1)
+
+
+@pytest.mark.parametrize("rules", [True, False])
+@pytest.mark.parametrize("background", [None, 60, 200])
+def test_edges_are_found_to_a_fraction_of_a_pixel(rules, background):
+    rng = np.random.default_rng(4)
+    photo, true = make_photo(FilmDrawing(rules=rules), rng, background)
+    coarse = disturbed(true, 4.0, rng)
+    outline = find_outline(photo, coarse, CONFIG)
+    assert {(s.axis, s.known[0]) for s in outline} == {(0, 0.0), (0, 1.0), (1, 0.0), (1, 1.0)}
+    for sightings in outline:
+        assert np.median(distance_from_edge(coarse, true, sightings)) < (1.5 if rules else EDGE_PX)
+
+
+def test_a_frame_printed_inside_is_not_the_edge():
+    rng = np.random.default_rng(5)
+    photo, true = make_photo(FilmDrawing(margin=0.03), rng, 110)
+    coarse = disturbed(true, 4.0, rng)
+    outline = find_outline(photo, coarse, CONFIG)
+    assert len(outline) == 4
+    for sightings in outline:
+        assert np.median(distance_from_edge(coarse, true, sightings)) < EDGE_PX
+
+
+def test_black_film_on_black_gives_no_sightings():
+    rng = np.random.default_rng(6)
+    photo = np.clip(np.rint(20 + rng.normal(0, 1.5, (400, 400, 3))), 0, 255).astype(np.uint8)
+    _, true = make_photo(FilmDrawing(), rng, size=400)
+    assert find_outline(photo, true, CONFIG) == ()
+
+
+def test_an_edge_outside_the_photo_is_not_seen():
+    rng = np.random.default_rng(7)
+    photo, true = make_photo(FilmDrawing(rules=False), rng)
+    cut = int(true.nodes[:, 0, 0].max()) + 20
+    outline = find_outline(np.ascontiguousarray(photo[:, cut:]), true.cropped((float(cut), 0.0)), CONFIG)
+    assert (0, 0.0) not in {(s.axis, s.known[0]) for s in outline}
+
+
+def test_best_path_is_the_ridge():
+    columns = np.arange(60)
+    ridge = np.rint(10 + 5 * np.sin(columns / 12)).astype(int)
+    score = np.zeros((2, 25, 60))
+    score[0, ridge, columns] = 3.0
+    score[1, 20 - ridge, columns] = 3.0
+    paths = best_paths(score)
+    assert (paths[0] == ridge).all()
+    assert (paths[1] == 20 - ridge).all()
+
+
+def test_outliers_from_a_smooth_curve_lose_their_weight():
+    rng = np.random.default_rng(8)
+    along = np.linspace(0, 1, 80)
+    depth = 3 * along**2 + rng.normal(0, 0.1, 80)
+    bad = rng.permutation(80)[:16]
+    depth[bad] += rng.choice([-1, 1], 16) * rng.uniform(3, 9, 16)
+    weights = smooth_curve_weights(along, depth, np.ones(80, dtype=bool), 0.3)
+    assert weights[bad].max() < 0.01
+    assert np.median(np.delete(weights, bad)) > 0.8

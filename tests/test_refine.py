@@ -1,0 +1,119 @@
+"""Refinement: better where the photo tells, the same map where it does not, never worse."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+from synthetic_film import FilmDrawing, disturbed, make_photo
+
+from hybrid.backward import BackwardMap, end_point_error
+from hybrid.rectify.refine import RefineConfig, refine
+from hybrid.rectify.sightings import Sightings, SplineConfig, fit_displacement
+
+CONFIG = RefineConfig()
+
+
+def mean_error(predicted: BackwardMap, true: BackwardMap) -> float:
+    return float(end_point_error(predicted, true.nodes).mean())
+
+
+def scattered_sightings(axis: int, wanted, rng: np.random.Generator, n: int = 150) -> Sightings:
+    """Sightings of a displacement ``wanted(uv)`` along one axis."""
+    place = rng.uniform(0, 1, (n, 2))
+    seen = place.copy()
+    seen[:, axis] += wanted(place)
+    return Sightings(axis, seen, place[:, axis].copy(), np.full(n, 3e-4), np.zeros((n, 0)), np.zeros(0))
+
+
+def test_one_sided_sightings_give_back_a_smooth_displacement_despite_outliers():
+    rng = np.random.default_rng(0)
+
+    def wanted(uv):
+        return 0.01 * np.sin(3 * uv[:, 0]) * np.cos(2 * uv[:, 1])
+
+    sightings = [scattered_sightings(axis, wanted, rng) for axis in (0, 1)]
+    sightings[0].seen[::7, 0] += 0.05
+    uv = rng.uniform(0.05, 0.95, (100, 2))
+    found = fit_displacement(sightings, SplineConfig()).displacement(uv) - uv
+    assert np.abs(found - wanted(uv)[:, None]).max() < 1e-3
+
+
+def test_an_axis_without_sightings_stays_where_it_is():
+    rng = np.random.default_rng(1)
+    fit = fit_displacement([scattered_sightings(1, lambda uv: 0.01 * uv[:, 0], rng)], SplineConfig())
+    assert np.abs(fit.displacement.values[:, 0]).max() == 0.0
+    assert np.abs(fit.displacement.values[:, 1]).max() > 0.005
+
+
+def test_a_constant_that_all_share_is_not_taken_for_displacement():
+    rng = np.random.default_rng(2)
+    edges = scattered_sightings(0, lambda uv: np.zeros(len(uv)), rng)
+    shifted = scattered_sightings(0, lambda uv: np.full(len(uv), 0.01), rng)
+    shared = Sightings(0, shifted.seen, shifted.known, shifted.sigma, np.ones((len(shifted), 1)), np.array([0.02]))
+    fit = fit_displacement([edges, shared], SplineConfig())
+    assert np.abs(fit.displacement.values).max() < 5e-4
+    assert fit.constants[1][0] == pytest.approx(0.01, abs=5e-4)
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("background", [None, 70])
+def test_rules_and_outline_bring_the_error_below_a_pixel(seed, background):
+    rng = np.random.default_rng(seed)
+    photo, true = make_photo(FilmDrawing(margin=0.03), rng, background)
+    coarse = disturbed(true, 4.0, rng)
+    refined = refine(photo, coarse, CONFIG)
+    assert mean_error(refined.backward, true) < 1.0 < mean_error(coarse, true)
+    assert refined.grid is not None
+    assert (refined.grid.rows, refined.grid.cols) == (4, 3)
+    assert [s.name for s in refined.stages] == ["outline", "grid", "spline"]
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_texts_that_repeat_halve_the_error(seed):
+    rng = np.random.default_rng(10 + seed)
+    photo, true = make_photo(FilmDrawing(5, 4, rules=False), rng)
+    coarse = disturbed(true, 4.0, rng)
+    refined = refine(photo, coarse, CONFIG)
+    assert mean_error(refined.backward, true) < 0.6 * mean_error(coarse, true)
+    assert refined.grid is not None
+    assert (refined.grid.rows, refined.grid.cols) == (5, 4)
+
+
+@pytest.mark.parametrize("level", [0, 30, 255])
+def test_nothing_seen_changes_nothing(level):
+    _, true = make_photo(FilmDrawing(), np.random.default_rng(3))
+    photo = np.full((640, 640, 3), level, np.uint8)
+    refined = refine(photo, true, CONFIG)
+    assert refined.backward is true
+    assert refined.grid is None
+    assert not any(s.ran for s in refined.stages)
+
+
+@pytest.mark.parametrize("rules", [True, False])
+def test_a_right_map_stays_right(rules):
+    photo, true = make_photo(FilmDrawing(rules=rules, margin=0.03), np.random.default_rng(4))
+    assert mean_error(refine(photo, true, CONFIG).backward, true) < 0.35
+
+
+def test_refining_twice_gives_the_same_bits():
+    rng = np.random.default_rng(5)
+    photo, true = make_photo(FilmDrawing(), rng)
+    coarse = disturbed(true, 3.0, rng)
+    first, second = (refine(photo, coarse, CONFIG).backward.nodes for _ in range(2))
+    assert (first == second).all()
+
+
+def test_real_renders_are_not_made_worse():
+    folder = os.environ.get("HYBRID_SHARED_DATA")
+    if not folder or not (Path(folder) / "photos").is_dir():
+        pytest.skip("HYBRID_SHARED_DATA does not name a folder with photos/ in it")
+    import cv2
+
+    from hybrid.coords import rgb_from_bgr
+
+    for name in ("film_005", "film_006", "film_001"):
+        photo = rgb_from_bgr(cv2.imread(str(Path(folder) / "photos" / f"{name}.jpg")))
+        true = BackwardMap(np.load(Path(folder) / "photos" / f"{name}.npz")["lattice"]).resized((33, 33))
+        coarse = disturbed(true, 6.0, np.random.default_rng(6))
+        assert mean_error(refine(photo, coarse, CONFIG).backward, true) < 0.5 * mean_error(coarse, true)
