@@ -24,7 +24,7 @@ class FilmDrawing:
 
 
 def draw_print(drawing: FilmDrawing, rng: np.random.Generator, size: tuple[int, int] = (1200, 960)) -> np.ndarray:
-    """The print (h, w) uint8: an ellipse that varies in every cell, and the same texts in all."""
+    """The print (h, w) uint8: another ellipse of tissue in every cell, and the same texts in all."""
     h, w = size
     image = np.full(size, drawing.base, np.uint8)
     left, top = drawing.margin * w, drawing.margin * h
@@ -34,8 +34,10 @@ def draw_print(drawing: FilmDrawing, rng: np.random.Generator, size: tuple[int, 
             x, y = left + j * cell_w, top + i * cell_h
             centre = (round(x + cell_w * rng.uniform(0.45, 0.55)), round(y + cell_h * rng.uniform(0.45, 0.55)))
             axes = (round(cell_w * rng.uniform(0.2, 0.32)), round(cell_h * rng.uniform(0.2, 0.32)))
-            cv2.ellipse(image, centre, axes, float(rng.uniform(0, 180)), 0, 360, int(rng.integers(90, 200)), -1)
-            cv2.ellipse(image, centre, (axes[0] // 2, axes[1] // 3), 0, 0, 360, int(rng.integers(60, 240)), -1)
+            inside = np.zeros(size, np.uint8)
+            cv2.ellipse(inside, centre, axes, float(rng.uniform(0, 180)), 0, 360, 1, -1)
+            tissue = cv2.resize(rng.uniform(50, 220, (h // 14, w // 14)), (w, h), interpolation=cv2.INTER_CUBIC)
+            image = np.where(inside > 0, np.clip(tissue, 0, 255).astype(np.uint8), image)
             if drawing.texts:
                 for text, at in (("WXYZ 12", (0.05, 0.1)), ("SE 4", (0.05, 0.17)), ("L 40", (0.75, 0.95))):
                     corner = (round(x + at[0] * cell_w), round(y + at[1] * cell_h))

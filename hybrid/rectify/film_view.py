@@ -61,9 +61,11 @@ def view_film(
 ) -> FilmView:
     """The photo (grey or RGB) at the film points (u[j], v[i]), bilinear."""
     points = lattice_points(backward, u, v)
-    image = cv2.remap(photo, opencv_from_photo(points), None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
+    x_map, y_map = cv2.split(opencv_from_photo(points))
+    image = cv2.remap(photo, x_map, y_map, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
     height, width = photo.shape[:2]
-    inside = np.all((points >= 0) & (points <= np.array([width, height], dtype=np.float32)), axis=-1)
+    x, y = points[..., 0], points[..., 1]
+    inside = (x >= 0) & (x <= width) & (y >= 0) & (y <= height)
     return FilmView(np.atleast_3d(image).astype(np.float32), u, v, inside)
 
 

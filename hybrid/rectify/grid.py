@@ -99,6 +99,10 @@ class Comb:
         first = self.first + float(constants[0] - middle * constants[1])
         return replace(self, first=first, pitch=self.pitch + float(constants[1]))
 
+    def fills_film(self, config: GridConfig) -> bool:
+        """True where the grid's ends lie on the film's edges."""
+        return max(abs(self.first), abs(1.0 - self.first - self.cells * self.pitch)) < config.snug
+
     def lines(self) -> Float[np.ndarray, " n"]:
         """Film coordinates of all lines, the grid's ends included."""
         return self.first + self.pitch * np.arange(self.cells + 1)
@@ -319,7 +323,7 @@ def follow_comb(view: FilmView, comb: Comb, config: GridConfig) -> Sightings | N
     sigma = np.full(len(across), config.sigma_px / h * np.sqrt(max(1.0, n / config.stations)))
     shared = np.column_stack([np.ones(len(across)), number - number.mean()])
     shared_sigma = np.array([config.origin_sigma, config.pitch_sigma])
-    if max(abs(lines[0]), abs(1.0 - lines[-1])) < config.snug:
+    if comb.fills_film(config):
         lines = np.linspace(0.0, 1.0, comb.cells + 1)
         shared_sigma = config.snug_sigma * np.array([1.0, 1.0 / comb.cells])
     return Sightings(comb.axis, uv, lines[inner[index]], sigma, shared, shared_sigma)

@@ -131,7 +131,7 @@ def sample_strip(photo: UInt8[np.ndarray, "H W 3"], backward: BackwardMap, side:
         image.reshape(*groups, 3).mean(axis=2),
         depth,
         film_centres_1d(config.profiles),
-        inside.reshape(groups).all(axis=2),
+        np.asarray(inside.reshape(groups).all(axis=2)),
         pixel,
     )
 

@@ -48,6 +48,10 @@ class RefineConfig:
     """Half width of the search band for edges once the map has been improved, in film units."""
     sure_lines: float = 0.95
     """Share of the film's length on which lines must be seen if nothing repeats at their pitch."""
+    rule_width: float = 0.002
+    """How far a rule printed on the film's edge may shift the edge that is seen, in film units."""
+    settled_move: float = 5e-4
+    """A round that moves the film by less than this is the last, in film units."""
     line_rounds: int = 3
     """Rounds in which lines are looked for where they have not been found: they show better in a straighter view."""
     max_move: float = 0.08
@@ -100,16 +104,20 @@ def refine(photo: UInt8[np.ndarray, "H W 3"], coarse: BackwardMap, config: Refin
         layout = _find_layout(view, layout, number < config.line_rounds, config)
         found = _observe_print(view, layout, matcher, config)
         clock.lap("grid")
-        found += map(_Evidence, find_outline(scene.photo, displacement.composed(scene.coarse), near))
         evidence = tuple(e.lifted(displacement) for e in found)
-        clock.lap("outline")
+        if number == 0:
+            edges = find_outline(scene.photo, displacement.composed(scene.coarse), near)
+            outline = tuple(displacement.lift(s) for s in edges)
+            clock.lap("outline")
+        evidence += tuple(_Evidence(_as_uncertain(s, layout, config)) for s in outline)
         if not evidence:
             return _unchanged(coarse, "no edge, rule, gutter or repeated text was seen", clock)
         fit = fit_displacement([e.sightings for e in evidence], config.spline)
-        attempts.append(_Attempt(fit.displacement, evidence))
+        attempts.append(_Attempt(fit.displacement, evidence, fit.stiffness))
         layout = layout.adjusted(evidence, fit)
         clock.lap("spline")
-        if number >= 1 and not layout.uses_repeats:
+        moved = float(np.abs(fit.displacement.values - displacement.values).max())
+        if number >= 1 and (moved < config.settled_move or not layout.uses_repeats):
             break
     chosen = _most_alike(scene, layout, attempts, config)
     backward, verdict = _judge(coarse, chosen, config)
@@ -142,6 +150,7 @@ class _Attempt:
 
     displacement: Displacement
     evidence: tuple[_Evidence, ...]
+    stiffness: tuple[float, float] = (0.0, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -274,12 +283,26 @@ def _observe_print(
     return evidence
 
 
+def _as_uncertain(edge: Sightings, layout: _Layout, config: RefineConfig) -> Sightings:
+    """An edge on which a rule may be printed: next to a bright background its step is the rule's inner side.
+
+    Its shape counts, its place only within a rule's width: where the lines' pitch tells the place better.
+    """
+    comb = layout.combs[edge.axis]
+    if comb is None or comb.sign < 0 or not comb.fills_film(config.grid):
+        return edge
+    return replace(edge, shared=np.ones((len(edge), 1)), shared_sigma=np.array([config.rule_width]))
+
+
 def _most_alike(scene: _Scene, layout: _Layout, attempts: list[_Attempt], config: RefineConfig) -> _Attempt:
-    """The attempt through which the cells look most alike; the last where cells were not matched."""
+    """Of no displacement, the outline's and the last two, that through which the cells look most alike.
+
+    The last where cells were not matched.
+    """
     columns, rows = layout.repeats
     if not layout.uses_repeats or columns is None or rows is None:
         return attempts[-1]
-    candidates = [_Attempt(no_displacement(config.spline), ()), *attempts]
+    candidates = [_Attempt(no_displacement(config.spline), ()), attempts[0], *attempts[1:][-2:]]
     return max(candidates, key=lambda a: cell_agreement(_view(scene, a.displacement), columns, rows))
 
 
@@ -287,7 +310,9 @@ def _judge(coarse: BackwardMap, attempt: _Attempt, config: RefineConfig) -> tupl
     """The corrected map if it is to be believed, and why or why not."""
     if not attempt.evidence:
         return None, "the cells look most alike through the coarse map"
-    before, after = held_out_residuals([e.sightings for e in attempt.evidence], config.spline)
+    stiffness = max(*attempt.stiffness, config.spline.stiffness[0])
+    same = replace(config.spline, stiffness=(stiffness, stiffness, 1))
+    before, after = held_out_residuals([e.sightings for e in attempt.evidence], same)
     size = tuple(max(33, n) for n in coarse.nodes.shape[:2])
     move = float(np.linalg.norm(attempt.displacement.values, axis=1).max())
     if after > config.min_gain * before:

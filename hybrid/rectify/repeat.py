@@ -35,6 +35,9 @@ class MatchRound:
     """Least noise stated for a match, in pixels of the view."""
     windows: int
     """Windows of a cell that are tried: those with most detail."""
+    match_slack: float
+    """How far a window's typical correlation may lie below the best one's: texts are alike, anatomy is similar, but
+    a view that is still crooked blurs both."""
 
 
 @dataclass(frozen=True)
@@ -51,11 +54,12 @@ class RepeatConfig:
     """Least autocorrelation of the film at one pitch."""
     octave_ratio: float = 0.7
     """Of the pitches that correlate at least this well relative to the best, the smallest counts."""
-    first: MatchRound = MatchRound(9, 1.5, 0.22, 0.0, 0.8, 24)
+    first: MatchRound = MatchRound(9, 1.5, 0.22, 0.0, 0.8, 24, 1.0)
     """What is done in the first round, against one cell."""
     rounds: tuple[MatchRound, ...] = (
-        MatchRound(7, 1.3, 0.22, 2.0, 0.5, 16),
-        MatchRound(5, 1.2, 0.2, 3.0, 0.4, 16),
+        MatchRound(8, 1.5, 0.25, 1.0, 0.6, 16, 0.3),
+        MatchRound(7, 1.3, 0.22, 2.0, 0.5, 16, 0.2),
+        MatchRound(5, 1.2, 0.2, 3.0, 0.4, 16, 0.2),
     )
     """What is done in the further rounds, against the mean cell."""
     min_match: float = 0.6
@@ -185,12 +189,12 @@ def _match_template(
     search: MatchRound,
     config: RepeatConfig,
 ) -> tuple[Sightings, ...]:
-    """Windows of one cell matched in all cells. A window counts if half of the cells show it: texts, not anatomy."""
+    """Windows of one cell matched in all cells. A window counts if the cells show it about as well as the best."""
     h, w = image.shape
     cell_px = np.array([columns.pitch * w, rows.pitch * h])
     half = np.maximum(np.rint(0.5 * search.window_share * cell_px).astype(int), 6)
     size = (2 * int(half[0]) + 1, 2 * int(half[1]) + 1)
-    table = np.zeros((0, 10))
+    tables = []
     for number, xy_px in enumerate(_choose_windows(template, half, search.windows)):
         window = cv2.getRectSubPix(template, size, _opencv_point(xy_px))
         x, y = xy_px / cell_px
@@ -201,8 +205,11 @@ def _match_template(
                 area = _patch(image, uv * (w, h), half + search.reach_px)
                 if area is not None:
                     matches.append((*uv, number, j, i, *_match(window, area, search.reach_px)))
-        if len(matches) >= 4 and np.median([m[9] for m in matches]) >= config.min_match:
-            table = np.vstack([table, matches])
+        if len(matches) >= 4:
+            tables.append(np.array(matches))
+    typical = [float(np.median(t[:, 9])) for t in tables]
+    least = max(config.min_match, max(typical, default=0.0) - search.match_slack)
+    table = np.vstack([np.zeros((0, 10)), *(t for t, m in zip(tables, typical, strict=True) if m >= least)])
     made = [_match_sightings(table, axis, (h, w), search, config) for axis in (0, 1)]
     return tuple(s for s in made if s is not None)
 

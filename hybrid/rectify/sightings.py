@@ -74,7 +74,7 @@ class SplineConfig:
     """Expected size of the coarse map's error, in pixels of a film 1000 pixels long: holds what nothing observes."""
     stiffness: tuple[float, float, int] = (5e3, 5e5, 5)
     """Lowest and highest bending weight tried, and how many; the evidence chooses. In 1 / (squared film units)."""
-    reweightings: int = 6
+    reweightings: int = 5
     """Rounds of robust reweighting."""
 
 
@@ -212,7 +212,7 @@ def _solve_robust(system: _System, config: SplineConfig) -> tuple[np.ndarray, np
         scaled = weights / (noise * system.sigma) ** 2
         data = (system.rows * scaled[:, None]).T @ system.rows
         right = system.rows.T @ (scaled * system.right)
-        if step in (1, config.reweightings - 1):
+        if step == 1 and count > 1:
             stiffness = max(candidates, key=lambda c: _log_evidence(system, data, right, float(c), config))
         solution = _solve(data + system.prior(float(stiffness), config), right)
         residual = (system.rows @ solution - system.right) / system.sigma
