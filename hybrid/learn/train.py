@@ -29,7 +29,7 @@ class TrainConfig:
 
     data: data set folders. out: folder for checkpoint, curves and weights; a run that was cut off goes on from it.
     passes: images shown in all. coarse_share: share of them shown at ``coarse_px``, which costs less, before the rest
-    at the network's own input size. held_out: samples at the end of the data that are only tested on.
+    at the network's own input size. held_out: the first samples of the data, only tested on.
     batch, learning_rate, weight_decay: of AdamW with one cosine cycle and a warm-up. ema: decay of the averaged
     weights, which are the ones saved. loaders: processes that prepare views. device: cpu or cuda.
     """
@@ -69,14 +69,15 @@ class TrainConfig:
         return 0.5 * self.learning_rate * (1 + math.cos(math.pi * (step - warm) / max(1, self.steps - warm)))
 
 
+Place = tuple[Shard, int]
+"""A sample: its shard and its number in it."""
+
+
 class _Batches(Dataset):
     """Batch number ``step`` as a pure function of the seed and the step, so that a resumed run sees the same."""
 
-    def __init__(self, config: TrainConfig, shards: list[Shard], count: int) -> None:
-        self.config, self.shards = config, shards
-        sizes = np.cumsum([0] + [len(s) for s in shards])
-        self.places = [(int(np.searchsorted(sizes, k, "right")) - 1, k) for k in range(count)]
-        self.starts = sizes
+    def __init__(self, config: TrainConfig, places: list[Place]) -> None:
+        self.config, self.places = config, places
 
     def __len__(self) -> int:
         return self.config.steps
@@ -88,9 +89,8 @@ class _Batches(Dataset):
         rng = np.random.default_rng([config.seed, 1, step])
         views = []
         for k in range(first, first + config.batch):
-            shard, number = self.places[order[k % len(order)]]
-            index = number - int(self.starts[shard])
-            views.append(training_view(self.shards[shard], index, config.px_at(step), rng, config.augment))
+            shard, index = self.places[order[k % len(order)]]
+            views.append(training_view(shard, index, config.px_at(step), rng, config.augment))
         return batch_of(views)
 
 
@@ -100,19 +100,20 @@ def train(config: TrainConfig) -> None:
     Raises:
         ConfigError: fewer samples than are held out. DataError: a data set that cannot be read.
     """
-    shards = [shard for folder in config.data for shard in open_dataset(folder)]
-    total = sum(len(shard) for shard in shards)
-    if total <= config.held_out:
+    places = [(shard, k) for folder in config.data for shard in open_dataset(folder) for k in range(len(shard))]
+    if len(places) <= config.held_out:
         raise ConfigError(
             describe(
-                what="train", got=f"{total} samples", allowed=f"> {config.held_out} held out", do="Make more data."
+                what="train",
+                got=f"{len(places)} samples",
+                allowed=f"> {config.held_out} held out",
+                do="Make more data.",
             )
         )
     config.out.mkdir(parents=True, exist_ok=True)
     state = _State(config)
-    batches = _Batches(config, shards, total - config.held_out)
     loader = DataLoader(
-        batches,
+        _Batches(config, places[config.held_out :]),
         batch_size=None,
         sampler=range(state.step, config.steps),
         num_workers=config.loaders,
@@ -124,7 +125,7 @@ def train(config: TrainConfig) -> None:
             terms = state.update(images, targets)
             bar.update(len(images))
             if state.step % config.steps_per_test == 0 or state.step == config.steps:
-                row = terms | test(state.averaged, shards, total - config.held_out, config)
+                row = terms | test(state.averaged, places[: config.held_out], config)
                 _log(config.out / "curves.csv", {"passes": state.step * config.batch} | row)
                 bar.set_postfix(uv=f"{row['test_uv_percent']:.2f}%", iou=f"{row['test_mask_iou']:.3f}")
             if time.monotonic() - saved > 60 * config.minutes_per_save or state.step == config.steps:
@@ -193,16 +194,15 @@ class _State:
 
 
 @torch.inference_mode()
-def test(network: FilmNet, shards: list[Shard], first: int, config: TrainConfig) -> dict[str, float]:
-    """Errors on the held-out samples, seen whole: mean |uv error| in % of the film, mask intersection over union."""
+def test(network: FilmNet, places: list[Place], config: TrainConfig) -> dict[str, float]:
+    """Errors on held-out samples, seen whole: mean |uv error| in % of the film, mask intersection over union."""
     network.eval()
-    numbered = [(shard, k) for shard in shards for k in range(len(shard))][first:]
     rng = np.random.default_rng(0)
     uv_error, overlap = [], []
-    for start in range(0, len(numbered), config.batch):
+    for start in range(0, len(places), config.batch):
         views = [
             training_view(shard, k, config.network.input_px, rng, None)
-            for shard, k in numbered[start : start + config.batch]
+            for shard, k in places[start : start + config.batch]
         ]
         images, targets = batch_of(views)
         output = network(images.to(config.device))

@@ -56,7 +56,7 @@ def load_weights(path: Path) -> FilmNet:
 
 def packaged_weights() -> FilmNet:
     """The network that the package ships."""
-    with as_file(files("hybrid.learn") / "weights" / "filmnet.safetensors") as path:
+    with as_file(files("hybrid.learn") / "packaged" / "filmnet.safetensors") as path:
         return load_weights(path)
 
 
