@@ -55,8 +55,9 @@ class GridConfig:
     """Places along a line at which it is observed."""
     sigma_px: float = 0.3
     """Stated noise of one such observation, in pixels of the film view."""
-    origin_sigma: float = 0.02
-    """Prior standard deviation of a comb's place, in film units."""
+    centre_sigma: tuple[float, float] = (0.004, 0.012)
+    """Prior standard deviation of a comb's middle from the film's, across and down, in film units: margins are alike
+    on both sides, but for a header or footer."""
     pitch_sigma: float = 0.004
     """Prior standard deviation of a comb's pitch, in film units."""
     snug: float = 0.008
@@ -95,9 +96,9 @@ class Comb:
 
     def adjusted(self, sightings: Sightings, constants: Float[np.ndarray, "2"]) -> Comb:
         """With the place and pitch that a fit of its sightings found."""
-        middle = float(np.mean((sightings.known - self.first) / self.pitch))
-        first = self.first + float(constants[0] - middle * constants[1])
-        return replace(self, first=first, pitch=self.pitch + float(constants[1]))
+        step = np.ptp(sightings.known) / max(np.ptp(sightings.shared[:, 1]), 1.0)
+        pitch = float(step if step > 0 else self.pitch) + float(constants[1])
+        return replace(self, first=0.5 + float(constants[0]) - 0.5 * self.cells * pitch, pitch=pitch)
 
     def fills_film(self, config: GridConfig) -> bool:
         """True where the grid's ends lie on the film's edges."""
@@ -284,7 +285,8 @@ def _match_comb(
 def follow_comb(view: FilmView, comb: Comb, config: GridConfig) -> Sightings | None:
     """Each line that was seen, observed at many places along its length; None where too little is left.
 
-    Straightness and equal spacing are in the constants shared by all: the comb's place and its pitch.
+    Straightness and equal spacing are in the constants shared by all: where the comb's middle lies from the film's,
+    and by how much its pitch differs.
     """
     grey = view.image[..., 0]
     image = narrowed(grey if comb.axis == 1 else np.ascontiguousarray(grey.T))
@@ -319,14 +321,14 @@ def follow_comb(view: FilmView, comb: Comb, config: GridConfig) -> Sightings | N
     along = stations[station]
     across = np.interp(start[index, station] + seen[:, 1], np.arange(h), film_centres_1d(h))
     uv = np.column_stack([along, across] if comb.axis == 1 else [across, along])
-    number = inner[index].astype(np.float64)
     sigma = np.full(len(across), config.sigma_px / h * np.sqrt(max(1.0, n / config.stations)))
-    shared = np.column_stack([np.ones(len(across)), number - number.mean()])
-    shared_sigma = np.array([config.origin_sigma, config.pitch_sigma])
+    from_centre = inner[index] - 0.5 * comb.cells
     if comb.fills_film(config):
-        lines = np.linspace(0.0, 1.0, comb.cells + 1)
-        shared_sigma = config.snug_sigma * np.array([1.0, 1.0 / comb.cells])
-    return Sightings(comb.axis, uv, lines[inner[index]], sigma, shared, shared_sigma)
+        pitch, shared_sigma = 1.0 / comb.cells, config.snug_sigma * np.array([1.0, 1.0 / comb.cells])
+    else:
+        pitch, shared_sigma = comb.pitch, np.array([config.centre_sigma[comb.axis], config.pitch_sigma])
+    shared = np.column_stack([np.ones(len(across)), from_centre])
+    return Sightings(comb.axis, uv, 0.5 + from_centre * pitch, sigma, shared, shared_sigma)
 
 
 def _peaks_on_paths(

@@ -117,7 +117,7 @@ def refine(photo: UInt8[np.ndarray, "H W 3"], coarse: BackwardMap, config: Refin
         layout = layout.adjusted(evidence, fit)
         clock.lap("spline")
         moved = float(np.abs(fit.displacement.values - displacement.values).max())
-        if number >= 1 and (moved < config.settled_move or not layout.uses_repeats):
+        if number >= 1 and (moved < config.settled_move or layout.is_enough(number)):
             break
     chosen = _most_alike(scene, layout, attempts, config)
     backward, verdict = _judge(coarse, chosen, config)
@@ -164,6 +164,11 @@ class _Layout:
     def uses_repeats(self) -> bool:
         """True where cells are matched, because lines are missing along an axis."""
         return None in self.combs and self.settled
+
+    def is_enough(self, number: int) -> bool:
+        """True where round ``number`` can be the last: no cells to match, and all lines seen or looked for thrice."""
+        complete = all(comb is None or len(comb.seen) > comb.cells for comb in self.combs)
+        return not self.uses_repeats and (complete or number >= 2)
 
     @property
     def settled(self) -> bool:
@@ -250,11 +255,11 @@ def _find_layout(view: FilmView, known: _Layout, looking: bool, config: RefineCo
         if repeats[axis] is None:
             repeats[axis] = find_repeats(grey, axis, config.repeat)
         comb, repeat = combs[axis], repeats[axis]
-        if comb is None and looking:
+        if looking and (comb is None or len(comb.seen) <= comb.cells):
             around = (0.94 * repeat.pitch, 1.06 * repeat.pitch) if repeat is not None else (0.0, 1.0)
-            comb = find_comb(grey, axis, config.grid, around)
-            if comb is not None and not _plausible(comb, repeat, config):
-                comb = None
+            found = find_comb(grey, axis, config.grid, around)
+            if found is not None and _plausible(found, repeat, config):
+                comb = found if comb is None or len(found.seen) > len(comb.seen) else comb
         if comb is not None and follow_comb(view, comb, config.grid) is None:
             comb = None
         combs[axis] = comb
