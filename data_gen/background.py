@@ -9,7 +9,7 @@ from jaxtyping import Float
 from data_gen.rooms import FilteredEnvironment, sample_environment, sample_filtered, sample_irradiance
 from data_gen.scene import Scene
 from data_gen.shade import room_from_film
-from hybrid.coords import linear_from_srgb, opencv_from_photo
+from hybrid.coords import linear_from_srgb, sample_bilinear
 from hybrid.mesh.camera import Camera
 
 TILE = 256
@@ -53,8 +53,9 @@ def _table(camera: Camera, scene: Scene, room: FilteredEnvironment, rng: np.rand
     scale = TILE / rng.uniform(300, 1500)
     turn = rng.uniform(0, 2 * np.pi)
     rotation = scale * np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
-    xy = opencv_from_photo((plane @ rotation + rng.uniform(0, TILE, 2)).astype(np.float32))
-    reflectance = cv2.remap(material_tile(rng), xy, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT)
+    at = plane @ rotation + rng.uniform(0, TILE, 2)
+    mirrored = TILE - np.abs(np.mod(at, 2 * TILE) - TILE)  # the tile repeats, mirrored
+    reflectance = sample_bilinear(material_tile(rng), mirrored)
     towards = room_from_film(scene.light) @ np.array([0, 0, -1.0])
     light = sample_irradiance(room, towards[None])[0] / np.pi * scene.light.front
     picture = reflectance * light

@@ -47,7 +47,7 @@ def tone(name: str) -> Float[np.ndarray, " n"]:
         def curve(v: np.ndarray) -> np.ndarray:
             return (v * (0.15 * v + 0.05) + 0.004) / (v * (0.15 * v + 0.5) + 0.06) - 0.02 / 0.3
 
-        y = srgb_from_linear(curve(2 * x) / curve(np.array(2 * _LUT_MAX)))
+        y = srgb_from_linear(curve(2 * x) / curve(np.array([2 * _LUT_MAX])))
     elif name == "punchy":
         display = srgb_from_linear(x)
         y = display + 0.12 * np.sin(2 * np.pi * (display - 0.5)) / (2 * np.pi) * 4 * 0.5

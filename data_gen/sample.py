@@ -21,7 +21,7 @@ from data_gen.scene import Scene, SceneConfig, sample_scene
 from data_gen.shade import film_light, film_radiance
 from data_gen.volumes import CtVolume, load_volumes
 from hybrid.backward import BackwardMap
-from hybrid.coords import node_centres_1d, opencv_from_photo, pixel_from_film
+from hybrid.coords import node_centres_1d, pixel_from_film, sample_bilinear
 from hybrid.mesh.camera import Camera
 from hybrid.mesh.film import FilmMesh, film_mesh
 from hybrid.mesh.raycast import AnnotationMaps, FilmCaster, true_backward_map
@@ -139,8 +139,7 @@ def _composite(
     """The film's radiance put before the background, anti-aliased by ``supersample`` rays per pixel and axis."""
     h, w = camera.size
     mask, uv = caster.uv_map(camera.resized((h * supersample, w * supersample)))
-    xy = opencv_from_photo(pixel_from_film(np.where(mask[..., None], uv, 0.0), radiance.shape[:2]).astype(np.float32))
-    seen = cv2.remap(radiance, xy, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    seen = sample_bilinear(radiance, pixel_from_film(np.where(mask[..., None], uv, 0.0), radiance.shape[:2]))
     alpha = mask.astype(np.float32)
     seen *= alpha[..., None]
     seen = cv2.resize(seen, (w, h), interpolation=cv2.INTER_AREA)
@@ -162,8 +161,7 @@ def _lookup(image: np.ndarray, maps: AnnotationMaps, camera: Camera, film: FilmM
     """Display grey of the print seen by each pixel of the maps; NaN where there is no film."""
     small = _print_at_photo_scale(image, film, camera, 1).astype(np.float32)
     uv = np.where(maps.mask[..., None], maps.uv, 0.0)
-    xy = opencv_from_photo(pixel_from_film(uv, (small.shape[0], small.shape[1])).astype(np.float32))
-    seen = cv2.remap(small, xy, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    seen = sample_bilinear(small, pixel_from_film(uv, (small.shape[0], small.shape[1])))
     return np.where(maps.mask, seen, np.nan)
 
 

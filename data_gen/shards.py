@@ -19,7 +19,7 @@ from data_gen.sample import Sample
 from hybrid.learn.shards import UV_LEVELS
 
 
-def _zero_filled(values: np.ndarray, scale: float, dtype: type) -> np.ndarray:
+def _zero_filled(values: np.ndarray, scale: int, dtype: type) -> np.ndarray:
     return np.rint(np.nan_to_num(values) * scale).astype(dtype)
 
 

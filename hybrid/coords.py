@@ -100,6 +100,17 @@ def sample_photo(image: torch.Tensor, xy: torch.Tensor) -> torch.Tensor:
     )
 
 
+def sample_bilinear(image: np.ndarray, xy: np.ndarray) -> np.ndarray:
+    """Bilinear values of ``image`` (H, W[, C]) at points (h, w, 2) of its photo frame; its rim is repeated outside.
+
+    Exact for 1, 3 or 4 channels; OpenCV rounds the points to 1/32 px for 2 channels and for float64.
+    """
+    import cv2
+
+    maps = opencv_from_photo(np.asarray(xy, dtype=np.float32))
+    return cv2.remap(image, maps, np.empty(0), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+
+
 def rescale_points(
     xy: Float[np.ndarray, "*n 2"], from_size: tuple[int, int], to_size: tuple[int, int]
 ) -> Float[np.ndarray, "*n 2"]:

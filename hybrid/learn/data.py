@@ -10,6 +10,7 @@ import torch
 from jaxtyping import Float, UInt8
 
 from hybrid.coords import opencv_from_photo, pixel_centres, rescale_points, rgb_from_bgr
+from hybrid.errors import DataError, describe
 from hybrid.learn.losses import Targets
 from hybrid.learn.network import STRIDE
 from hybrid.learn.shards import UV_LEVELS, Shard
@@ -43,16 +44,17 @@ class View:
 
 def training_view(shard: Shard, index: int, px: int, rng: np.random.Generator, config: AugmentConfig | None) -> View:
     """Sample ``index`` seen in a random view of ``px`` pixels; with no ``config``, as it is and undisturbed."""
-    photo = rgb_from_bgr(cv2.imdecode(np.frombuffer(shard.photos[index], np.uint8), cv2.IMREAD_COLOR))
+    photo = _decoded(shard, index)
     side = photo.shape[0]
     mask = np.asarray(shard.maps["mask"][index])
+    map_size = (mask.shape[0], mask.shape[1])
     photo_from_view, turn = _view(mask, side, px, rng, config)
     image = _warped(photo, photo_from_view, px)
     if config is not None:
         image = _disturbed(image, rng)
     centres = rescale_points(pixel_centres((px // STRIDE, px // STRIDE)), (px // STRIDE,) * 2, (px, px))
     in_photo = centres @ photo_from_view[:, :2].T + photo_from_view[:, 2]
-    in_map = opencv_from_photo(rescale_points(in_photo, (side, side), mask.shape))
+    in_map = opencv_from_photo(rescale_points(in_photo, (side, side), map_size))
     seen, uv, xyz, albedo = _sampled(shard, index, mask, in_map)
     return View(image, seen, uv, _relative(xyz, seen, shard.samples[index], turn), albedo)
 
@@ -67,6 +69,16 @@ def batch_of(views: list[View]) -> tuple[torch.Tensor, Targets]:
     return images.contiguous(memory_format=torch.channels_last), Targets(
         stacked("mask"), stacked("uv").permute(0, 3, 1, 2), stacked("xyz").permute(0, 3, 1, 2), stacked("albedo")
     )
+
+
+def _decoded(shard: Shard, index: int) -> UInt8[np.ndarray, "n n 3"]:
+    """The photo of a sample, RGB."""
+    photo = cv2.imdecode(np.frombuffer(shard.photos[index], np.uint8), cv2.IMREAD_COLOR)
+    if photo is None:
+        raise DataError(
+            describe(what="shard", where=shard.folder, got=f"photo {index} unreadable", do="Make it again.")
+        )
+    return rgb_from_bgr(photo)
 
 
 # ---------------------------------------------------------------- geometry

@@ -48,8 +48,8 @@ def load_weights(path: Path) -> FilmNet:
     if got != ("FilmNet", str(CONVENTIONS_VERSION)):
         allowed = ("FilmNet", str(CONVENTIONS_VERSION))
         raise DataError(describe(what="weights", where=path, got=got, allowed=allowed, do="Train them again."))
-    options = {k: tuple(v) if isinstance(v, list) else v for k, v in json.loads(metadata["config"]).items()}
-    network = FilmNet(FilmNetConfig(**options))
+    options: dict[str, Any] = json.loads(metadata["config"])
+    network = FilmNet(FilmNetConfig(**{k: tuple(v) if isinstance(v, list) else v for k, v in options.items()}))
     network.load_state_dict({k: v.float() if v.is_floating_point() else v for k, v in tensors.items()}, strict=True)
     return network
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -54,9 +55,7 @@ class FilmCaster:
         lower = np.stack([corner + 1, corner + n, corner + n + 1], axis=1)
         self._triangles = np.concatenate([upper, lower])
         self._scene = o3d.t.geometry.RaycastingScene(nthreads=1)
-        self._scene.add_triangles(
-            o3d.core.Tensor(self._points.astype(np.float32)), o3d.core.Tensor(self._triangles.astype(np.uint32))
-        )
+        self._scene.add_triangles(_tensor(self._points.astype(np.float32)), _tensor(self._triangles.astype(np.uint32)))
 
     def uv_map(self, camera: Camera) -> tuple[Bool[np.ndarray, "h w"], Float[np.ndarray, "h w 2"]]:
         """Mask and film uv (float32, NaN where the mask is False) of each pixel of the camera's photo."""
@@ -81,15 +80,13 @@ class FilmCaster:
 
         Rays are cast only through the bounding box of the projected film.
         """
-        import open3d as o3d
-
         mask = np.zeros(camera.size, dtype=bool)
         box = self._bounding_box(camera)
         part = camera.cropped((box[1].start, box[0].start), mask[box].shape)
         rays = np.empty((*part.size, 6), dtype=np.float32)
         rays[..., :3] = camera.centre_world
         rays[..., 3:] = part.pixel_rays() @ camera.camera_from_world[:3, :3]
-        answer = self._scene.cast_rays(o3d.core.Tensor(rays))
+        answer = self._scene.cast_rays(_tensor(rays))
         primitive = answer["primitive_ids"].numpy()
         hit = primitive != _MISS
         mask[box] = hit
@@ -107,6 +104,13 @@ class FilmCaster:
         left, top = np.clip(np.floor(photo.min(axis=0)).astype(int), 0, [w - 1, h - 1]).tolist()
         right, bottom = np.clip(np.ceil(photo.max(axis=0)).astype(int), [left + 1, top + 1], [w, h]).tolist()
         return slice(top, bottom), slice(left, right)
+
+
+def _tensor(values: np.ndarray) -> Any:
+    """Open3D's tensor over the same memory."""
+    import open3d as o3d
+
+    return o3d.core.Tensor.from_numpy(np.ascontiguousarray(values))
 
 
 def _mix(values: np.ndarray, weights: np.ndarray, corners: np.ndarray) -> np.ndarray:
