@@ -1,4 +1,4 @@
-"""Forces on the vertices of a film, in newtons: gravity, the published data set's force field, wind."""
+"""Forces on the vertices of a film, in newtons: gravity, the published data set's force fields, wind."""
 
 from __future__ import annotations
 
@@ -7,8 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from hybrid.mesh.film import FilmMesh
-from hybrid.mesh.solver import GRAVITY_MM_S2, MM_PER_M, MassSpring
+from hybrid.mesh.material import STANDARD_GRAVITY
+from hybrid.mesh.network import MassSpring, lattice_normals
+
+AIR_KG_M3 = 1.2
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,28 +28,93 @@ class PointField:
     noise: Float[np.ndarray, " v"]
 
 
+@dataclass(frozen=True, eq=False)
+class PlaneField:
+    """A field that pushes along a plane's unit ``normal``, away from the plane on both sides (strength > 0) or to it.
+
+    point_mm: (3,) on the plane; the other fields are PointField's, with the distance from the plane.
+    """
+
+    point_mm: Float[np.ndarray, "3"]
+    normal: Float[np.ndarray, "3"]
+    strength: float
+    reach_mm: float
+    falloff: float
+    noise: Float[np.ndarray, " v"]
+
+
+@dataclass(frozen=True, eq=False)
+class Air:
+    """Pressure of the air on a sheet: the force at rest, and the resistance against moving along the normal.
+
+    Loads takes both; with the resistance implicit, wind is stable at any step.
+    """
+
+    force_n: Float[np.ndarray, "v 3"]
+    drag: Float[np.ndarray, " v"]
+    normal: Float[np.ndarray, "v 3"]
+
+
 def gravity(network: MassSpring, direction: Float[np.ndarray, "3"]) -> Float[np.ndarray, "v 3"]:
     """Weight of each vertex along a unit ``direction``."""
-    return network.mass_kg[:, None] * (GRAVITY_MM_S2 / MM_PER_M) * direction
+    return network.mass_kg[:, None] * STANDARD_GRAVITY * direction
 
 
 def point_field(network: MassSpring, vertices: Float[np.ndarray, "v 3"], field: PointField) -> Float[np.ndarray, "v 3"]:
     """Force of a point field on each vertex; the distance is kept above a twentieth of the reach."""
     arm = vertices - field.centre_mm
-    distance = np.maximum(np.linalg.norm(arm, axis=1, keepdims=True), field.reach_mm / 20)
-    weight = network.mass_kg[:, None] * (GRAVITY_MM_S2 / MM_PER_M)
-    fade = (field.reach_mm / distance) ** field.falloff
-    return field.strength * weight * fade * (1 + field.noise)[:, None] * arm / distance
+    distance = np.linalg.norm(arm, axis=1)
+    return _fading(network, field, distance)[:, None] * arm / np.maximum(distance, field.reach_mm / 20)[:, None]
 
 
-def wind(
-    network: MassSpring, mesh: FilmMesh, velocity_m_s: Float[np.ndarray, "3"], air_kg_m3: float = 1.2
-) -> Float[np.ndarray, "v 3"]:
-    """Pressure of a steady wind: rho/2 (v . n) |v . n| over each vertex's share of the area, along the normal."""
-    normals = mesh.normals(mesh.u_lines, mesh.v_lines).reshape(-1, 3)
-    area_m2 = network.mass_kg / (network.material.thickness_mm * network.material.density_kg_mm3) / MM_PER_M**2
-    across = normals @ velocity_m_s
-    return (0.5 * air_kg_m3 * area_m2 * across * np.abs(across))[:, None] * normals
+def plane_field(network: MassSpring, vertices: Float[np.ndarray, "v 3"], field: PlaneField) -> Float[np.ndarray, "v 3"]:
+    """Force of a planar field on each vertex; it turns smoothly within a twentieth of the reach from the plane."""
+    height = (vertices - field.point_mm) @ field.normal
+    side = height / np.maximum(np.abs(height), field.reach_mm / 20)
+    return (_fading(network, field, np.abs(height)) * side)[:, None] * field.normal
+
+
+def wind(network: MassSpring, vertices: Float[np.ndarray, "v 3"], velocity_m_s: Float[np.ndarray, "3"]) -> Air:
+    """Air of a steady velocity: rho / 2 |v . n| (v - x') . n over each vertex's share of the area, along the normal."""
+    return gusts(network, vertices, np.broadcast_to(velocity_m_s, vertices.shape))
+
+
+def gusts(network: MassSpring, vertices: Float[np.ndarray, "v 3"], velocity_m_s: Float[np.ndarray, "v 3"]) -> Air:
+    """Air with a velocity of its own at each vertex; still air resists as if it moved by 0.3 m/s."""
+    normals = lattice_normals(network, vertices.reshape(*network.film.shape, 3)).reshape(-1, 3)
+    area_m2 = network.area * network.metres_per_unit**2
+    across = np.einsum("vk,vk->v", normals, velocity_m_s)
+    per_speed = 0.5 * AIR_KG_M3 * area_m2 * np.maximum(np.abs(across), 0.3)  # N s/m
+    return Air((per_speed * across)[:, None] * normals, per_speed * network.metres_per_unit, normals)
+
+
+def turbulence(
+    rng: np.random.Generator, mean_m_s: Float[np.ndarray, "3"], share: float, size_mm: float, waves: int = 6
+) -> Turbulence:
+    """Gusts of about ``share`` of the mean speed, as waves that the mean wind carries along (Taylor's hypothesis)."""
+    speed = float(np.linalg.norm(mean_m_s))
+    wave = rng.normal(size=(waves, 3)) * (2 * np.pi / (size_mm * rng.uniform(0.5, 3.0, (waves, 1))))
+    return Turbulence(
+        mean_m_s,
+        rng.normal(size=(waves, 3)) * share * speed * np.sqrt(2 / waves),
+        wave,
+        rng.uniform(0, 2 * np.pi, waves),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Turbulence:
+    """A wind with frozen gusts: mean (3,) m/s, amplitudes (n, 3) m/s, wave vectors (n, 3) 1/mm and phases (n,)."""
+
+    mean_m_s: Float[np.ndarray, "3"]
+    amplitude: Float[np.ndarray, "n 3"]
+    wave: Float[np.ndarray, "n 3"]
+    phase: Float[np.ndarray, " n"]
+
+    def velocity(self, vertices: Float[np.ndarray, "v 3"], time_s: float) -> Float[np.ndarray, "v 3"]:
+        """Velocity (m/s) of the air at each vertex."""
+        carried = vertices - self.mean_m_s * (1000.0 * time_s)
+        return self.mean_m_s + np.cos(carried @ self.wave.T + self.phase) @ self.amplitude
 
 
 def smooth_noise(rng: np.random.Generator, shape: tuple[int, int], waves: int = 4) -> Float[np.ndarray, " v"]:
@@ -58,3 +125,9 @@ def smooth_noise(rng: np.random.Generator, shape: tuple[int, int], waves: int = 
         fu, fv = rng.normal(0, 1.2, 2)
         total += np.cos(2 * np.pi * (fu * u + fv * v) + rng.uniform(0, 2 * np.pi))
     return (total * np.sqrt(2 / waves)).ravel()
+
+
+def _fading(network: MassSpring, field: PointField | PlaneField, distance: np.ndarray) -> np.ndarray:
+    """Force (N) on each vertex at a distance from the field's source."""
+    fade = (field.reach_mm / np.maximum(distance, field.reach_mm / 20)) ** field.falloff
+    return field.strength * network.mass_kg * STANDARD_GRAVITY * fade * (1 + field.noise)

@@ -1,0 +1,121 @@
+"""Tangent stiffness of a lattice as a band, and its Cholesky factor by LAPACK.
+
+Numbered along its shorter side, a lattice of m x n vertices couples each vertex with others at most 2 m numbers
+away, and the system of 3 m n unknowns is a band of 6 m, which LAPACK factors at the speed of matrix products. The band
+is stored transposed, (unknown, diagonal): as LAPACK wants it, and so that blocks of vertices are strided views.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy import sparse
+from scipy.linalg import get_lapack_funcs
+
+_PBTRF, _PBTRS = get_lapack_funcs(("pbtrf", "pbtrs"), dtype=np.float64)
+
+SHIFTS = (0.0, 1e-12, 1e-9, 1e-6, 1e-3)
+"""Shares of the mean diagonal that are added, one after the other, until the matrix is definite in floating point."""
+
+
+@dataclass(frozen=True, eq=False)
+class BandFactor:
+    """Cholesky factor of a tangent.
+
+    lower: LAPACK's band. order: number of each vertex in the band. shift: share of the mean diagonal that was added.
+    """
+
+    lower: Float[np.ndarray, "b n"]
+    order: Int[np.ndarray, " v"]
+    shift: float
+
+    def solve(self, right: Float[np.ndarray, "v 3"]) -> Float[np.ndarray, "v 3"]:
+        """Solution for a load on each vertex."""
+        ordered = np.empty_like(right)
+        ordered[self.order] = right
+        solution, _ = _PBTRS(self.lower, ordered.ravel(), lower=1)
+        return solution.reshape(-1, 3)[self.order]
+
+
+def lattice_order(shape: tuple[int, int]) -> Int[np.ndarray, "rows cols"]:
+    """Numbers of the vertices, counted along the shorter side first."""
+    rows, cols = shape
+    if cols <= rows:
+        return np.arange(rows * cols).reshape(rows, cols)
+    return np.arange(rows * cols).reshape(cols, rows).T
+
+
+def bandwidth(shape: tuple[int, int]) -> int:
+    """Number of diagonals below the main one: second differences reach two lattice lines further."""
+    return 3 * 2 * max(min(shape), 2) + 2
+
+
+def band_of(matrix: sparse.csr_array, shape: tuple[int, int]) -> Float[np.ndarray, "n b"]:
+    """A (V, V) matrix that acts alike on x, y and z, as a transposed band."""
+    number = lattice_order(shape).ravel()
+    coo = matrix.tocoo()
+    row, col = number[coo.row], number[coo.col]
+    lower = row >= col
+    band = np.zeros((len(number), 3, bandwidth(shape) + 1))
+    for k in range(3):
+        band[col[lower], k, 3 * (row - col)[lower]] = coo.data[lower]
+    return band.reshape(3 * len(number), -1)
+
+
+def add_cells(band: np.ndarray, shape: tuple[int, int], blocks: Float[np.ndarray, "r1 c1 4 3 4 3"]) -> None:
+    """Add the 12 x 12 matrices of the cells (corners: upper left, upper right, lower left, lower right) to a band."""
+    rows, cols = shape
+    number = lattice_order(shape)
+    view = band.reshape(rows * cols, 3, -1)
+    places = [np.s_[:-1, :-1], np.s_[:-1, 1:], np.s_[1:, :-1], np.s_[1:, 1:]]
+    whole = np.zeros((rows, cols, 3, 3))
+    right, down = np.zeros((rows, cols - 1, 3, 3)), np.zeros((rows - 1, cols, 3, 3))
+    for corner, place in enumerate(places):
+        whole[place] += blocks[:, :, corner, :, corner]
+    right[:-1] += blocks[:, :, 0, :, 1]
+    right[1:] += blocks[:, :, 2, :, 3]
+    down[:, :-1] += blocks[:, :, 0, :, 2]
+    down[:, 1:] += blocks[:, :, 1, :, 3]
+    _add_pairs(view, number, number, whole)
+    _add_pairs(view, number[:, :-1], number[:, 1:], right)
+    _add_pairs(view, number[:-1], number[1:], down)
+    _add_pairs(view, number[:-1, :-1], number[1:, 1:], blocks[:, :, 0, :, 3])
+    _add_pairs(view, number[:-1, 1:], number[1:, :-1], blocks[:, :, 1, :, 2])
+
+
+def add_vertices(band: np.ndarray, shape: tuple[int, int], blocks: Float[np.ndarray, "v 3 3"]) -> None:
+    """Add a 3 x 3 matrix of each vertex to a band."""
+    number = lattice_order(shape)
+    _add_pairs(band.reshape(len(blocks), 3, -1), number, number, blocks.reshape(*shape, 3, 3))
+
+
+def factor(
+    band: Float[np.ndarray, "n b"], shape: tuple[int, int], shifts: tuple[float, ...] = SHIFTS
+) -> BandFactor | None:
+    """Cholesky factor of a band, which is overwritten; None where no shift makes it definite."""
+    order = lattice_order(shape).ravel()
+    mean = float(band[:, 0].mean())
+    if not np.isfinite(mean):
+        return None
+    original = band.copy() if len(shifts) > 1 else band
+    for shift in shifts:
+        if shift > 0:
+            np.copyto(band, original)
+            band[:, 0] += shift * mean
+        lower, info = _PBTRF(band.T, lower=1, overwrite_ab=1)
+        if info == 0:
+            return BandFactor(lower, order, shift)
+    return None
+
+
+def _add_pairs(view: np.ndarray, first: np.ndarray, second: np.ndarray, blocks: np.ndarray) -> None:
+    """Add blocks[.., i, j], coupling component i of vertex ``first`` with j of ``second``, to the lower triangle."""
+    if first.flat[0] > second.flat[0]:
+        first, second, blocks = second, first, blocks.swapaxes(-1, -2)
+    offset = 3 * int(second.flat[0] - first.flat[0])
+    for i in range(3):
+        for j in range(3):
+            if offset + j - i >= 0:
+                view[first, i, offset + j - i] += blocks[..., i, j]

@@ -1,0 +1,334 @@
+"""The minimisation within one step: energy, gradient, tangent, and a Newton iteration that returns to isometry."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from hybrid.mesh.banded import SHIFTS, BandFactor, add_cells, add_vertices, factor
+from hybrid.mesh.contact import Touch, contact_energy, contact_gradient, entering, friction_loss
+from hybrid.mesh.loads import Loads
+from hybrid.mesh.network import (
+    CellStress,
+    MassSpring,
+    Strain,
+    cell_tangents,
+    spring_gradient,
+    strain,
+    stress,
+    stretch_energy,
+)
+
+_TURN_LIMIT = 0.8
+"""Longest first try of a Newton step: no edge may turn (or stretch) by more than about this many radians."""
+
+_RETURNS = 4
+"""Solves that take the strain back to the linear model's, at each try of a step length."""
+
+_HALVINGS = 10
+
+_LANDINGS = 2
+"""How often a Newton move is found anew because vertices would enter a body."""
+
+
+@dataclass(frozen=True, eq=False)
+class StepProblem:
+    """One step's energy.
+
+    inertia: (V,) force per length. target: (V, 3), where inertia alone leads. start: (V, 3) before the step.
+    force: (V, 3) constant during the step. hold: (V,) stiffness of goals and pins. drag: (V,) force per length.
+    """
+
+    network: MassSpring
+    loads: Loads
+    inertia: Float[np.ndarray, " v"]
+    target: Float[np.ndarray, "v 3"]
+    start: Float[np.ndarray, "v 3"]
+    force: Float[np.ndarray, "v 3"]
+    hold: Float[np.ndarray, " v"]
+    drag: Float[np.ndarray, " v"]
+    drag_normal: Float[np.ndarray, "v 3"]
+    touches: tuple[Touch, ...]
+
+    def strain(self, x: Float[np.ndarray, "v 3"]) -> Strain:
+        """Strain of the lattice at ``x``."""
+        return strain(self.network, x.reshape(*self.network.film.shape, 3))
+
+    def potential(self, x: Float[np.ndarray, "v 3"], state: Strain) -> float:
+        """Energy stored in springs, bending, goals and contacts, less the work of the forces since the start."""
+        bent = self.network.bending_root @ x
+        total = stretch_energy(self.network, state) + 0.5 * np.vdot(bent, bent)
+        total -= np.vdot(self.force, x - self.start)
+        total += 0.5 * np.sum(self.hold * ((x - self.loads.goal_mm) ** 2).sum(axis=1))
+        return float(total + sum(contact_energy(contact, x) for contact in self.touches))
+
+    def losses(self, x: Float[np.ndarray, "v 3"]) -> float:
+        """What drag and friction take."""
+        along = np.einsum("vk,vk->v", x - self.start, self.drag_normal)
+        return float(0.5 * np.sum(self.drag * along**2) + sum(friction_loss(contact, x) for contact in self.touches))
+
+    def energy(self, x: Float[np.ndarray, "v 3"], state: Strain) -> float:
+        """What the step minimises."""
+        kinetic = 0.5 * np.sum(self.inertia * ((x - self.target) ** 2).sum(axis=1))
+        return float(kinetic + self.potential(x, state) + self.losses(x))
+
+    def gradient(self, x: Float[np.ndarray, "v 3"], state: Strain) -> tuple[np.ndarray, np.ndarray]:
+        """Gradient (V, 3) of the energy and the part of its Hessian that is each vertex's own (V, 3, 3)."""
+        network = self.network
+        total = self.inertia[:, None] * (x - self.target) - self.force
+        total += network.bending_root.T @ (network.bending_root @ x)
+        total += self.hold[:, None] * (x - self.loads.goal_mm)
+        total += spring_gradient(network, state, stress(network, state.along_u, state.along_v, state.shear))
+        normal = self.drag_normal
+        total += (self.drag * np.einsum("vk,vk->v", x - self.start, normal))[:, None] * normal
+        own = (self.inertia + self.hold)[:, None, None] * np.eye(3)
+        own += self.drag[:, None, None] * (normal[:, :, None] * normal[:, None, :])
+        for contact in self.touches:
+            slope, block = contact_gradient(contact, x)
+            total += slope
+            own += block
+        return total, own
+
+
+@dataclass(frozen=True, eq=False)
+class Descent:
+    """Where a minimisation ended: positions, their strain, iterations, the last move (length) and residual (force)."""
+
+    x: Float[np.ndarray, "v 3"]
+    state: Strain
+    iterations: int
+    moved: float
+    residual: float
+    converged: bool
+
+
+def descend(problem: StepProblem, x: Float[np.ndarray, "v 3"], tolerance: float, max_iterations: int) -> Descent:
+    """Minimise the step's energy from ``x`` until no vertex moves by more than ``tolerance`` (length)."""
+    state = problem.strain(x)
+    promised = _Promise(state.along_u, state.along_v, state.shear)
+    energy, moved, residual = problem.energy(x, state), np.inf, np.inf
+    for iteration in range(1, max_iterations + 1):
+        gradient, own = problem.gradient(x, state)
+        residual = float(np.abs(gradient).max())
+        found = _newton_move(problem, x, state, promised.stress(problem.network), gradient, own)
+        if found is None or not np.isfinite(residual):
+            return Descent(x, state, iteration, np.inf, residual, False)
+        tangent, move = found
+        tried = _line_search(problem, x, state, energy, move, -float(np.vdot(gradient, move)), tangent)
+        if tried is None:
+            # Rounding hides what is still to be gained, unless the model promised more than rounding.
+            slight = -float(np.vdot(gradient, move)) < 1e-9 * (abs(energy) + problem.network.bending_stiffness)
+            return Descent(x, state, iteration, float(np.abs(move).max()), residual, bool(slight))
+        after, state, energy, promised = tried
+        moved = float(np.abs(after - x).max())
+        x = after
+        if moved <= tolerance:
+            return Descent(x, state, iteration, moved, residual, True)
+    return Descent(x, state, max_iterations, moved, residual, False)
+
+
+@dataclass(frozen=True, eq=False)
+class _Promise:
+    """The strain that the linear model gives for a move."""
+
+    along_u: Float[np.ndarray, "rows c1"]
+    along_v: Float[np.ndarray, "r1 cols"]
+    shear: Float[np.ndarray, "r1 c1"]
+
+    def stress(self, network: MassSpring) -> CellStress:
+        """Stress of the promised strain."""
+        return stress(network, self.along_u, self.along_v, self.shear)
+
+    def missed_by(self, state: Strain) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Actual less promised strain."""
+        return state.along_u - self.along_u, state.along_v - self.along_v, state.shear - self.shear
+
+
+def _newton_move(
+    problem: StepProblem, x: np.ndarray, state: Strain, force: CellStress, gradient: np.ndarray, own: np.ndarray
+) -> tuple[BandFactor, np.ndarray] | None:
+    """Tangent and Newton's move; found anew when vertices would enter a body that their springs did not feel yet."""
+    tangent = tangent_factor(problem.network, state, force, own)
+    if tangent is None:
+        return None
+    move = -tangent.solve(gradient)
+    for _ in range(_LANDINGS if problem.touches else 0):
+        ahead = [entering(contact, x, x + move) for contact in problem.touches]
+        if not any(block.any() for _, block in ahead):
+            break
+        own = own + sum(block for _, block in ahead)
+        gradient = gradient + sum(slope for slope, _ in ahead)
+        landing = tangent_factor(problem.network, state, force, own)
+        if landing is None:
+            break
+        tangent, move = landing, -landing.solve(gradient)
+    return tangent, move
+
+
+def _line_search(
+    problem: StepProblem,
+    x: np.ndarray,
+    state: Strain,
+    energy: float,
+    move: np.ndarray,
+    slope: float,
+    tangent: BandFactor,
+) -> tuple[np.ndarray, Strain, float, _Promise] | None:
+    """The first of shorter and shorter moves that lowers the energy, each returned to the promised strain."""
+    change = _linear_change(problem, state, move)
+    turn = max(float(np.abs(part).max()) for part in _tangents(problem, move))
+    length = min(1.0, _TURN_LIMIT / max(turn, 1e-300))
+    for _ in range(_HALVINGS):
+        promise = _Promise(
+            state.along_u + length * change[0], state.along_v + length * change[1], state.shear + length * change[2]
+        )
+        after, strained = _returned(problem, x + length * move, state, promise, tangent)
+        reached = problem.energy(after, strained)
+        if reached <= energy - 1e-4 * length * slope:
+            return after, strained, reached, promise
+        length *= 0.4
+    return None
+
+
+def _returned(
+    problem: StepProblem, x: np.ndarray, base: Strain, promise: _Promise, tangent: BandFactor
+) -> tuple[np.ndarray, Strain]:
+    """``x`` with its strain taken (nearly) to the promised one by moves that the tangent finds easiest."""
+    network = problem.network
+    state = problem.strain(x)
+    worst = max(float(np.abs(miss).max()) for miss in promise.missed_by(state))
+    for _ in range(_RETURNS):
+        if worst < 1e-8:
+            break
+        force = stress(network, *promise.missed_by(state))
+        tried = x - tangent.solve(spring_gradient(network, base, force))
+        strained = problem.strain(tried)
+        left = max(float(np.abs(miss).max()) for miss in promise.missed_by(strained))
+        if not left < worst:
+            break
+        x, state, worst = tried, strained, left
+    return x, state
+
+
+def _tangents(problem: StepProblem, move: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Change of the edges' tangents with a move."""
+    network = problem.network
+    lattice = move.reshape(*network.film.shape, 3)
+    return np.diff(lattice, axis=1) / network.du[:, None], np.diff(lattice, axis=0) / network.dv[:, None, None]
+
+
+def _linear_change(problem: StepProblem, state: Strain, move: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """J move: the first-order change of strain."""
+    across, down = _tangents(problem, move)
+    mean_u, mean_v = cell_tangents(state.across, state.down)
+    move_u, move_v = cell_tangents(across, down)
+    shear = np.einsum("rck,rck->rc", move_u, mean_v) + np.einsum("rck,rck->rc", mean_u, move_v)
+    return (
+        np.einsum("rck,rck->rc", state.across, across),
+        np.einsum("rck,rck->rc", state.down, down),
+        shear,
+    )
+
+
+# ---------------------------------------------------------------- the tangent
+
+_P = np.array([-0.5, 0.5, -0.5, 0.5])
+_Q = np.array([-0.5, -0.5, 0.5, 0.5])
+_WARP = np.array([0.5, -0.5, -0.5, 0.5])
+"""A cell's mean tangents (times its sides) and warp from its corners: upper left, upper right, lower left and right."""
+
+
+def tangent_factor(
+    network: MassSpring, state: Strain, force: CellStress, own: Float[np.ndarray, "v 3 3"]
+) -> BandFactor | None:
+    """Factor of J^T K J + geometric stiffness of ``force`` + bending + each vertex's ``own`` block.
+
+    The geometric stiffness is exact where the sum is definite; where compression makes it indefinite (the sheet is
+    about to buckle), its positive part is taken.
+    """
+    shape = network.film.shape
+    material = _material_blocks(network, state)
+    for geometric in (_geometric, _positive_geometric):
+        band = network.bending_band.copy()
+        add_cells(band, shape, _with_each_axis(material, geometric(network, force)))
+        add_vertices(band, shape, own)
+        found = factor(band, shape, SHIFTS if geometric is _positive_geometric else (0.0,))
+        if found is not None:
+            return found
+    return None
+
+
+def _with_each_axis(blocks: np.ndarray, geometric: np.ndarray) -> np.ndarray:
+    """The cells' blocks plus a matrix of the corners that acts alike on x, y and z."""
+    total = blocks.copy()
+    for k in range(3):
+        total[:, :, :, k, :, k] += geometric
+    return total
+
+
+def _material_blocks(network: MassSpring, state: Strain) -> Float[np.ndarray, "r1 c1 4 3 4 3"]:
+    """J^T K J of each cell for its corners upper left, upper right, lower left, lower right."""
+    c11, c12, c66 = network.membrane
+    law = np.zeros((5, 5))
+    law[range(4), range(4)] = 0.5 * c11
+    law[:2, 2:4] = law[2:4, :2] = 0.25 * c12
+    law[4, 4] = c66
+    rows, cols = (n - 1 for n in network.film.shape)
+    root = np.sqrt(network.cell_area)[..., None, None] * np.linalg.cholesky(law).T @ _measures(network, state)
+    return np.matmul(root.swapaxes(-1, -2), root).reshape(rows, cols, 4, 3, 4, 3)
+
+
+def _measures(network: MassSpring, state: Strain) -> Float[np.ndarray, "r1 c1 5 12"]:
+    """Derivatives of a cell's five strains (edges above, below, left, right; shear) by its corners."""
+    rows, cols = (n - 1 for n in network.film.shape)
+    a, b = network.du[:, None], network.dv[:, None, None]
+    slope = np.zeros((rows, cols, 5, 4, 3))
+    across, down = state.across / a, state.down / b
+    slope[:, :, 0, 1], slope[:, :, 1, 3] = across[:-1], across[1:]
+    slope[:, :, 0, 0], slope[:, :, 1, 2] = -across[:-1], -across[1:]
+    slope[:, :, 2, 2], slope[:, :, 3, 3] = down[:, :-1], down[:, 1:]
+    slope[:, :, 2, 0], slope[:, :, 3, 1] = -down[:, :-1], -down[:, 1:]
+    mean_u, mean_v = cell_tangents(state.across, state.down)
+    with_u, with_v = 0.5 * mean_v / a, 0.5 * mean_u / b
+    slope[:, :, 4, 0] = -with_u - with_v
+    slope[:, :, 4, 1] = with_u - with_v
+    slope[:, :, 4, 2] = with_v - with_u
+    slope[:, :, 4, 3] = with_u + with_v
+    return slope.reshape(rows, cols, 5, 12)
+
+
+def _geometric(network: MassSpring, force: CellStress) -> Float[np.ndarray, "r1 c1 4 4"]:
+    """Geometric stiffness of each cell, alike for x, y and z: stress times the second derivative of its strain."""
+    a, b = network.du[None, :], network.dv[:, None]
+    edges = [[-1.0, 1, 0, 0], [0, 0, -1, 1], [-1, 0, 1, 0], [0, -1, 0, 1]]
+    total = np.zeros((*force.shear.shape, 4, 4))
+    for edge, pull, length in zip(np.array(edges), force.edges, (a, a, b, b), strict=True):
+        total += (pull / length**2)[..., None, None] * np.outer(edge, edge)
+    both = np.outer(_P, _Q)
+    return total + (force.shear / (a * b))[..., None, None] * (both + both.T)
+
+
+def _positive_geometric(network: MassSpring, force: CellStress) -> Float[np.ndarray, "r1 c1 4 4"]:
+    """Geometric stiffness without what compression would make negative.
+
+    With mean tangents p, q of the cell and its warp h = (x11 - x10 - x01 + x00) / 2, the second variation of the
+    springs' energy is n_u |dp|^2 + 2 tau dp.dq + n_v |dq|^2 + (n_u / a^2 + n_v / b^2) |dh|^2, but for terms in the
+    difference of opposite edges' stress. The 2 x 2 matrix of the stress is replaced by its positive part.
+    """
+    n_u, n_v, tau = force.edges[0] + force.edges[1], force.edges[2] + force.edges[3], force.shear
+    a, b = network.du[None, :], network.dv[:, None]
+    middle, half = 0.5 * (n_u + n_v), 0.5 * (n_u - n_v)
+    radius = np.maximum(np.hypot(half, tau), 1e-300)
+    high, low = np.maximum(middle + radius, 0), np.maximum(middle - radius, 0)
+    mean, swing = 0.5 * (high + low), 0.5 * (high - low) / radius
+    on_p, on_q, on_both = (mean + swing * half) / a**2, (mean - swing * half) / b**2, swing * tau / (a * b)
+    warp = np.maximum(n_u / a**2 + n_v / b**2, 0)
+    terms = [
+        (on_p, np.outer(_P, _P)),
+        (on_q, np.outer(_Q, _Q)),
+        (on_both, np.outer(_P, _Q) + np.outer(_Q, _P)),
+        (warp, np.outer(_WARP, _WARP)),
+    ]
+    return np.asarray(sum(weight[..., None, None] * matrix for weight, matrix in terms))
