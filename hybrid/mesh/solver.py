@@ -148,14 +148,28 @@ def still(frame: Frame) -> Frame:
     return replace(frame, velocity=np.zeros_like(frame.velocity))
 
 
+def steady_force(network: MassSpring, frame: Frame, loads: Loads) -> Float[np.ndarray, "v 3"]:
+    """All forces (N) that stay the same during the step from ``frame``: those of the loads, and of rest curvature.
+
+    Rest curvature bends about the normal, which is held for the step: on an isometry, bending has no part across it.
+    """
+    curl_u, curl_v = loads.rest_curvature
+    if not (curl_u or curl_v):
+        return loads.force_n
+    normals = lattice_normals(network, frame.mesh.vertices).reshape(-1, 3)
+    return loads.force_n + (curl_u * network.curvature_u + curl_v * network.curvature_v) @ normals
+
+
+def mechanical_energy(network: MassSpring, frame: Frame, loads: Loads) -> float:
+    """Kinetic and potential energy (N x length) of a sheet under steady loads; of forces, less their work from 0."""
+    problem = _step_problem(network, frame, loads, StepConfig(dt_s=1.0))
+    kinetic = 0.5 * float(np.sum(problem.inertia * (frame.velocity**2).sum(axis=1)))
+    work = float(np.vdot(problem.force, problem.start))
+    return kinetic + problem.potential(problem.start, problem.strain(problem.start)) - work
+
+
 def _step_problem(network: MassSpring, frame: Frame, loads: Loads, config: StepConfig) -> StepProblem:
     x0 = frame.mesh.vertices.reshape(-1, 3)
-    curl_u, curl_v = loads.rest_curvature
-    force = loads.force_n
-    if curl_u or curl_v:
-        # Rest curvature bends about the normal, held for the step: the bending has no part across it on an isometry.
-        normals = lattice_normals(network, frame.mesh.vertices).reshape(-1, 3)
-        force = force + (curl_u * network.curvature_u + curl_v * network.curvature_v) @ normals
     drag = loads.drag if loads.drag is not None else np.zeros(len(x0))
     normal = loads.drag_normal if loads.drag_normal is not None else np.zeros_like(x0)
     weight = network.mass_kg * STANDARD_GRAVITY
@@ -166,7 +180,7 @@ def _step_problem(network: MassSpring, frame: Frame, loads: Loads, config: StepC
         inertia=network.mass_kg * network.metres_per_unit / config.dt_s**2,
         target=x0 + float(np.exp(-config.damping_per_s * config.dt_s)) * config.dt_s * frame.velocity,
         start=x0,
-        force=force,
+        force=steady_force(network, frame, loads),
         hold=np.where(np.isinf(loads.goal_stiffness), _PIN * network.membrane[0], loads.goal_stiffness),
         drag=drag / config.dt_s,
         drag_normal=normal,
