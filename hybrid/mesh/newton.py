@@ -29,6 +29,12 @@ _RETURNS = 4
 
 _HALVINGS = 10
 
+_REUSE_TURN = 0.02
+"""A factor is used again after a move that turned (or stretched) no edge by more than this."""
+
+_REUSE_SHRINK = 0.2
+"""... and, used again, until a move is longer than this share of the one before."""
+
 _LANDINGS = 2
 """How often a Newton move is found anew because vertices would enter a body."""
 
@@ -105,28 +111,49 @@ class Descent:
 
 
 def descend(problem: StepProblem, x: Float[np.ndarray, "v 3"], tolerance: float, max_iterations: int) -> Descent:
-    """Minimise the step's energy from ``x`` until no vertex moves by more than ``tolerance`` (length)."""
+    """Minimise the step's energy from ``x`` until no vertex moves by more than ``tolerance`` (length).
+
+    A factor is used again as long as the sheet hardly turns and the moves shrink.
+    """
     state = problem.strain(x)
     promised = _Promise(state.along_u, state.along_v, state.shear)
     energy, moved, residual = problem.energy(x, state), np.inf, np.inf
+    model: _Model | None = None
     for iteration in range(1, max_iterations + 1):
         gradient, own = problem.gradient(x, state)
         residual = float(np.abs(gradient).max())
-        found = _newton_move(problem, x, state, promised.stress(problem.network), gradient, own)
-        if found is None or not np.isfinite(residual):
+        fresh = model is None
+        if model is None:
+            model = _model(problem, x, state, promised.stress(problem.network), gradient, own)
+        if model is None or not np.isfinite(residual):
             return Descent(x, state, iteration, np.inf, residual, False)
-        tangent, move = found
-        tried = _line_search(problem, x, state, energy, move, -float(np.vdot(gradient, move)), tangent)
-        if tried is None:
+        move = model.first_move if fresh else -model.tangent.solve(gradient)
+        gain = -float(np.vdot(gradient, move))
+        tried = _line_search(problem, x, state, energy, move, gain, model)
+        if tried is None and fresh:
             # Rounding hides what is still to be gained, unless the model promised more than rounding.
-            slight = -float(np.vdot(gradient, move)) < 1e-9 * (abs(energy) + problem.network.bending_stiffness)
-            return Descent(x, state, iteration, float(np.abs(move).max()), residual, bool(slight))
+            slight = gain < 1e-9 * (abs(energy) + problem.network.bending_stiffness)
+            return Descent(x, state, iteration, float(np.abs(move).max()), residual, slight)
+        if tried is None:
+            model = None
+            continue
         after, state, energy, promised = tried
-        moved = float(np.abs(after - x).max())
-        x = after
+        turned = max(float(np.abs(part).max()) for part in _tangents(problem, after - x))
+        before, moved, x = moved, float(np.abs(move).max()), after
         if moved <= tolerance:
             return Descent(x, state, iteration, moved, residual, True)
+        if turned > _REUSE_TURN or (not fresh and moved > _REUSE_SHRINK * before):
+            model = None
     return Descent(x, state, max_iterations, moved, residual, False)
+
+
+@dataclass(frozen=True, eq=False)
+class _Model:
+    """A factored tangent, the state that it is the tangent of, and Newton's move from there."""
+
+    tangent: BandFactor
+    base: Strain
+    first_move: Float[np.ndarray, "v 3"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,9 +173,9 @@ class _Promise:
         return state.along_u - self.along_u, state.along_v - self.along_v, state.shear - self.shear
 
 
-def _newton_move(
+def _model(
     problem: StepProblem, x: np.ndarray, state: Strain, force: CellStress, gradient: np.ndarray, own: np.ndarray
-) -> tuple[BandFactor, np.ndarray] | None:
+) -> _Model | None:
     """Tangent and Newton's move; found anew when vertices would enter a body that their springs did not feel yet."""
     tangent = tangent_factor(problem.network, state, force, own)
     if tangent is None:
@@ -164,7 +191,7 @@ def _newton_move(
         if landing is None:
             break
         tangent, move = landing, -landing.solve(gradient)
-    return tangent, move
+    return _Model(tangent, state, move)
 
 
 def _line_search(
@@ -174,7 +201,7 @@ def _line_search(
     energy: float,
     move: np.ndarray,
     slope: float,
-    tangent: BandFactor,
+    model: _Model,
 ) -> tuple[np.ndarray, Strain, float, _Promise] | None:
     """The first of shorter and shorter moves that lowers the energy, each returned to the promised strain."""
     change = _linear_change(problem, state, move)
@@ -184,7 +211,7 @@ def _line_search(
         promise = _Promise(
             state.along_u + length * change[0], state.along_v + length * change[1], state.shear + length * change[2]
         )
-        after, strained = _returned(problem, x + length * move, state, promise, tangent)
+        after, strained = _returned(problem, x + length * move, promise, model)
         reached = problem.energy(after, strained)
         if reached <= energy - 1e-4 * length * slope:
             return after, strained, reached, promise
@@ -193,7 +220,7 @@ def _line_search(
 
 
 def _returned(
-    problem: StepProblem, x: np.ndarray, base: Strain, promise: _Promise, tangent: BandFactor
+    problem: StepProblem, x: np.ndarray, promise: _Promise, model: _Model
 ) -> tuple[np.ndarray, Strain]:
     """``x`` with its strain taken (nearly) to the promised one by moves that the tangent finds easiest."""
     network = problem.network
@@ -203,7 +230,7 @@ def _returned(
         if worst < 1e-8:
             break
         force = stress(network, *promise.missed_by(state))
-        tried = x - tangent.solve(spring_gradient(network, base, force))
+        tried = x - model.tangent.solve(spring_gradient(network, model.base, force))
         strained = problem.strain(tried)
         left = max(float(np.abs(miss).max()) for miss in promise.missed_by(strained))
         if not left < worst:
