@@ -67,8 +67,6 @@ def band_of(matrix: sparse.csr_array, shape: tuple[int, int]) -> Float[np.ndarra
 def add_cells(band: np.ndarray, shape: tuple[int, int], blocks: Float[np.ndarray, "r1 c1 4 3 4 3"]) -> None:
     """Add the 12 x 12 matrices of the cells (corners: upper left, upper right, lower left, lower right) to a band."""
     rows, cols = shape
-    number = lattice_order(shape)
-    view = band.reshape(rows * cols, 3, -1)
     places = [np.s_[:-1, :-1], np.s_[:-1, 1:], np.s_[1:, :-1], np.s_[1:, 1:]]
     whole = np.zeros((rows, cols, 3, 3))
     right, down = np.zeros((rows, cols - 1, 3, 3)), np.zeros((rows - 1, cols, 3, 3))
@@ -78,17 +76,16 @@ def add_cells(band: np.ndarray, shape: tuple[int, int], blocks: Float[np.ndarray
     right[1:] += blocks[:, :, 2, :, 3]
     down[:, :-1] += blocks[:, :, 0, :, 2]
     down[:, 1:] += blocks[:, :, 1, :, 3]
-    _add_pairs(view, number, number, whole)
-    _add_pairs(view, number[:, :-1], number[:, 1:], right)
-    _add_pairs(view, number[:-1], number[1:], down)
-    _add_pairs(view, number[:-1, :-1], number[1:, 1:], blocks[:, :, 0, :, 3])
-    _add_pairs(view, number[:-1, 1:], number[1:, :-1], blocks[:, :, 1, :, 2])
+    _add_pairs(band, shape, (0, 0), whole)
+    _add_pairs(band, shape, (0, 1), right)
+    _add_pairs(band, shape, (1, 0), down)
+    _add_pairs(band, shape, (1, 1), blocks[:, :, 0, :, 3])
+    _add_pairs(band, shape, (1, -1), blocks[:, :, 1, :, 2])
 
 
 def add_vertices(band: np.ndarray, shape: tuple[int, int], blocks: Float[np.ndarray, "v 3 3"]) -> None:
     """Add a 3 x 3 matrix of each vertex to a band."""
-    number = lattice_order(shape)
-    _add_pairs(band.reshape(len(blocks), 3, -1), number, number, blocks.reshape(*shape, 3, 3))
+    _add_pairs(band, shape, (0, 0), blocks.reshape(*shape, 3, 3))
 
 
 def factor(
@@ -110,12 +107,25 @@ def factor(
     return None
 
 
-def _add_pairs(view: np.ndarray, first: np.ndarray, second: np.ndarray, blocks: np.ndarray) -> None:
-    """Add blocks[.., i, j], coupling component i of vertex ``first`` with j of ``second``, to the lower triangle."""
-    if first.flat[0] > second.flat[0]:
-        first, second, blocks = second, first, blocks.swapaxes(-1, -2)
-    offset = 3 * int(second.flat[0] - first.flat[0])
+def _add_pairs(band: np.ndarray, shape: tuple[int, int], way: tuple[int, int], blocks: np.ndarray) -> None:
+    """Add blocks (.., 3, 3) that couple each vertex with the one ``way`` (rows, cols) further, to the lower triangle.
+
+    The first axes of ``blocks`` run over all pairs of the lattice.
+    """
+    rows, cols = shape
+    view, strides = band.reshape(rows, cols, 3, -1), (cols, 1)
+    if cols > rows:
+        view, strides = band.reshape(cols, rows, 3, -1).swapaxes(0, 1), (1, rows)
+    offset = way[0] * strides[0] + way[1] * strides[1]
+    if offset < 0:
+        way, offset, blocks = (-way[0], -way[1]), -offset, blocks.swapaxes(-1, -2)
+    first = view[_from(way[0]), _from(way[1])]
     for i in range(3):
         for j in range(3):
-            if offset + j - i >= 0:
-                view[first, i, offset + j - i] += blocks[..., i, j]
+            if 3 * offset + j - i >= 0:
+                first[:, :, i, 3 * offset + j - i] += blocks[..., i, j]
+
+
+def _from(way: int) -> slice:
+    """Lattice lines that have another one ``way`` further on."""
+    return slice(max(-way, 0), -way if way > 0 else None)

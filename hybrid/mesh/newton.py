@@ -27,6 +27,9 @@ _TURN_LIMIT = 0.8
 _RETURNS = 4
 """Solves that take the strain back to the linear model's, at each try of a step length."""
 
+_RETURNED = 1e-7
+"""Strain at which the return ends: a thousandth of what a frame may have."""
+
 _HALVINGS = 10
 
 _REUSE_TURN = 0.02
@@ -227,7 +230,7 @@ def _returned(
     state = problem.strain(x)
     worst = max(float(np.abs(miss).max()) for miss in promise.missed_by(state))
     for _ in range(_RETURNS):
-        if worst < 1e-8:
+        if worst < _RETURNED:
             break
         force = stress(network, *promise.missed_by(state))
         tried = x - model.tangent.solve(spring_gradient(network, model.base, force))
