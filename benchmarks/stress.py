@@ -67,7 +67,7 @@ def outcomes(results: list[StressResult]) -> dict[str, int]:
 
 
 def random_scene(rng: np.random.Generator, largest: int) -> StressScene:
-    """Stiffness over nine decades, steps from 1e-4 to 1 s, forces to 1000 g, meshes from 2 x 2, states from flat to a point.
+    """Stiffness over nine decades, steps from 1e-4 to 1 s, forces to 1000 g, meshes from 2 x 2; flat to collapsed.
 
     Raises:
         ConfigError: a lattice with triangles that have no area (one scene in twenty asks for that).
@@ -97,9 +97,7 @@ def _wrong(scene: StressScene, before: Frame, after: Frame) -> str:
     """What is wrong with a step, or nothing. A lagged force is held as it was, so that all work is in the energy."""
     if not (np.isfinite(after.mesh.vertices).all() and np.isfinite(after.velocity).all()):
         return "not finite"
-    held = replace(
-        scene.loads, force_n=steady_force(scene.network, before, scene.loads), rest_curvature=(0.0, 0.0)
-    )
+    held = replace(scene.loads, force_n=steady_force(scene.network, before, scene.loads), rest_curvature=(0.0, 0.0))
     had, has = (mechanical_energy(scene.network, frame, held) for frame in (before, after))
     work = np.abs(held.force_n * np.maximum(np.abs(before.mesh.vertices), np.abs(after.mesh.vertices)).reshape(-1, 3))
     scale = max(abs(had), abs(has), float(work.sum()), 1e-12)

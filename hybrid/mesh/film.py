@@ -73,6 +73,34 @@ class FilmMesh:
         normal = np.cross(dv, du)
         return normal / np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-30)
 
+    def triangle_areas(self) -> Float[np.ndarray, " t"]:
+        """Area (mm^2) of each triangle."""
+        a, b, c = self._corners()
+        return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
+
+    def dihedral_angles(self) -> Float[np.ndarray, "r1 c1"]:
+        """Angle (rad) by which the two triangles of each lattice cell are bent against each other; 0 when flat."""
+        a, b, c = self._corners()
+        normal = np.cross(b - a, c - a)
+        upper, lower = np.split(normal, 2)
+        bend = np.arctan2(np.linalg.norm(np.cross(upper, lower), axis=1), np.einsum("tk,tk->t", upper, lower))
+        return bend.reshape(self.shape[0] - 1, self.shape[1] - 1)
+
+    def angle_defects(self) -> Float[np.ndarray, "r2 c2"]:
+        """Gaussian curvature times area (rad) at the inner vertices: 2 pi less the angles of the triangles there."""
+        corners = self._corners()
+        total = np.zeros(self.shape[0] * self.shape[1])
+        for k in range(3):
+            here, left, right = (corners[(k + n) % 3] for n in range(3))
+            p, q = left - here, right - here
+            angle = np.arctan2(np.linalg.norm(np.cross(p, q), axis=1), np.einsum("tk,tk->t", p, q))
+            total += np.bincount(self.triangles[:, k], angle, len(total))
+        return (2 * np.pi - total.reshape(self.shape))[1:-1, 1:-1]
+
+    def _corners(self) -> tuple[np.ndarray, ...]:
+        points = self.vertices.reshape(-1, 3)
+        return tuple(points[self.triangles[:, k]] for k in range(3))
+
     def edge_strain(self) -> Float[np.ndarray, " e"]:
         """Relative change of length of all lattice edges against the flat sheet."""
         height, width = self.size_mm
