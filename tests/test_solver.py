@@ -166,7 +166,7 @@ def test_units_do_not_matter(metres_per_unit):
             rest_curvature=(0.002 / per_mm, 0.0),
         )  # fmt: skip
         frame = at_rest(film)
-        for _ in range(4):
+        for _ in range(2):
             frame = step(network, frame, loads, StepConfig(dt_s=0.05, tolerance=1e-9, max_iterations=60))
         return frame.mesh.vertices / per_mm
 
@@ -203,7 +203,7 @@ def test_friction_holds_on_a_slope_below_its_angle(friction, slides):
     shift = float((frame.mesh.vertices - network.film.vertices)[..., 0].mean())
     # Coulomb: a = g (sin - mu cos); the first step finds no pressure yet and slips freely.
     expected = 0.5 * 9806.65 * (np.sin(slope) - friction * np.cos(slope)) * 0.5**2 if slides else 0.0
-    assert shift == pytest.approx(expected, rel=0.25, abs=8.0)
+    assert shift == pytest.approx(expected, rel=0.1, abs=12.0)
 
 
 def test_distances_are_the_bodies():

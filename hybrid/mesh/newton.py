@@ -32,6 +32,9 @@ _RETURNED = 1e-7
 
 _HALVINGS = 10
 
+_LEAD_LIMIT = 0.3
+"""The way begins where inertia leads if no edge turns further than this (rad) on it."""
+
 _REUSE_TURN = 0.02
 """A factor is used again after a move that turned (or stretched) no edge by more than this."""
 
@@ -113,13 +116,30 @@ class Descent:
     converged: bool
 
 
-def descend(problem: StepProblem, x: Float[np.ndarray, "v 3"], tolerance: float, max_iterations: int) -> Descent:
-    """Minimise the step's energy from ``x`` until no vertex moves by more than ``tolerance`` (length).
+def descend(problem: StepProblem, tolerance: float, max_iterations: int) -> Descent:
+    """Minimise the step's energy until no vertex moves by more than ``tolerance`` (length).
+
+    The way begins where inertia alone would lead, if that is not far; should that end higher than the step's start is,
+    it begins there instead.
+    """
+    start = problem.strain(problem.start)
+    ahead = max(float(np.abs(part).max()) for part in _tangents(problem, problem.target - problem.start))
+    if 0 < ahead < _LEAD_LIMIT:
+        result = _descend_from(problem, problem.target, start, tolerance, max_iterations)
+        if problem.energy(result.x, result.state) <= problem.energy(problem.start, start):
+            return result
+    return _descend_from(problem, problem.start, start, tolerance, max_iterations)
+
+
+def _descend_from(
+    problem: StepProblem, x: Float[np.ndarray, "v 3"], known: Strain, tolerance: float, max_iterations: int
+) -> Descent:
+    """Minimise from ``x``, where the stress is about that of the strain ``known``.
 
     A factor is used again as long as the sheet hardly turns and the moves shrink.
     """
     state = problem.strain(x)
-    promised = _Promise(state.along_u, state.along_v, state.shear)
+    promised = _Promise(known.along_u, known.along_v, known.shear)
     energy, moved, residual = problem.energy(x, state), np.inf, np.inf
     model: _Model | None = None
     for iteration in range(1, max_iterations + 1):
@@ -222,9 +242,7 @@ def _line_search(
     return None
 
 
-def _returned(
-    problem: StepProblem, x: np.ndarray, promise: _Promise, model: _Model
-) -> tuple[np.ndarray, Strain]:
+def _returned(problem: StepProblem, x: np.ndarray, promise: _Promise, model: _Model) -> tuple[np.ndarray, Strain]:
     """``x`` with its strain taken (nearly) to the promised one by moves that the tangent finds easiest."""
     network = problem.network
     state = problem.strain(x)

@@ -176,7 +176,7 @@ def clip(network: MassSpring, rng: np.random.Generator) -> Bending:
     places = [0.5 + rng.normal(0, 0.05)] if rng.random() < 0.5 else [rng.uniform(0.05, 0.25), rng.uniform(0.75, 0.95)]
     side = int(rng.integers(4))
     closer = (0.0, 0.0) if len(places) == 1 else (1.0, -1.0)
-    along = np.eye(3)[1 if side < 2 else 0] * rng.uniform(1, 20)
+    along = np.eye(3)[1 if side < 2 else 0] * rng.uniform(0.5, 8)
     grips = [
         rigid(
             network,
@@ -226,7 +226,7 @@ def pressed(network: MassSpring, rng: np.random.Generator) -> Bending:
             tip = (place - 0.5) * [network.film.size_mm[1], network.film.size_mm[0]]
             fingers.append(Sphere(np.array([*tip, -29.0]), 30.0, friction=0.5))
     table = Plane(np.array([0.0, 0.0, 0.5]), -_AWAY, friction=0.3)
-    weight, curl = gravity(network, _AWAY), _curl(rng, 1.0)
+    weight, curl = gravity(network, _AWAY), _scaled(_curl(rng, 1.0), rng.uniform(1.0, 2.5))
     bent = gripped(network, grips)
     return Bending(
         bent, lambda k, frame: grip_loads(bent, grips, 1.0, weight, _scaled(curl, ramp(k, 5)), (table, *fingers))
@@ -239,9 +239,9 @@ def on_table(network: MassSpring, rng: np.random.Generator) -> Bending:
     for _ in range(int(rng.integers(0, 3))):
         chosen = near_point(network, _rim_point(rng), rng.uniform(10, 45))
         middle = flat_points(network)[chosen].mean(axis=0)
-        tilt = _unit(np.cross(middle, _AWAY)) * rng.uniform(0.1, 0.8)
         lift = rng.uniform(10, 90)
-        grips.append(rigid(network, chosen, tilt, np.append(-_unit(middle)[:2] * rng.uniform(0.2, 0.6) * lift, -lift)))
+        tilt = _unit(np.cross(middle, _AWAY)) * lift / rng.uniform(80, 200)
+        grips.append(rigid(network, chosen, tilt, np.append(-_unit(middle)[:2] * rng.uniform(0.1, 0.3) * lift, -lift)))
     table = Plane(np.array([0.0, 0.0, 0.5]), -_AWAY, friction=0.2)
     weight, curl = gravity(network, _AWAY), _curl(rng, 0.6)
     bent = gripped(network, grips)
@@ -259,10 +259,11 @@ def leaning(network: MassSpring, rng: np.random.Generator) -> Bending:
     grip = rigid(
         network,
         edge_part(network, 3),
-        np.array([rng.uniform(-1.0, 0.2), 0.0, rng.normal(0, 0.03)]),
+        np.array([-np.arcsin(foot / height) + rng.normal(0, 0.15), 0.0, rng.normal(0, 0.03)]),
         np.array([0.0, -rng.uniform(1.0, 1.5) * raised, -foot]),
     )
-    weight, curl = gravity(network, _unit(np.array([0.0, 1.0, rng.uniform(0.0, 0.3)]))), _curl(rng, 0.5)
+    weight = gravity(network, _unit(np.array([0.0, 1.0, rng.uniform(0.0, 0.3)])))
+    curl = (float(rng.choice([-1, 1]) / rng.uniform(120, 500)), 0.0)  # a film stands by itself only when it is curled
     bent = gripped(network, [grip])
     return Bending(bent, lambda k, frame: grip_loads(bent, [grip], ramp(k, 6), weight, curl, (wall,)))
 

@@ -107,7 +107,7 @@ def step(network: MassSpring, frame: Frame, loads: Loads, config: StepConfig) ->
     """
     _check(network, frame, loads, config)
     problem = _step_problem(network, frame, loads, config)
-    result = descend(problem, problem.start, config.tolerance * network.size, config.max_iterations)
+    result = descend(problem, config.tolerance * network.size, config.max_iterations)
     if not np.isfinite(result.residual):
         raise SimulationError(
             describe(
