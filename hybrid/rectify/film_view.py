@@ -47,10 +47,17 @@ def lattice_points(
     backward: BackwardMap, u: Float[np.ndarray, " w"], v: Float[np.ndarray, " h"]
 ) -> Float[np.ndarray, "h w 2"]:
     """Photo points (float32) of all film points (u[j], v[i]): separable, hence quick."""
+    return np.stack(_lattice_xy(backward, u, v), axis=-1)
+
+
+def _lattice_xy(
+    backward: BackwardMap, u: Float[np.ndarray, " w"], v: Float[np.ndarray, " h"]
+) -> tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"]]:
+    """x and y (float32) of those points, apart, as OpenCV reads them quickest."""
     gh, gw = backward.nodes.shape[:2]
     columns = np.tensordot(extended_weights(gh, v), backward.nodes, axes=(1, 0)).astype(np.float32)
     weights_u = extended_weights(gw, u).astype(np.float32).T
-    return np.stack([columns[..., k] @ weights_u for k in range(2)], axis=-1)
+    return columns[..., 0] @ weights_u, columns[..., 1] @ weights_u
 
 
 def view_film(
@@ -60,11 +67,11 @@ def view_film(
     v: Float[np.ndarray, " h"],
 ) -> FilmView:
     """The photo (grey or RGB) at the film points (u[j], v[i]), bilinear."""
-    points = lattice_points(backward, u, v)
-    x_map, y_map = cv2.split(opencv_from_photo(points))
-    image = cv2.remap(photo, x_map, y_map, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
+    x, y = _lattice_xy(backward, u, v)
+    image = cv2.remap(
+        photo, opencv_from_photo(x), opencv_from_photo(y), cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT
+    )
     height, width = photo.shape[:2]
-    x, y = points[..., 0], points[..., 1]
     inside = (x >= 0) & (x <= width) & (y >= 0) & (y <= height)
     return FilmView(np.atleast_3d(image).astype(np.float32), u, v, inside)
 

@@ -1,0 +1,158 @@
+"""The whole way with the packaged network: what is promised of a result, and of photos that hold no film."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+import hybrid
+from data_gen.sample import SampleConfig, film_samples
+from hybrid.backward import end_point_error
+from hybrid.errors import DataError, PhotoError
+from hybrid.pipeline import Rectifier, RectifyConfig
+from hybrid.records import StatusCode
+
+EXAMPLE = Path(hybrid.__file__).parent / "examples" / "film.jpg"
+
+
+@pytest.fixture(scope="module")
+def rectifier():
+    return Rectifier()
+
+
+@pytest.fixture(scope="module")
+def photo():
+    return cv2.imread(str(EXAMPLE))[..., ::-1].copy()
+
+
+@pytest.fixture(scope="module")
+def result(rectifier, photo):
+    return rectifier(photo)
+
+
+def test_the_example_is_flattened(result, photo):
+    assert result.status.ok, result.status
+    h, w = result.film.shape
+    assert result.film.dtype == np.float32
+    assert 0 <= result.film.min() <= result.film.max() <= 1
+    assert result.rectified.shape == (h, w, 3)
+    assert result.rectified.dtype == np.uint8
+    assert result.glare.shape == result.confidence.shape == (h, w)
+    assert result.backward.film_from_photo(result.backward.photo_from_film(np.array([[0.3, 0.6]]))) == pytest.approx(
+        np.array([[0.3, 0.6]])
+    )
+    nodes = result.backward.nodes
+    assert nodes.min() > -0.1 * max(photo.shape)
+    assert nodes.max() < 1.1 * max(photo.shape)
+
+
+def test_every_stage_reports(result):
+    names = [stage.name for stage in result.stages]
+    assert names == ["read", "survey", "network", "invert", "check", "outline", "grid", "spline", "resample", "light"]
+    assert all(stage.reason and stage.seconds >= 0 for stage in result.stages)
+
+
+def test_slices_are_the_grids_cells(result):
+    assert result.grid is not None
+    slices = result.slices()
+    assert len(slices) == result.grid.rows * result.grid.cols
+    assert min(min(s.shape) for s in slices) > 20
+
+
+def test_reruns_are_bit_identical_and_leave_the_photo_alone(rectifier, photo, result):
+    before = photo.copy()
+    again = rectifier(photo)
+    np.testing.assert_array_equal(again.film, result.film)
+    np.testing.assert_array_equal(again.backward.nodes, result.backward.nodes)
+    np.testing.assert_array_equal(photo, before)
+
+
+def test_a_path_is_as_good_as_its_pixels(rectifier, result):
+    np.testing.assert_array_equal(rectifier(EXAMPLE).film, result.film)
+
+
+def test_a_grey_photo_will_do(rectifier, photo):
+    assert rectifier(cv2.cvtColor(photo, cv2.COLOR_RGB2GRAY)).status.ok
+
+
+def test_a_synthetic_film_is_found_where_it_is(rectifier):
+    """Mean end-point error below 1 % of the photo's side on photos of the generator's, by another seed."""
+    errors = []
+    for number in (24, 27, 8):
+        sample = next(film_samples(11, number, SampleConfig(size=480, map_size=64, photos_per_film=1)))
+        photo = cv2.imdecode(np.frombuffer(sample.photo, np.uint8), cv2.IMREAD_COLOR)[..., ::-1].copy()
+        found = rectifier(photo)
+        assert found.status.ok
+        errors.append(float(end_point_error(found.backward, sample.backward.nodes).mean()))
+    assert np.median(errors) < 4.8
+
+
+def test_twice_the_pixels_give_the_same_film_points(rectifier, photo, result):
+    """Photo points scale with the photo."""
+    small = cv2.resize(photo, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
+    nodes = rectifier(small).backward.nodes * 2
+    off = np.linalg.norm(nodes - result.backward.nodes, axis=-1).mean()
+    assert off < 0.01 * max(photo.shape)
+
+
+# ---------------------------------------------------------------- photos without a film
+
+
+def wall(rng):
+    tilt = np.linspace(120, 190, 400)[:, None] + np.linspace(0, 30, 500)
+    return np.clip(tilt[..., None] + rng.normal(0, 3, (400, 500, 3)), 0, 255).astype(np.uint8)
+
+
+def face(rng):
+    image = np.full((500, 400, 3), 90, np.uint8)
+    cv2.ellipse(image, (200, 250), (120, 170), 0, 0, 360, (215, 175, 150), -1)
+    for x in (150, 250):
+        cv2.ellipse(image, (x, 210), (22, 12), 0, 0, 360, (245, 245, 245), -1)
+        cv2.circle(image, (x, 210), 9, (60, 40, 30), -1)
+    cv2.ellipse(image, (200, 340), (50, 18), 0, 0, 180, (170, 70, 70), -1)
+    return cv2.GaussianBlur(image, (0, 0), 2)
+
+
+def noise(rng):
+    return rng.integers(0, 256, (300, 400, 3), dtype=np.uint8)
+
+
+@pytest.mark.parametrize("make", [wall, face, noise])
+def test_a_photo_without_a_film_is_a_status_not_a_film(rectifier, make):
+    found = rectifier(make(np.random.default_rng(0)))
+    assert not found.status.ok
+    assert found.film is None
+    assert found.slices() == []
+    assert "film" in str(found.status)
+
+
+@pytest.mark.parametrize(
+    ("image", "code"),
+    [
+        (np.zeros((300, 300, 3), np.uint8), StatusCode.BLANK),
+        (np.full((300, 300, 3), 255, np.uint8), StatusCode.BLANK),
+        (np.zeros((20, 300, 3), np.uint8), StatusCode.TOO_SMALL),
+    ],
+)
+def test_blank_and_small_photos_end_at_once(rectifier, image, code):
+    found = rectifier(image)
+    assert found.status.code is code
+    assert [stage.name for stage in found.stages] == ["read", "survey"]
+
+
+@pytest.mark.parametrize(
+    "bad", [np.full((64, 64, 3), np.nan), np.zeros((64, 64, 3), np.int64), np.zeros((4, 4, 4, 4), np.uint8), "no.jpg"]
+)
+def test_what_is_no_photo_is_refused(rectifier, bad):
+    with pytest.raises(PhotoError):
+        rectifier(bad)
+
+
+def test_missing_weights_are_refused(tmp_path):
+    with pytest.raises(DataError, match="weights"):
+        Rectifier(RectifyConfig(weights=tmp_path / "none.safetensors"))
+
+
+def test_the_shortcut_is_the_rectifier(photo, result):
+    np.testing.assert_array_equal(hybrid.rectify(photo).film, result.film)
