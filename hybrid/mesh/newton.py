@@ -33,7 +33,7 @@ _RETURNED = 1e-7
 _HALVINGS = 10
 
 _LEAD_LIMIT = 0.3
-"""The way begins where inertia leads if no edge turns further than this (rad) on it."""
+"""The way begins at the guess if no edge turns further than this (rad) to get there."""
 
 _REUSE_TURN = 0.02
 """A factor is used again after a move that turned (or stretched) no edge by more than this."""
@@ -116,16 +116,17 @@ class Descent:
     converged: bool
 
 
-def descend(problem: StepProblem, tolerance: float, max_iterations: int) -> Descent:
+def descend(
+    problem: StepProblem, guess: Float[np.ndarray, "v 3"], tolerance: float, max_iterations: int
+) -> Descent:
     """Minimise the step's energy until no vertex moves by more than ``tolerance`` (length).
 
-    The way begins where inertia alone would lead, if that is not far; should that end higher than the step's start is,
-    it begins there instead.
+    The way begins at ``guess``, if that is not far; should it end higher than the step's start is, it begins there.
     """
     start = problem.strain(problem.start)
-    ahead = max(float(np.abs(part).max()) for part in _tangents(problem, problem.target - problem.start))
+    ahead = max(float(np.abs(part).max()) for part in _tangents(problem, guess - problem.start))
     if 0 < ahead < _LEAD_LIMIT:
-        result = _descend_from(problem, problem.target, start, tolerance, max_iterations)
+        result = _descend_from(problem, guess, start, tolerance, max_iterations)
         if problem.energy(result.x, result.state) <= problem.energy(problem.start, start):
             return result
     return _descend_from(problem, problem.start, start, tolerance, max_iterations)

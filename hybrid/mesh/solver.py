@@ -91,6 +91,7 @@ class Frame:
     max_strain: float
     residual_n: float = 0.0
     status: FrameStatus = FrameStatus.OK
+    acceleration: Float[np.ndarray, "v 3"] | None = None
 
 
 def at_rest(mesh: FilmMesh) -> Frame:
@@ -107,7 +108,10 @@ def step(network: MassSpring, frame: Frame, loads: Loads, config: StepConfig) ->
     """
     _check(network, frame, loads, config)
     problem = _step_problem(network, frame, loads, config)
-    result = descend(problem, config.tolerance * network.size, config.max_iterations)
+    guess = problem.target
+    if frame.acceleration is not None:
+        guess = guess + config.dt_s**2 * frame.acceleration
+    result = descend(problem, guess, config.tolerance * network.size, config.max_iterations)
     if not np.isfinite(result.residual):
         raise SimulationError(
             describe(
@@ -122,7 +126,8 @@ def step(network: MassSpring, frame: Frame, loads: Loads, config: StepConfig) ->
     largest = result.state.largest
     status = FrameStatus.OK if result.converged else FrameStatus.UNCONVERGED
     status = FrameStatus.STRETCHED if largest > config.strain_limit else status
-    return Frame(mesh, velocity, result.iterations, result.moved, largest, result.residual, status)
+    acceleration = (velocity - frame.velocity) / config.dt_s
+    return Frame(mesh, velocity, result.iterations, result.moved, largest, result.residual, status, acceleration)
 
 
 def settle(network: MassSpring, frame: Frame, loads: Loads, config: SettleConfig) -> Frame:
@@ -136,7 +141,7 @@ def settle(network: MassSpring, frame: Frame, loads: Loads, config: SettleConfig
         after = step(network, still(frame), loads, stepping)
         moved = float(np.abs(after.mesh.vertices - frame.mesh.vertices).max())
         total += after.iterations
-        frame = replace(after, iterations=total, moved_mm=moved, velocity=np.zeros_like(after.velocity))
+        frame = replace(after, iterations=total, moved_mm=moved, velocity=np.zeros_like(after.velocity), acceleration=None)
         if dt_s >= config.last_dt_s and moved <= 10 * config.tolerance * network.size:
             return frame
         dt_s = min(4 * dt_s, config.last_dt_s)
@@ -145,7 +150,7 @@ def settle(network: MassSpring, frame: Frame, loads: Loads, config: SettleConfig
 
 def still(frame: Frame) -> Frame:
     """The same sheet, standing still."""
-    return replace(frame, velocity=np.zeros_like(frame.velocity))
+    return replace(frame, velocity=np.zeros_like(frame.velocity), acceleration=None)
 
 
 def steady_force(network: MassSpring, frame: Frame, loads: Loads) -> Float[np.ndarray, "v 3"]:
