@@ -107,8 +107,10 @@ def sample_bilinear(image: np.ndarray, xy: np.ndarray) -> np.ndarray:
     """
     import cv2
 
-    maps = opencv_from_photo(np.asarray(xy, dtype=np.float32))
-    return cv2.remap(image, maps, np.empty(0), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    # x and y apart: an empty second map, which the signature also allows, gives wrong values in OpenCV 5.0.0.
+    at = opencv_from_photo(np.asarray(xy, dtype=np.float32))
+    x, y = np.ascontiguousarray(at[..., 0]), np.ascontiguousarray(at[..., 1])
+    return cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
 
 
 def rescale_points(

@@ -236,3 +236,15 @@ def test_conversions_stand_in_coords_only(what: str) -> None:
             if FORBIDDEN[what].search(line):
                 found.append(f"{path.relative_to(ROOT)}:{number}: {line.strip()}")
     assert not found, f"{what} belongs into hybrid/coords.py:\n" + "\n".join(found)
+
+
+def test_convention_bilinear_lookup_is_in_the_photo_frame_and_exact():
+    """Values of a linear function come back exactly between the outermost pixel centres, and its rim's beyond."""
+    rng = np.random.default_rng(0)
+    centres = coords.pixel_centres((40, 50))
+    image = np.stack([centres[..., 0], centres[..., 1], centres.sum(axis=-1)], axis=-1).astype(np.float32)
+    xy = rng.uniform([0.5, 0.5], [49.5, 39.5], (30, 20, 2))
+    expected = np.concatenate([xy, xy.sum(axis=-1, keepdims=True)], axis=-1)
+    np.testing.assert_allclose(coords.sample_bilinear(image, xy), expected, atol=1e-4)
+    mixed = np.where(rng.random((30, 20, 1)) < 0.5, xy, 0.0)
+    np.testing.assert_allclose(coords.sample_bilinear(image, mixed)[..., :2], np.maximum(mixed, 0.5), atol=1e-4)
