@@ -37,7 +37,7 @@ def picture_of(film: FilmMesh, title: str, size_mm: float) -> UInt8[np.ndarray, 
     return tile
 
 
-def contact_sheet(tiles: list[UInt8[np.ndarray, "h w 3"]], across: int) -> UInt8[np.ndarray, "h w 3"]:
+def contact_sheet(tiles: list[UInt8[np.ndarray, "t t 3"]], across: int) -> UInt8[np.ndarray, "h w 3"]:
     """Tiles in rows of ``across``, the last row filled up with white."""
     white = np.full((TILE_PX, TILE_PX, 3), 255, np.uint8)
     filled = tiles + [white] * (-len(tiles) % across)

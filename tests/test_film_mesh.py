@@ -44,6 +44,32 @@ def test_surface_of_a_cylinder_has_the_cylinders_normals():
     np.testing.assert_allclose(mesh.bent(bent).edge_strain(), 0, atol=2e-4)
 
 
+def test_a_flat_sheet_has_exact_areas_and_no_angles():
+    mesh = film_mesh((430.0, 350.0), GRID_U, GRID_V, 1)
+    np.testing.assert_allclose(mesh.triangle_areas().sum(), 430 * 350, rtol=1e-12)
+    np.testing.assert_allclose(mesh.dihedral_angles(), 0, atol=1e-9)
+    np.testing.assert_allclose(mesh.angle_defects(), 0, atol=1e-9)
+
+
+def test_a_folded_sheet_has_the_folds_angle_and_no_gaussian_curvature():
+    """Folded along the diagonals of its cells, which are the edges x + y = constant of its triangles."""
+    mesh = film_mesh((100.0, 100.0), np.linspace(0, 1, 3), np.linspace(0, 1, 3), 1)
+    beyond = np.maximum(mesh.vertices[..., 0] + mesh.vertices[..., 1], 0)[..., None] / np.sqrt(2)
+    flat, turned = np.array([1, 1, 0]) / np.sqrt(2), np.array([np.cos(0.5), np.cos(0.5), np.sqrt(2) * np.sin(0.5)])
+    folded = mesh.bent(mesh.vertices + beyond * (turned / np.sqrt(2) - flat))
+    np.testing.assert_allclose(np.diag(folded.dihedral_angles()[:, ::-1]), 0.5, atol=1e-9)
+    np.testing.assert_allclose(folded.angle_defects(), 0, atol=1e-9)
+
+
+def test_angle_defects_of_a_cap_add_up_to_its_solid_angle():
+    mesh = film_mesh((100.0, 100.0), np.linspace(0, 1, 5), np.linspace(0, 1, 5), 3)
+    x, y = mesh.vertices[..., 0], mesh.vertices[..., 1]
+    cap = mesh.bent(np.stack([x, y, np.sqrt(200.0**2 - x**2 - y**2)], axis=-1))
+    inner = cap.angle_defects()
+    expected = cap.triangle_areas().sum() / 200.0**2 * inner.size / (x.size - sum(x.shape) + 1)
+    assert inner.sum() == pytest.approx(expected, rel=0.02)
+
+
 @pytest.mark.parametrize("grid", [np.array([0.5, 0.2]), np.array([0.0, 1.2]), np.array([0.5])])
 def test_impossible_grid_lines_are_refused(grid):
     with pytest.raises(ConfigError, match="grid_u"):

@@ -46,13 +46,20 @@ def near_point(network: MassSpring, uv: Float[np.ndarray, "2"], radius_mm: float
 def edge_part(
     network: MassSpring, side: int, low: float = 0.0, high: float = 1.0, depth_mm: float = 0.0
 ) -> Bool[np.ndarray, " v"]:
-    """Vertices of an edge (0 left, 1 right, 2 top, 3 bottom), ``low`` to ``high`` along it, ``depth_mm`` inwards."""
+    """Vertices of an edge (0 left, 1 right, 2 top, 3 bottom), ``low`` to ``high`` along it, ``depth_mm`` inwards.
+
+    At least one: the one nearest to the middle, where the lattice is coarser than the part is long.
+    """
     uv = film_points(network)
     axis, far = (0, side == 1) if side < 2 else (1, side == 3)
     size = network.film.size_mm[1 - axis]
     inwards = (1 - uv[:, axis] if far else uv[:, axis]) * size
     along = uv[:, 1 - axis]
-    return (inwards <= depth_mm + 1e-9) & (along >= low - 1e-9) & (along <= high + 1e-9)
+    near = inwards <= depth_mm + 1e-9
+    chosen = near & (along >= low - 1e-9) & (along <= high + 1e-9)
+    if not chosen.any():
+        chosen[np.where(near, np.abs(along - 0.5 * (low + high)), np.inf).argmin()] = True
+    return chosen
 
 
 def rigid(network: MassSpring, chosen: Bool[np.ndarray, " v"], turn_rad: np.ndarray, shift: np.ndarray) -> Grip:

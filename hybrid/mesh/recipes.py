@@ -225,8 +225,8 @@ def pressed(network: MassSpring, rng: np.random.Generator) -> Bending:
         else:
             tip = (place - 0.5) * [network.film.size_mm[1], network.film.size_mm[0]]
             fingers.append(Sphere(np.array([*tip, -29.0]), 30.0, friction=0.5))
-    table = Plane(np.array([0.0, 0.0, 0.5]), -_AWAY, friction=0.3)
-    weight, curl = gravity(network, _AWAY), _scaled(_curl(rng, 1.0), rng.uniform(1.0, 2.5))
+    table = Plane(np.array([0.0, 0.0, 0.5]), -_AWAY, friction=0.1)
+    weight, curl = gravity(network, _AWAY), _scaled(_curl(rng, 1.0), rng.uniform(2.0, 5.0))
     bent = gripped(network, grips)
     return Bending(
         bent, lambda k, frame: grip_loads(bent, grips, 1.0, weight, _scaled(curl, ramp(k, 5)), (table, *fingers))
@@ -262,8 +262,8 @@ def leaning(network: MassSpring, rng: np.random.Generator) -> Bending:
         np.array([-np.arcsin(foot / height) + rng.normal(0, 0.15), 0.0, rng.normal(0, 0.03)]),
         np.array([0.0, -rng.uniform(1.0, 1.5) * raised, -foot]),
     )
-    weight = gravity(network, _unit(np.array([0.0, 1.0, rng.uniform(0.0, 0.3)])))
-    curl = (float(rng.choice([-1, 1]) / rng.uniform(120, 500)), 0.0)  # a film stands by itself only when it is curled
+    weight = gravity(network, _unit(np.array([0.0, 1.0, rng.uniform(0.1, 0.5)]))) * rng.uniform(0.15, 0.6)
+    curl = (float(rng.choice([-1, 1]) / rng.uniform(80, 250)), 0.0)  # a film stands by itself only when it is curled
     bent = gripped(network, [grip])
     return Bending(bent, lambda k, frame: grip_loads(bent, [grip], ramp(k, 6), weight, curl, (wall,)))
 
