@@ -8,7 +8,7 @@ from benchmarks.stress import random_scene, run_scene
 from hybrid.errors import ConfigError
 
 
-@settings(max_examples=25, deadline=None, derandomize=True)
+@settings(max_examples=12, deadline=None, derandomize=True)
 @given(st.integers(0, 2**32 - 1))
 def test_no_scene_breaks_the_solver(seed):
     """It ends in a shape or in a readable refusal, without NaN and without energy from nowhere."""

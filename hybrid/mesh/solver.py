@@ -81,7 +81,9 @@ class Frame:
     """The sheet after a step.
 
     mesh: the bent sheet. velocity: (V, 3) mm/s. iterations: Newton iterations. moved_mm: the last iteration's largest
-    move (the residual, in length). max_strain: largest strain of an edge, or half shear of a cell.
+    move (the residual, in length). max_strain: largest strain of an edge, or half shear of a cell. residual_n: largest
+    force left on a vertex before the last move. status: how it ended. acceleration: (V, 3) mm/s^2 during the step, from
+    which the next one guesses where the sheet will be.
     """
 
     mesh: FilmMesh
@@ -141,7 +143,9 @@ def settle(network: MassSpring, frame: Frame, loads: Loads, config: SettleConfig
         after = step(network, still(frame), loads, stepping)
         moved = float(np.abs(after.mesh.vertices - frame.mesh.vertices).max())
         total += after.iterations
-        frame = replace(after, iterations=total, moved_mm=moved, velocity=np.zeros_like(after.velocity), acceleration=None)
+        frame = replace(
+            after, iterations=total, moved_mm=moved, velocity=np.zeros_like(after.velocity), acceleration=None
+        )
         if dt_s >= config.last_dt_s and moved <= 10 * config.tolerance * network.size:
             return frame
         dt_s = min(4 * dt_s, config.last_dt_s)
