@@ -80,10 +80,10 @@ class SettleConfig:
 class Frame:
     """The sheet after a step.
 
-    mesh: the bent sheet. velocity: (V, 3) mm/s. iterations: Newton iterations. moved_mm: the last iteration's largest
-    move (the residual, in length). max_strain: largest strain of an edge, or half shear of a cell. residual_n: largest
-    force left on a vertex before the last move. status: how it ended. acceleration: (V, 3) mm/s^2 during the step, from
-    which the next one guesses where the sheet will be.
+    mesh: the bent sheet. velocity: (V, 3) mm/s. iterations: Newton iterations. moved_mm: the residual in length, the
+    last iteration's largest move, or what it leaves for the next where Newton converges quadratically. max_strain:
+    largest strain of an edge, or half shear of a cell. residual_n: largest force on a vertex before the last move.
+    status: how it ended. acceleration: (V, 3) mm/s^2 during the step, from which the next one guesses where it ends.
     """
 
     mesh: FilmMesh

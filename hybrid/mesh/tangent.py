@@ -16,11 +16,11 @@ _WARP = np.array([0.5, -0.5, -0.5, 0.5])
 
 def tangent_factor(
     network: MassSpring, state: Strain, force: CellStress, own: Float[np.ndarray, "v 3 3"]
-) -> BandFactor | None:
+) -> tuple[BandFactor, bool] | None:
     """Factor of J^T K J + geometric stiffness of ``force`` + bending + each vertex's ``own`` block.
 
-    The geometric stiffness is exact where the sum is definite; where compression makes it indefinite (the sheet is
-    about to buckle), its positive part is taken.
+    The geometric stiffness is exact (then the second value is True) where the sum is definite; where compression makes
+    it indefinite (the sheet is about to buckle), its positive part is taken.
     """
     shape = network.film.shape
     material = _material_blocks(network, state)
@@ -30,7 +30,7 @@ def tangent_factor(
         add_vertices(band, shape, own)
         found = factor(band, shape, SHIFTS if geometric is _positive_geometric else (0.0,))
         if found is not None:
-            return found
+            return found, geometric is _geometric
     return None
 
 
