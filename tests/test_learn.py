@@ -192,7 +192,7 @@ def test_training_resumes_exactly_and_learns(dataset, tmp_path):
     def config(out, passes):
         return TrainConfig(
             data=(dataset,), out=out, passes=passes, coarse_share=0.0, held_out=2, batch=4, loaders=0,
-            steps_per_test=4, minutes_per_save=0, network=TINY,
+            steps_per_test=4, minutes_per_save=0.0, network=TINY,
         )  # fmt: skip
 
     class CutError(Exception):
