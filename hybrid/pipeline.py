@@ -11,16 +11,17 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import UInt8
+from threadpoolctl import ThreadpoolController
 
 from hybrid.backward import BackwardMap
 from hybrid.image_io import as_photo
 from hybrid.learn.network import FilmNet, fused
-from hybrid.learn.predict import PredictConfig, film_window, look, whole
+from hybrid.learn.predict import PredictConfig, film_windows, look, whole
 from hybrid.learn.weights import load_weights, packaged_weights
 from hybrid.records import CoarseMaps, RectifyResult, SliceGrid, StageReport, Status, StatusCode
 from hybrid.rectify.deilluminate import DeilluminateConfig, deilluminate, film_guide
 from hybrid.rectify.film_size import FilmSizeConfig, film_size
-from hybrid.rectify.invert import Inversion, InvertConfig, NotInverted, fit_backward
+from hybrid.rectify.invert import Inversion, InvertConfig, NotInverted, agreed, fit_backward
 from hybrid.rectify.refine import RefineConfig, Refinement, refine
 from hybrid.rectify.resample import rectify_photo
 from hybrid.rectify.survey import SurveyConfig, survey_maps, survey_photo
@@ -65,6 +66,11 @@ class Rectifier:
         Raises:
             PhotoError: the source cannot be read as a photo. A photo without a film is no error but a status.
         """
+        with _blas().limit(limits=1, user_api="blas"):
+            return self._rectified(source)
+
+    def _rectified(self, source: str | Path | np.ndarray) -> RectifyResult:
+        """All stages, one after the other, until one says that there is no film."""
         clock = _Clock()
         with clock.stage("read") as report:
             photo = as_photo(source)
@@ -86,24 +92,26 @@ class Rectifier:
         return self._finish(photo, maps, refinement, clock)
 
     def _see(self, photo: Photo, clock: _Clock) -> tuple[CoarseMaps, Inversion | NotInverted]:
-        """What the network makes of the photo: a look at the whole, then one at the film if that shows it larger."""
+        """What the network makes of the photo: a look at the whole, some at the film, and the mean of their maps."""
         config = self.config.predict
         with clock.stage("network") as report:
             first = whole((photo.shape[0], photo.shape[1]))
-            maps = look(self._network, photo, first)
-            window = film_window(maps, config)
-            if window is not None and first.side / window.side >= config.worth:
-                maps = look(self._network, photo, window)
-                report.reason = f"looked twice: the film fills {window.side / first.side:.0%} of the photo"
-            else:
-                report.reason = "one look: the film fills the photo" if window else "one look: nothing like a film"
+            looks = look(self._network, photo, [first])
+            windows = film_windows(looks[0], config)
+            if windows:
+                looks += look(self._network, photo, windows)
+            share = windows[0].side / first.side if windows else 0.0
+            report.reason = (
+                f"{len(looks)} looks: the film spans {share:.0%} of the photo" if windows else "no film seen"
+            )
         with clock.stage("invert") as report:
-            inversion = fit_backward(maps, self.config.invert)
+            inversions = [fit_backward(maps, self.config.invert) for maps in looks]
+            inversion = agreed(inversions)
             if isinstance(inversion, NotInverted):
                 report.reason = inversion.reason
             else:
                 report.reason = f"uv map explained to {inversion.residual_px:.1f} px"
-        return maps, inversion
+        return looks[len(looks) // 2], inversion
 
     def _finish(self, photo: Photo, maps: CoarseMaps, refinement: Refinement, clock: _Clock) -> RectifyResult:
         """Read the photo once through the map, then take the light out."""
@@ -126,6 +134,12 @@ class Rectifier:
             glare=light.glare,
             confidence=light.confidence,
         )
+
+
+@lru_cache(maxsize=1)
+def _blas() -> ThreadpoolController:
+    """Control of the linear algebra's threads: on matrices this small, several wait more than they work."""
+    return ThreadpoolController()
 
 
 @lru_cache(maxsize=1)

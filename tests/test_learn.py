@@ -13,7 +13,7 @@ from hybrid.errors import ConfigError, DataError
 from hybrid.learn.data import AugmentConfig, training_view
 from hybrid.learn.losses import LossWeights, Targets, loss_terms, masked_mean, slope_loss, total_loss, uv_loss
 from hybrid.learn.network import STRIDE, FilmNet, FilmNetConfig, FilmNetOutput, fused
-from hybrid.learn.predict import PredictConfig, Window, film_window, look, whole
+from hybrid.learn.predict import PredictConfig, Window, film_windows, look, whole
 from hybrid.learn.shards import open_dataset
 from hybrid.learn.train import TrainConfig, train
 from hybrid.learn.weights import load_weights, parameter_count, save_weights
@@ -165,11 +165,19 @@ def test_a_window_is_where_it_says():
 
 def test_the_photo_points_of_the_maps_cover_the_window():
     photo = np.zeros((100, 150, 3), np.uint8)
-    maps = look(fused(FilmNet(TINY)), photo, Window((75.0, 50.0), 80.0))
+    (maps,) = look(fused(FilmNet(TINY)), photo, [Window((75.0, 50.0), 80.0)])
     np.testing.assert_allclose(maps.photo_points[0, 0], [35 + 2.5, 10 + 2.5])
     np.testing.assert_allclose(maps.photo_points.mean(axis=(0, 1)), [75, 50])
-    window = film_window(maps, PredictConfig(mask_threshold=1.1))
-    assert window is None
+    assert film_windows(maps, PredictConfig(mask_threshold=1.1)) == []
+    seen = film_windows(maps, PredictConfig(mask_threshold=-1.0, margins=(0.0, 0.25)))
+    assert seen == [Window((75.0, 50.0), 80.0), Window((75.0, 50.0), 120.0)]
+
+
+def test_looks_together_are_looks_one_by_one():
+    network, photo = fused(FilmNet(TINY)), np.random.default_rng(0).integers(0, 256, (90, 90, 3), dtype=np.uint8)
+    windows = [Window((40.0, 50.0), 60.0), Window((45.0, 45.0), 90.0)]
+    for one, other in zip(look(network, photo, windows), (look(network, photo, [w])[0] for w in windows), strict=True):
+        np.testing.assert_allclose(one.uv, other.uv, atol=1e-5)
 
 
 # ---------------------------------------------------------------- weights and training

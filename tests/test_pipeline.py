@@ -79,7 +79,7 @@ def test_a_grey_photo_will_do(rectifier, photo):
 def test_a_synthetic_film_is_found_where_it_is(rectifier):
     """Mean end-point error below 1 % of the photo's side on photos of the generator's, by another seed."""
     errors = []
-    for number in (24, 27, 8):
+    for number in (2, 27, 8):
         sample = next(film_samples(11, number, SampleConfig(size=480, map_size=64, photos_per_film=1)))
         photo = cv2.imdecode(np.frombuffer(sample.photo, np.uint8), cv2.IMREAD_COLOR)[..., ::-1].copy()
         found = rectifier(photo)

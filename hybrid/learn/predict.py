@@ -1,7 +1,8 @@
-"""FilmNet applied to a photo: two looks, the second at the film alone."""
+"""FilmNet applied to a photo: a look at the whole, then a few at the film alone."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -18,12 +19,12 @@ from hybrid.records import CoarseMaps
 class PredictConfig:
     """How the network looks at a photo.
 
-    margin: of the second look around the film, in parts of the film's longer side; what the training views have.
-    worth: the second look is taken if it shows the film at least this much larger. mask_threshold: where film is.
+    margins: around the film in the further looks, in parts of its longer side; within what the training views have.
+    The looks see the film at different scales, so that their errors differ and their mean is nearer to the truth.
+    mask_threshold: where film is.
     """
 
-    margin: float = 0.07
-    worth: float = 1.1
+    margins: tuple[float, ...] = (0.03, 0.06, 0.09, 0.12)
     mask_threshold: float = 0.5
 
 
@@ -40,29 +41,27 @@ def whole(size: tuple[int, int]) -> Window:
     return Window((size[1] / 2, size[0] / 2), float(max(size)))
 
 
-def look(network: FilmNet, photo: UInt8[np.ndarray, "H W 3"], window: Window) -> CoarseMaps:
-    """The network's maps of what a window of the photo shows."""
+def look(network: FilmNet, photo: UInt8[np.ndarray, "H W 3"], windows: Sequence[Window]) -> list[CoarseMaps]:
+    """The network's maps of what each window of the photo shows; one pass for all."""
     n = network.config.input_px
-    image = torch.from_numpy(_cut(photo, window, n)).permute(2, 0, 1)[None]
+    images = torch.from_numpy(np.stack([_cut(photo, window, n) for window in windows])).permute(0, 3, 1, 2)
     with torch.inference_mode():
-        output = network(image.float().div_(255).contiguous(memory_format=torch.channels_last))
-        mask = torch.sigmoid(output.mask_logit)[0].numpy()
-    m = n // STRIDE
-    points = (pixel_centres((m, m)) / m - 0.5) * window.side + np.asarray(window.centre)
-    return CoarseMaps(
-        mask=mask,
-        uv=output.uv[0].permute(1, 2, 0).numpy(),
-        xyz=output.xyz[0].permute(1, 2, 0).numpy(),
-        albedo=output.albedo[0].clamp(0, 1).numpy(),
-        photo_points=points,
-    )
+        output = network(images.float().div_(255).contiguous(memory_format=torch.channels_last))
+        mask = torch.sigmoid(output.mask_logit).numpy()
+    uv, xyz = (maps.permute(0, 2, 3, 1).numpy() for maps in (output.uv, output.xyz))
+    albedo = output.albedo.clamp(0, 1).numpy()
+    centres = pixel_centres((n // STRIDE, n // STRIDE)) / (n // STRIDE) - 0.5
+    return [
+        CoarseMaps(mask[k], uv[k], xyz[k], albedo[k], centres * window.side + np.asarray(window.centre))
+        for k, window in enumerate(windows)
+    ]
 
 
-def film_window(maps: CoarseMaps, config: PredictConfig) -> Window | None:
-    """The square around the film, or None if no pixel shows film."""
+def film_windows(maps: CoarseMaps, config: PredictConfig) -> list[Window]:
+    """Squares around the film, one for each margin; none if no pixel shows film."""
     film = maps.mask >= config.mask_threshold
     if not film.any():
-        return None
+        return []
     # The largest connected part: stray pixels elsewhere must not widen the window.
     _, labels, stats, _ = cv2.connectedComponentsWithStats(film.astype(np.uint8))
     largest = 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA]))
@@ -70,7 +69,8 @@ def film_window(maps: CoarseMaps, config: PredictConfig) -> Window | None:
     pixel = float(maps.photo_points[0, 1, 0] - maps.photo_points[0, 0, 0])
     low, high = points.min(axis=0) - pixel / 2, points.max(axis=0) + pixel / 2
     centre = (low + high) / 2
-    return Window((float(centre[0]), float(centre[1])), float((high - low).max()) * (1 + 2 * config.margin))
+    longer = float((high - low).max())
+    return [Window((float(centre[0]), float(centre[1])), longer * (1 + 2 * margin)) for margin in config.margins]
 
 
 def _cut(photo: np.ndarray, window: Window, n: int) -> UInt8[np.ndarray, "n n 3"]:

@@ -7,7 +7,8 @@ covered corner, or one outside the frame, continues the plane that the rest of t
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -113,6 +114,18 @@ def fit_backward(maps: CoarseMaps, config: InvertConfig | None = None) -> Invers
         coverage=coverage(pixels.uv[inlier]),
         inlier_share=float(inlier.mean()),
     )
+
+
+def agreed(inversions: Sequence[Inversion | NotInverted]) -> Inversion | NotInverted:
+    """The mean of the maps that several looks at one photo gave; with the last look's evidence, the nearest one.
+
+    A look that gave no map is left out; where the last gave none, neither does the mean.
+    """
+    last = inversions[-1]
+    if isinstance(last, NotInverted):
+        return last
+    nodes = [inversion.backward.nodes for inversion in inversions if isinstance(inversion, Inversion)]
+    return replace(last, backward=BackwardMap(np.mean(nodes, axis=0)))
 
 
 def project(homography: Float[np.ndarray, "3 3"], uv: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:

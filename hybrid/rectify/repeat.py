@@ -54,12 +54,11 @@ class RepeatConfig:
     """Least autocorrelation of the film at one pitch."""
     octave_ratio: float = 0.7
     """Of the pitches that correlate at least this well relative to the best, the smallest counts."""
-    first: MatchRound = MatchRound(9, 1.5, 0.22, 0.0, 0.8, 24, 1.0)
+    first: MatchRound = MatchRound(9, 1.5, 0.22, 0.0, 0.8, 16, 1.0)
     """What is done in the first round, against one cell."""
     rounds: tuple[MatchRound, ...] = (
-        MatchRound(8, 1.5, 0.25, 1.0, 0.6, 16, 0.3),
-        MatchRound(7, 1.3, 0.22, 2.0, 0.5, 16, 0.2),
-        MatchRound(5, 1.2, 0.2, 3.0, 0.4, 16, 0.2),
+        MatchRound(8, 1.5, 0.25, 1.0, 0.6, 12, 0.3),
+        MatchRound(5, 1.2, 0.2, 3.0, 0.4, 12, 0.2),
     )
     """What is done in the further rounds, against the mean cell."""
     min_match: float = 0.6

@@ -68,9 +68,9 @@ class Sightings:
 class SplineConfig:
     """Options of the displacement spline."""
 
-    lattice: tuple[int, int] = (11, 11)
+    lattice: tuple[int, int] = (9, 9)
     """Rows and columns of the lattice of kernels; finer than any error of a smooth coarse map."""
-    prior_px: float = 12.0
+    prior_px: float = 18.0
     """Expected size of the coarse map's error, in pixels of a film 1000 pixels long: holds what nothing observes."""
     stiffness: tuple[float, float, int] = (5e3, 5e5, 5)
     """Lowest and highest bending weight tried, and how many; the evidence chooses. In 1 / (squared film units)."""
