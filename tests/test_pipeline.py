@@ -156,3 +156,11 @@ def test_missing_weights_are_refused(tmp_path):
 
 def test_the_shortcut_is_the_rectifier(photo, result):
     np.testing.assert_array_equal(hybrid.rectify(photo).film, result.film)
+
+
+def test_the_room_named_rectify_answers_as_the_shortcut(photo, result):
+    """hybrid.rectify is both the room and the public call, whichever was imported first."""
+    import hybrid.rectify.tps  # noqa: F401
+
+    assert callable(hybrid.rectify)
+    np.testing.assert_array_equal(hybrid.rectify(photo).film, result.film)

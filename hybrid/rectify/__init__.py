@@ -1,0 +1,19 @@
+"""Classical geometry and light: from the network's maps to the flat film.
+
+``hybrid.rectify(photo)`` is also the name of the public shortcut. Importing this package sets the attribute of that
+name to this module, so the module answers the call.
+"""
+
+import importlib
+import sys
+from types import ModuleType
+from typing import Any
+
+
+class _CallableRoom(ModuleType):
+    def __call__(self, photo: Any) -> Any:
+        """Rectify one photo; see ``hybrid.pipeline.rectify``."""
+        return importlib.import_module("hybrid.pipeline").rectify(photo)
+
+
+sys.modules[__name__].__class__ = _CallableRoom
