@@ -18,7 +18,8 @@ TILE = 256
 
 def background(scene: Scene, room: FilteredEnvironment, rng: np.random.Generator) -> Float[np.ndarray, "h w 3"]:
     """Linear radiance of what lies behind the film, at half of the photo's resolution or 128 px at least."""
-    camera = scene.camera.resized(tuple(max(s // 2, min(s, 128)) for s in scene.camera.size))
+    height, width = (max(s // 2, min(s, 128)) for s in scene.camera.size)
+    camera = scene.camera.resized((height, width))
     if scene.background == "room":
         picture = _room(camera, scene, room, rng)
     elif scene.background == "table":

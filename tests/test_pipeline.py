@@ -160,7 +160,7 @@ def test_the_shortcut_is_the_rectifier(photo, result):
 
 def test_the_room_named_rectify_answers_as_the_shortcut(photo, result):
     """hybrid.rectify is both the room and the public call, whichever was imported first."""
-    import hybrid.rectify.tps  # noqa: F401
+    import hybrid.rectify.tps
 
     assert callable(hybrid.rectify)
     np.testing.assert_array_equal(hybrid.rectify(photo).film, result.film)

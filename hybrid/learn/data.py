@@ -52,7 +52,8 @@ def training_view(shard: Shard, index: int, px: int, rng: np.random.Generator, c
     image = _warped(photo, photo_from_view, px)
     if config is not None:
         image = _disturbed(image, rng)
-    centres = rescale_points(pixel_centres((px // STRIDE, px // STRIDE)), (px // STRIDE,) * 2, (px, px))
+    n = px // STRIDE
+    centres = rescale_points(pixel_centres((n, n)), (n, n), (px, px))
     in_photo = centres @ photo_from_view[:, :2].T + photo_from_view[:, 2]
     in_map = opencv_from_photo(rescale_points(in_photo, (side, side), map_size))
     seen, uv, xyz, albedo = _sampled(shard, index, mask, in_map)

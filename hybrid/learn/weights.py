@@ -49,7 +49,8 @@ def load_weights(path: Path) -> FilmNet:
         allowed = ("FilmNet", str(CONVENTIONS_VERSION))
         raise DataError(describe(what="weights", where=path, got=got, allowed=allowed, do="Train them again."))
     options: dict[str, Any] = json.loads(metadata["config"])
-    network = FilmNet(FilmNetConfig(**{k: tuple(v) if isinstance(v, list) else v for k, v in options.items()}))
+    options = {**options, "widths": tuple(options["widths"]), "blocks": tuple(options["blocks"])}
+    network = FilmNet(FilmNetConfig(**options))
     network.load_state_dict({k: v.float() if v.is_floating_point() else v for k, v in tensors.items()}, strict=True)
     return network
 
