@@ -39,10 +39,7 @@ class FilmMesh:
     def triangles(self) -> Int[np.ndarray, "t 3"]:
         """Vertex numbers (row by row) of the triangles, two for each lattice cell."""
         rows, cols = self.shape
-        corner = (np.arange(rows - 1)[:, None] * cols + np.arange(cols - 1)[None, :]).ravel()
-        upper = np.stack([corner, corner + cols, corner + 1], axis=1)
-        lower = np.stack([corner + 1, corner + cols, corner + cols + 1], axis=1)
-        return np.concatenate([upper, lower])
+        return lattice_triangles(rows, cols)
 
     @property
     def grid_vertices(self) -> Float[np.ndarray, "r c 3"]:
@@ -109,6 +106,14 @@ class FilmMesh:
         return np.concatenate([across.ravel(), down.ravel()])
 
 
+def lattice_triangles(rows: int, cols: int) -> Int[np.ndarray, "t 3"]:
+    """Vertex numbers of the triangles of a lattice numbered row by row, two for each cell."""
+    corner = (np.arange(rows - 1)[:, None] * cols + np.arange(cols - 1)[None, :]).ravel()
+    upper = np.stack([corner, corner + cols, corner + 1], axis=1)
+    lower = np.stack([corner + 1, corner + cols, corner + cols + 1], axis=1)
+    return np.concatenate([upper, lower])
+
+
 def film_mesh(
     size_mm: tuple[float, float],
     grid_u: Float[np.ndarray, " c"],
@@ -159,10 +164,7 @@ def _subdivided_uv(u_base: np.ndarray, v_base: np.ndarray, levels: int) -> Float
     rows, cols = len(v_base), len(u_base)
     u, v = np.meshgrid(u_base, v_base)
     points = np.stack([u.ravel(), v.ravel(), np.zeros(u.size)], axis=1)
-    corner = (np.arange(rows - 1)[:, None] * cols + np.arange(cols - 1)[None, :]).ravel()
-    triangles = np.concatenate(
-        [np.stack([corner, corner + cols, corner + 1], 1), np.stack([corner + 1, corner + cols, corner + cols + 1], 1)]
-    )
+    triangles = lattice_triangles(rows, cols)
     mesh = o3d.geometry.TriangleMesh(o3d.utility.Vector3dVector(points), o3d.utility.Vector3iVector(triangles))
     fine = mesh.subdivide_midpoint(number_of_iterations=levels)
     return np.round(np.asarray(fine.vertices)[:, :2], 9)

@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float
 from hybrid.backward import BackwardMap
 from hybrid.coords import film_nodes, node_centres_1d
 from hybrid.mesh.camera import Camera
-from hybrid.mesh.film import FilmMesh
+from hybrid.mesh.film import FilmMesh, lattice_triangles
 
 _MISS = 2**32 - 1
 """Open3D's primitive number of a ray that hits nothing."""
@@ -50,10 +50,7 @@ class FilmCaster:
         self._uv = film_nodes((n, n)).reshape(-1, 2)
         self._points = film.surface(t, t).reshape(-1, 3)
         self._normals = film.normals(t, t).reshape(-1, 3)
-        corner = (np.arange(n - 1)[:, None] * n + np.arange(n - 1)[None, :]).ravel()
-        upper = np.stack([corner, corner + n, corner + 1], axis=1)
-        lower = np.stack([corner + 1, corner + n, corner + n + 1], axis=1)
-        self._triangles = np.concatenate([upper, lower])
+        self._triangles = lattice_triangles(n, n)
         self._scene = o3d.t.geometry.RaycastingScene(nthreads=1)
         self._scene.add_triangles(_tensor(self._points.astype(np.float32)), _tensor(self._triangles.astype(np.uint32)))
 

@@ -49,7 +49,7 @@ def rectify_photo(photo: UInt8[np.ndarray, "H W 3"], backward: BackwardMap, size
         rows = slice(top, min(top + STRIP_ROWS, size[0]))
         map_x, map_y = weights_v[rows] @ columns_x, weights_v[rows] @ columns_y
         # Cubic: 2 dB closer than linear to an area-averaged print at one photo pixel per film pixel, for twice the
-        # time; Lanczos gains another 0.3 dB for ten times the time, and rings. Its 1/32 px steps do not show.
+        # time; Lanczos gains another 0.3 dB for five times the time, and rings. Its 1/32 px steps do not show.
         cv2.remap(part, map_x, map_y, cv2.INTER_CUBIC, dst=image[rows], borderMode=cv2.BORDER_REPLICATE)
         if not surely_inside:
             valid[rows] = _inside(map_x, map_y, part.shape[:2])
