@@ -60,7 +60,8 @@ class Sample:
     """A photo with its truth.
 
     photo: JPEG bytes. maps: at the map size; film that something covers is not film in the mask.
-    albedo: (h, w) display grey of the print. backward: exact map into the photo's frame.
+    albedo: (h, w) display grey of the print. glare: (h, w) film that is clipped or veiled beyond recovery.
+    backward: exact map into the photo's frame.
     grid_world, grid_camera: (rows + 1, cols + 1, 3) mm. grid_photo, grid_film: (rows + 1, cols + 1, 2).
     camera: of the photo. size_mm: (height, width) of the film. parameters: everything drawn, JSON-able.
     """
@@ -68,6 +69,7 @@ class Sample:
     photo: bytes
     maps: AnnotationMaps
     albedo: Float[np.ndarray, "h w"]
+    glare: Bool[np.ndarray, "h w"]
     backward: BackwardMap
     grid_world: Float[np.ndarray, "r c 3"]
     grid_camera: Float[np.ndarray, "r c 3"]
@@ -121,6 +123,7 @@ def _photograph(
         photo=photo,
         maps=maps,
         albedo=_lookup(film_print.image, maps, camera.resized(map_size), film),
+        glare=np.zeros_like(maps.mask),  # until the shading says where
         backward=true_backward_map(film, camera),
         grid_world=grid_world,
         grid_camera=camera.camera_points(grid_world),
