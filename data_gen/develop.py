@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import cv2
 import numpy as np
 from jaxtyping import Float
 
-from data_gen.scene import Lens
 from hybrid.coords import film_centres, rgb_from_bgr, srgb_from_linear
 
 _LUT_SIZE = 4096
@@ -15,6 +16,45 @@ _LUT_MAX = 4.0
 
 REFERENCE_SIDE = 1000.0
 """Photo side, in pixels, to which blur radii refer."""
+
+
+@dataclass(frozen=True)
+class Lens:
+    """What the camera does to the light, all at random.
+
+    exposure: linear level that the film's bright parts (95th percentile) reach. temperature: log2 red/blue gain.
+    tint: log2 green gain. tone: 'srgb', 'filmic' or 'punchy'. vignette: loss in the corners. bloom: share of light
+    scattered. defocus_px, motion_px: blur in pixels of a 1000 px photo. sharpen: unsharp amount.
+    noise: of read and shot. jpeg: quality.
+    """
+
+    exposure: float
+    temperature: float
+    tint: float
+    tone: str
+    vignette: float
+    bloom: float
+    defocus_px: float
+    motion_px: float
+    sharpen: float
+    noise: float
+    jpeg: int
+
+
+def sample_lens(rng: np.random.Generator) -> Lens:
+    return Lens(
+        exposure=float(np.exp(rng.normal(np.log(0.7), 0.55))),
+        temperature=float(rng.normal(0, 0.25)),
+        tint=float(rng.normal(0, 0.08)),
+        tone=str(rng.choice(["srgb", "filmic", "punchy"], p=[0.45, 0.35, 0.2])),
+        vignette=float(rng.uniform(0, 0.4)),
+        bloom=float(rng.uniform(0, 0.06)) if rng.random() < 0.4 else 0.0,
+        defocus_px=float(abs(rng.normal(0, 1.2))),
+        motion_px=float(rng.uniform(1, 5)) if rng.random() < 0.15 else 0.0,
+        sharpen=float(rng.uniform(0, 1.0)) if rng.random() < 0.5 else 0.0,
+        noise=float(10 ** rng.uniform(-3.2, -1.8)),
+        jpeg=int(rng.integers(45, 97)),
+    )
 
 
 def develop(linear: Float[np.ndarray, "h w 3"], lens: Lens, white: float, rng: np.random.Generator) -> bytes:

@@ -14,8 +14,9 @@ import cv2
 import numpy as np
 from jaxtyping import Float
 
+from data_gen.lighting import Light
 from data_gen.rooms import FilteredEnvironment, sample_environment, sample_filtered, sample_irradiance
-from data_gen.scene import Light, Scene
+from data_gen.scene import Scene
 from hybrid.coords import film_centres_1d, linear_from_srgb
 from hybrid.mesh.film import FilmMesh
 
