@@ -140,10 +140,65 @@ class BackwardMap:
         return not (np.all(det > 0) or np.all(det < 0))
 
 
+@dataclass(frozen=True)
+class Orientation:
+    """How a film that is seen in a photo must be moved to read right: mirrored left to right first, then turned.
+
+    turns: quarter turns clockwise, 0 to 3. mirrored: the film is seen from behind. ``seen`` coordinates are film uv as
+    if the film were read the way it appears in the photo; ``BackwardMap.turned`` takes the same two numbers.
+    """
+
+    turns: int
+    mirrored: bool
+
+    @property
+    def index(self) -> int:
+        """0 to 7: turns, plus 4 if mirrored."""
+        return self.turns + 4 * self.mirrored
+
+    @staticmethod
+    def from_index(index: int) -> Orientation:
+        """The orientation of an index from 0 to 7."""
+        return Orientation(index % 4, index >= 4)
+
+    def film_from_seen(self, uv: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n 2"]:
+        """Film uv of coordinates of the film as seen."""
+        return _from_middle(uv, self._film_from_seen)
+
+    def seen_from_film(self, uv: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n 2"]:
+        """Coordinates of the film as seen, of film uv."""
+        return _from_middle(uv, self._film_from_seen.T)
+
+    @property
+    def _film_from_seen(self) -> Float[np.ndarray, "2 2"]:
+        """A rotation, with a reflection before it; the film's middle stays where it is."""
+        clockwise = np.linalg.matrix_power(np.array([[0.0, -1.0], [1.0, 0.0]]), self.turns)
+        return clockwise @ np.diag([-1.0 if self.mirrored else 1.0, 1.0])
+
+
+def _from_middle(uv: np.ndarray, matrix: Float[np.ndarray, "2 2"]) -> np.ndarray:
+    """Film coordinates moved by a linear map about the film's middle; keeps the dtype."""
+    middle = np.asarray(0.5, dtype=uv.dtype)
+    return (uv - middle) @ matrix.T.astype(uv.dtype) + middle
+
+
+def orientation(backward: BackwardMap) -> Orientation:
+    """How the film lies in the photo: mirrored or not, and its top to the nearest quarter turn."""
+    nodes = backward.nodes
+    across, down = (nodes[:, -1] - nodes[:, 0]).mean(axis=0), (nodes[-1] - nodes[0]).mean(axis=0)
+    mirrored = bool(across[0] * down[1] - across[1] * down[0] < 0)
+    if mirrored:
+        across, down = across * [-1, 1], down * [-1, 1]  # as in the photo mirrored left to right
+    # Both directions vote for the angle: across turned by a quarter is down.
+    side = across / np.hypot(*across) + np.array([down[1], -down[0]]) / np.hypot(*down)
+    clockwise = np.arctan2(side[1], side[0])
+    return Orientation(int(np.rint(-2 * clockwise / np.pi)) % 4, mirrored)
+
+
 def end_point_error(predicted: BackwardMap, true_points: Float[np.ndarray, "n n 2"]) -> Float[np.ndarray, "n n"]:
     """Distance in photo pixels between predicted and true photo points of a film lattice, edges included."""
     uv = film_nodes(true_points.shape[:2])
     return np.linalg.norm(predicted.photo_from_film(uv) - true_points, axis=-1)
 
 
-__all__ = ["BackwardMap", "end_point_error", "spline_weights"]
+__all__ = ["BackwardMap", "Orientation", "end_point_error", "orientation", "spline_weights"]

@@ -1,0 +1,45 @@
+"""Orientation of a film in a photo: eight ways to lie, each found and undone."""
+
+import numpy as np
+import pytest
+
+from hybrid.backward import BackwardMap, Orientation, orientation
+from hybrid.coords import film_nodes
+
+
+def seen_map() -> BackwardMap:
+    """A slightly bent, slightly rolled film that is upright in its photo."""
+    uv = film_nodes((9, 9))
+    x = 100 + 300 * uv[..., 0] + 40 * uv[..., 1] + 15 * np.sin(2 * uv[..., 1])
+    y = 80 - 30 * uv[..., 0] + 400 * uv[..., 1] + 10 * uv[..., 0] ** 2
+    return BackwardMap(np.stack([x, y], axis=-1))
+
+
+@pytest.mark.parametrize("index", range(8))
+def test_orientation_is_what_makes_the_seen_film_upright(index):
+    way = Orientation.from_index(index)
+    assert way.index == index
+    true = seen_map().turned(way.turns, way.mirrored)
+    assert orientation(true) == way
+
+
+@pytest.mark.parametrize("index", range(8))
+def test_coordinates_agree_with_the_turned_map(index):
+    way, seen = Orientation.from_index(index), seen_map()
+    true = seen.turned(way.turns, way.mirrored)
+    uv_seen = np.random.default_rng(index).random((50, 2))
+    np.testing.assert_allclose(
+        true.photo_from_film(way.film_from_seen(uv_seen)), seen.photo_from_film(uv_seen), atol=1e-9
+    )
+    np.testing.assert_allclose(way.seen_from_film(way.film_from_seen(uv_seen)), uv_seen, atol=1e-12)
+
+
+@pytest.mark.parametrize("roll_deg", [-40, -20, 20, 40])
+def test_orientation_is_the_nearest_quarter_turn(roll_deg):
+    turn = np.deg2rad(roll_deg)
+    rotation = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    flat = BackwardMap(film_nodes((5, 5)) * [300, 400])
+    for extra in range(4):
+        quarter = np.linalg.matrix_power(np.array([[0, -1], [1, 0]]), extra)
+        rolled = BackwardMap(flat.nodes @ (quarter @ rotation).T)
+        assert orientation(rolled) == Orientation(-extra % 4, False)
