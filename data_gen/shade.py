@@ -54,7 +54,9 @@ def film_light(
     points, normals = film.surface(t, t), film.normals(t, t)
     view = scene.camera.centre_world - points
     view /= np.linalg.norm(view, axis=-1, keepdims=True)
-    cosine = np.clip((view * normals).sum(axis=-1, keepdims=True), 0.02, 1.0)
+    towards = (view * normals).sum(axis=-1, keepdims=True)
+    normals = np.where(towards < 0, -normals, normals)  # of the side that is seen: the film's back, if that faces it
+    cosine = np.clip(np.abs(towards), 0.02, 1.0)
     turn = room_from_film(scene.light).T
     material, light = scene.material, scene.light
     front = sample_irradiance(room, normals @ turn) * (light.front / np.pi)
