@@ -7,7 +7,7 @@ import multiprocessing
 import os
 import shutil
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -17,6 +17,7 @@ from tqdm import tqdm
 
 from data_gen.sample import Sample, SampleConfig, film_samples
 from data_gen.shards import ShardWriter
+from data_gen.sources import SourceConfig
 from hybrid.coords import CONVENTIONS_VERSION
 from hybrid.errors import ConfigError, HybridError, describe
 
@@ -31,8 +32,7 @@ class GenerateConfig:
     count: photos to make. out: folder for the data set; finished shards in it are kept, so a run that was cut off
         goes on. seed: the same seed gives the same photos.
     size: side of the photos in pixels. map_size: side of the maps (photo size, at most 448).
-    ct: folder with CT volumes (.npz) and DICOM files, folders or zips; without it embedded phantoms are printed.
-    hdri: folder with .hdr environments; without it embedded rooms light the films. workers: processes (all cores).
+    sources: of CT volumes and of light. workers: processes (all cores).
     shard_size: photos in a shard. sample: everything else.
     """
 
@@ -41,8 +41,7 @@ class GenerateConfig:
     seed: int = 0
     size: int = 256
     map_size: int | None = None
-    ct: Path | None = None
-    hdri: Path | None = None
+    sources: tyro.conf.OmitArgPrefixes[SourceConfig] = field(default_factory=SourceConfig)
     workers: int = field(default_factory=lambda: os.cpu_count() or 1)
     shard_size: int = 512
     sample: tyro.conf.Suppress[SampleConfig] = field(default_factory=SampleConfig)
@@ -120,22 +119,20 @@ def _sample_config(config: GenerateConfig) -> SampleConfig:
             )
         )
     for name in ("ct", "hdri"):
-        folder = getattr(config, name)
+        folder = getattr(config.sources, name)
         if folder is not None and not folder.is_dir():
             raise ConfigError(
                 describe(what=f"--{name}", where=folder, do="Name a folder that exists, or leave it out.")
             )
     map_size = config.map_size or min(config.size, MAX_MAP_SIZE)
-    base = asdict(config.sample) | {"size": config.size, "map_size": map_size, "ct": config.ct, "hdri": config.hdri}
-    nested = {name: getattr(config.sample, name) for name in ("prints", "bend", "scene")}
-    return SampleConfig(**(base | nested))
+    return replace(config.sample, size=config.size, map_size=map_size, sources=config.sources)
 
 
 def _describe_dataset(config: GenerateConfig, sample_config: SampleConfig) -> None:
     """Write dataset.json, or check that the one there belongs to the same data set."""
     path = config.out / "dataset.json"
     options = json.loads(json.dumps(asdict(sample_config), default=str))
-    options["ct"], options["hdri"] = config.ct is not None, config.hdri is not None
+    options["sources"] |= {name: getattr(config.sources, name) is not None for name in ("ct", "hdri")}
     made = {"seed": config.seed, "shard_size": config.shard_size, "conventions": CONVENTIONS_VERSION, "sample": options}
     if path.exists() and json.loads(path.read_text()) != made:
         raise ConfigError(

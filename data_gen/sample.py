@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from functools import lru_cache
-from pathlib import Path
 from typing import Any
 
 import cv2
@@ -14,12 +12,11 @@ from jaxtyping import Bool, Float
 
 from data_gen.background import background, occluders
 from data_gen.develop import develop
-from data_gen.phantom import body_phantom, head_phantom
 from data_gen.prints import FilmPrint, PrintConfig, make_print
-from data_gen.rooms import Environment, load_environments, prefilter, procedural_room
+from data_gen.rooms import prefilter
 from data_gen.scene import Scene, SceneConfig, sample_scene
 from data_gen.shade import film_light, film_radiance
-from data_gen.volumes import CtVolume, load_volumes
+from data_gen.sources import SourceConfig, draw_environment, draw_volume
 from hybrid.backward import BackwardMap
 from hybrid.coords import node_centres_1d, pixel_from_film, sample_bilinear
 from hybrid.mesh.camera import Camera
@@ -30,26 +27,20 @@ from hybrid.mesh.recipes import BendConfig, bend
 SIMULATION_VERTICES = 26
 """The sheet is subdivided as long as its longer side then has at most this many lattice intervals."""
 
-PHANTOMS = 12
-"""How many different embedded phantoms there are of each kind."""
-
 
 @dataclass(frozen=True)
 class SampleConfig:
     """What samples are made of.
 
     size: side of the photo in pixels. map_size: side of the maps. supersample: rays per pixel and axis for the photo.
-    photos_per_film: photos taken of one bent film. ct, hdri: folders of CT data and HDR environments, or None.
-    real_share: share of films (rooms) taken from those folders where they are given.
+    photos_per_film: photos taken of one bent film. sources: of CT volumes and of light. The rest: of each stage.
     """
 
     size: int = 256
     map_size: int = 256
     supersample: int = 2
     photos_per_film: int = 8
-    ct: Path | None = None
-    hdri: Path | None = None
-    real_share: float = 0.6
+    sources: SourceConfig = field(default_factory=SourceConfig)
     prints: PrintConfig = field(default_factory=PrintConfig)
     bend: BendConfig = field(default_factory=BendConfig)
     scene: SceneConfig = field(default_factory=SceneConfig)
@@ -83,9 +74,9 @@ class Sample:
 def film_samples(seed: int, number: int, config: SampleConfig) -> Iterator[Sample]:
     """The photos of film ``number`` of the data set ``seed``; the same numbers give the same bytes."""
     rng = np.random.default_rng([seed, number])
-    film_print = make_print(_volume(config, rng), rng, config.prints)
+    film_print = make_print(draw_volume(config.sources, rng), rng, config.prints)
     recipe, frames = bend(_sheet(film_print), rng, config.bend)
-    room = prefilter(_environment(config, rng))
+    room = prefilter(draw_environment(config.sources, rng))
     casters: dict[int, FilmCaster] = {}
     for k in range(config.photos_per_film):
         chosen = int(rng.integers(len(frames)))
@@ -192,38 +183,3 @@ def _sheet(film_print: FilmPrint) -> FilmMesh:
     intervals = max(len(grid_u), len(grid_v)) + 1
     levels = max(1, int(np.log2(max(SIMULATION_VERTICES / intervals, 2.0))))
     return film_mesh(film_print.size_mm, grid_u, grid_v, levels)
-
-
-# ---------------------------------------------------------------- sources
-
-
-def _volume(config: SampleConfig, rng: np.random.Generator) -> CtVolume:
-    """A CT volume from the given folder or an embedded phantom."""
-    if config.ct is not None and rng.random() < config.real_share:
-        volumes = _volumes(config.ct)
-        return volumes[int(rng.integers(len(volumes)))]
-    return _phantom(int(rng.integers(PHANTOMS)), bool(rng.random() < 0.6))
-
-
-def _environment(config: SampleConfig, rng: np.random.Generator) -> Environment:
-    """An HDR environment from the given folder or an embedded procedural room."""
-    if config.hdri is not None and rng.random() < config.real_share:
-        rooms = _environments(config.hdri)
-        return rooms[int(rng.integers(len(rooms)))]
-    return procedural_room(rng)
-
-
-@lru_cache(maxsize=2)
-def _volumes(folder: Path) -> list[CtVolume]:
-    return load_volumes(folder)
-
-
-@lru_cache(maxsize=2)
-def _environments(folder: Path) -> list[Environment]:
-    return load_environments(folder)
-
-
-@lru_cache(maxsize=2 * PHANTOMS)
-def _phantom(number: int, head: bool) -> CtVolume:
-    rng = np.random.default_rng([number, int(head)])
-    return head_phantom(rng) if head else body_phantom(rng)

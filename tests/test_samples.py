@@ -9,6 +9,7 @@ import pytest
 
 from data_gen.generate import GenerateConfig, generate
 from data_gen.sample import SampleConfig, film_samples
+from data_gen.sources import SourceConfig
 from hybrid.coords import pixel_centres, rescale_points
 from hybrid.errors import ConfigError, DataError
 from hybrid.learn.shards import UV_LEVELS, open_dataset
@@ -89,7 +90,7 @@ def test_another_data_set_is_not_mixed_in(tmp_path):
         generate(GenerateConfig(count=1, out=folder, workers=1, sample=CONFIG))
 
 
-@pytest.mark.parametrize("options", [{"count": 0}, {"size": 8}, {"ct": Path("nowhere")}])
+@pytest.mark.parametrize("options", [{"count": 0}, {"size": 8}, {"sources": SourceConfig(ct=Path("nowhere"))}])
 def test_impossible_options_are_refused(tmp_path, options):
     with pytest.raises(ConfigError):
         generate(GenerateConfig(**({"count": 1, "out": tmp_path, "workers": 1} | options)))

@@ -1,0 +1,114 @@
+"""Where prints and rooms come from: CT data and environments of the given folders, or embedded phantoms and rooms."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from data_gen.phantom import body_phantom, head_phantom
+from data_gen.rooms import Environment, load_environments, procedural_room
+from data_gen.volumes import CtVolume, load_volumes
+from hybrid.errors import ConfigError, DataError, describe
+
+PHANTOMS = 12
+"""How many different embedded phantoms of each kind a data set prints if nothing else is said."""
+
+HEAD_SHARE = 0.6
+"""Share of head phantoms; the others are bodies."""
+
+
+@dataclass(frozen=True)
+class SourceConfig:
+    """What is printed and what lights it; a part can be held out for a test set.
+
+    ct: folder with CT volumes (.npz) and DICOM files, folders or zips; without it embedded phantoms are printed.
+    hdri: folder with .hdr environments; without it embedded rooms light the films.
+    real_share: share of films (rooms) taken from those folders where they are given.
+    only: names of the volumes and environments to use, * stands for anything; all if none is named.
+    leave_out: names not to use. phantoms: first embedded phantom and the one after the last; rooms follow the seed.
+    """
+
+    ct: Path | None = None
+    hdri: Path | None = None
+    real_share: float = 0.6
+    only: tuple[str, ...] = ()
+    leave_out: tuple[str, ...] = ()
+    phantoms: tuple[int, int] = (0, PHANTOMS)
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.real_share <= 1 or not 0 <= self.phantoms[0] < self.phantoms[1]:
+            raise ConfigError(
+                describe(
+                    what="sources",
+                    got=f"real_share {self.real_share}, phantoms {self.phantoms}",
+                    allowed="real_share in [0, 1], 0 <= first phantom < end",
+                    do="Change the option.",
+                )
+            )
+
+
+def draw_volume(config: SourceConfig, rng: np.random.Generator) -> CtVolume:
+    """A CT volume of the given folder or an embedded phantom."""
+    if config.ct is not None and rng.random() < config.real_share:
+        volumes, _ = loaded(config)
+        return volumes[int(rng.integers(len(volumes)))]
+    return _phantom(int(rng.integers(*config.phantoms)), bool(rng.random() < HEAD_SHARE))
+
+
+def draw_environment(config: SourceConfig, rng: np.random.Generator) -> Environment:
+    """An environment of the given folder or an embedded procedural room."""
+    if config.hdri is not None and rng.random() < config.real_share:
+        _, environments = loaded(config)
+        return environments[int(rng.integers(len(environments)))]
+    return procedural_room(rng)
+
+
+@lru_cache(maxsize=2)
+def loaded(config: SourceConfig) -> tuple[list[CtVolume], list[Environment]]:
+    """The volumes and environments that the configuration chooses from its folders, each sorted by file.
+
+    Raises:
+        DataError: a folder or file that cannot be read. ConfigError: a name that nothing has, or nothing left.
+    """
+    try:
+        volumes = [] if config.ct is None else load_volumes(config.ct)
+        environments = [] if config.hdri is None else load_environments(config.hdri)
+    except OSError as error:
+        where = f"{config.ct}, {config.hdri}"
+        raise DataError(describe(what="--ct, --hdri", where=where, got=error, do="Make it readable.")) from error
+    names = [v.name for v in volumes] + [e.name for e in environments]
+    for pattern in config.only + config.leave_out:
+        if not _matches([pattern], names):
+            raise ConfigError(
+                describe(what="--only, --leave-out", got=pattern, allowed=", ".join(names), do="Correct the name.")
+            )
+    kept = set(_chosen(names, config))
+    chosen = [v for v in volumes if v.name in kept], [e for e in environments if e.name in kept]
+    for folder, option, found in zip((config.ct, config.hdri), ("--ct", "--hdri"), chosen, strict=True):
+        if folder is not None and not found:
+            do = f"Name one of them, or leave out {option}."
+            raise ConfigError(
+                describe(what=option, where=folder, got="nothing that --only and --leave-out leave", do=do)
+            )
+    return chosen
+
+
+def _chosen(names: Sequence[str], config: SourceConfig) -> list[str]:
+    wanted = _matches(config.only, names) if config.only else names
+    unwanted = _matches(config.leave_out, names)
+    return [name for name in wanted if name not in unwanted]
+
+
+def _matches(patterns: Sequence[str], names: Sequence[str]) -> list[str]:
+    return [name for name in names if any(fnmatchcase(name, pattern) for pattern in patterns)]
+
+
+@lru_cache(maxsize=4 * PHANTOMS)
+def _phantom(number: int, head: bool) -> CtVolume:
+    rng = np.random.default_rng([number, int(head)])
+    return head_phantom(rng) if head else body_phantom(rng)
