@@ -1,6 +1,7 @@
 """One DICOM image: its axial CT frames in Hounsfield units, upright, or the reason why it has none.
 
-Reads geometry and pixels only, never who the patient is.
+Reads geometry and pixels only, never who the patient is. Slices of a tilted gantry are kept as they were acquired,
+because that is how films show them: nothing is sheared back to upright.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from pydicom.pixels.decoders.base import get_decoder
 from pydicom.pixels.processing import apply_modality_lut
 from pydicom.uid import ImplicitVRLittleEndian
 
+from data_gen import _jpeg12
 from hybrid.errors import DataError
 
 PADDING_HU = -2048
@@ -30,6 +32,12 @@ AXIAL_COSINE = 0.8
 
 NOT_SLICES = {"LOCALIZER": "a scout view", "PERFUSION": "a perfusion map, not Hounsfield units", "MIP": "a projection"}
 """Values of ImageType that tell what a CT image is when it is no slice."""
+
+HOUNSFIELD_TYPES = {"", "HU", "HU_MOD", "US"}
+"""Values of RescaleType that Hounsfield units come with (US: unspecified); others are densities, atomic numbers ..."""
+
+RETIRED_TAGS = {"ImageOrientationPatient": (0x0020, 0x0035), "ImagePositionPatient": (0x0020, 0x0030)}
+"""The same in files of ACR-NEMA, the standard before DICOM."""
 
 
 class RefusedError(DataError):
@@ -72,7 +80,7 @@ def _check(dataset: Any) -> None:
     """Raises RefusedError where the header already tells that this is no CT slice."""
     modality = dataset.get("Modality")
     if modality is None and "PixelData" not in dataset:
-        raise RefusedError("not a DICOM image")
+        raise RefusedError("not a DICOM image, or one with a damaged header")
     if modality != "CT":
         raise RefusedError(f"modality {str(modality)[:16]!r} is not CT")
     _check_kind(dataset.get("ImageType"))
@@ -80,6 +88,7 @@ def _check(dataset: Any) -> None:
         raise RefusedError("no pixels in it")
     if int(dataset.get("SamplesPerPixel", 1)) != 1:
         raise RefusedError("a colour picture, not Hounsfield units")
+    _jpeg12.register()
     syntax = dataset.file_meta.get("TransferSyntaxUID")
     if syntax is not None and syntax.is_compressed and not syntax.is_deflated:
         try:
@@ -102,22 +111,23 @@ def _check_kind(image_type: Any) -> None:
 
 def _frames(dataset: Any) -> Iterator[Frame]:
     count = int(dataset.get("NumberOfFrames") or 1)
+    geometries = [_geometry(dataset, k) for k in range(count)]  # before the pixels, which cost most
     stored = _stored_pixels(dataset)
     if stored.ndim == 2:
         stored = stored[None]
     if stored.ndim != 3 or len(stored) != count:
         raise RefusedError(f"pixels of shape {stored.shape} do not fit {count} frames")
     for k in range(count):
-        frame_type = _value(dataset, k, "CTImageFrameTypeSequence", "FrameType")
-        if frame_type is not None:
-            _check_kind(frame_type)
-        yield _frame(dataset, k, stored[k])
+        yield _frame(dataset, k, stored[k], geometries[k])
 
 
 def _stored_pixels(dataset: Any) -> np.ndarray:
     """The pixels as stored. Files without a preamble name no transfer syntax; they are implicit little-endian."""
     if dataset.file_meta.get("TransferSyntaxUID") is None:
         dataset.file_meta.TransferSyntaxUID = ImplicitVRLittleEndian
+    for keyword, usual in (("SamplesPerPixel", 1), ("PhotometricInterpretation", "MONOCHROME2")):
+        if dataset.get(keyword) is None:
+            setattr(dataset, keyword, usual)
     try:
         return np.asarray(dataset.pixel_array)
     except (RuntimeError, ValueError, AttributeError) as error:
@@ -134,6 +144,8 @@ def _value(dataset: Any, k: int, sequence: str, keyword: str) -> Any:
     for group in groups:
         if group.get(sequence) and group[sequence][0].get(keyword) is not None:
             return group[sequence][0].get(keyword)
+    if keyword in RETIRED_TAGS and keyword not in dataset:
+        return dataset[RETIRED_TAGS[keyword]].value if RETIRED_TAGS[keyword] in dataset else None
     return dataset.get(keyword)
 
 
@@ -148,7 +160,25 @@ def _numbers(value: Any, count: int, what: str) -> Float[np.ndarray, " n"]:
     return numbers
 
 
-def _frame(dataset: Any, k: int, stored: np.ndarray) -> Frame:
+@dataclass(frozen=True, eq=False)
+class _Geometry:
+    """How a frame lies in the patient: unit vectors along rows and columns, their normal, which points to the head.
+
+    spacing_mm: between pixels (down, across). height_mm: position along the normal. thickness_mm: 0 where unknown.
+    """
+
+    along_row: Float[np.ndarray, " 3"]
+    along_column: Float[np.ndarray, " 3"]
+    spacing_mm: Float[np.ndarray, " 2"]
+    height_mm: float
+    thickness_mm: float
+
+
+def _geometry(dataset: Any, k: int) -> _Geometry:
+    """Raises RefusedError where frame ``k`` is no axial slice, or where its header does not say so."""
+    frame_type = _value(dataset, k, "CTImageFrameTypeSequence", "FrameType")
+    if frame_type is not None:
+        _check_kind(frame_type)
     orientation = _numbers(_value(dataset, k, "PlaneOrientationSequence", "ImageOrientationPatient"), 6, "orientation")
     spacing = _numbers(_value(dataset, k, "PixelMeasuresSequence", "PixelSpacing"), 2, "pixel spacing")
     position = _numbers(_value(dataset, k, "PlanePositionSequence", "ImagePositionPatient"), 3, "slice position")
@@ -161,24 +191,29 @@ def _frame(dataset: Any, k: int, stored: np.ndarray) -> Frame:
         raise RefusedError("unusable orientation")
     if abs(normal[2]) < AXIAL_COSINE * length:
         raise RefusedError("not an axial slice")
-    normal = normal / length * np.sign(normal[2])
-    hu = _hounsfield(dataset, k, stored)
-    if abs(along_row[0]) < abs(along_column[0]):  # turned by a quarter
-        hu, along_row, along_column, spacing = hu.T, along_column, along_row, spacing[::-1]
-    hu = hu[:: 1 if along_column[1] > 0 else -1, :: 1 if along_row[0] > 0 else -1]
     thickness = _value(dataset, k, "PixelMeasuresSequence", "SliceThickness")
-    series = (
-        hashlib.sha256(str(dataset.get("SeriesInstanceUID", "")).encode()).hexdigest()[:8],
-        hu.shape,
-        tuple(np.round(spacing, 4).tolist()),
-        tuple(np.round(orientation, 2).tolist()),
-    )
     try:
         thickness_mm = max(float(thickness), 0.0) if thickness is not None else 0.0
     except (TypeError, ValueError):
         thickness_mm = 0.0
-    return Frame(series, np.ascontiguousarray(hu), float(position @ normal), (float(spacing[0]), float(spacing[1])),
-                 thickness_mm)  # fmt: skip
+    height_mm = float(position @ normal) / length * float(np.sign(normal[2]))
+    return _Geometry(along_row, along_column, spacing, height_mm, thickness_mm)
+
+
+def _frame(dataset: Any, k: int, stored: np.ndarray, geometry: _Geometry) -> Frame:
+    hu = _hounsfield(dataset, k, stored)
+    along_row, along_column, spacing = geometry.along_row, geometry.along_column, geometry.spacing_mm
+    if abs(along_row[0]) < abs(along_column[0]):  # turned by a quarter
+        hu, along_row, along_column, spacing = hu.T, along_column, along_row, spacing[::-1]
+    hu = hu[:: 1 if along_column[1] > 0 else -1, :: 1 if along_row[0] > 0 else -1]
+    series = (
+        hashlib.sha256(str(dataset.get("SeriesInstanceUID", "")).encode()).hexdigest()[:8],
+        hu.shape,
+        tuple(np.round(spacing, 4).tolist()),
+        tuple(np.round([*geometry.along_row, *geometry.along_column], 2).tolist()),
+    )
+    upright = (float(spacing[0]), float(spacing[1]))
+    return Frame(series, np.ascontiguousarray(hu), geometry.height_mm, upright, geometry.thickness_mm)
 
 
 def _hounsfield(dataset: Any, k: int, stored: np.ndarray) -> Int16[np.ndarray, "rows cols"]:
@@ -188,6 +223,9 @@ def _hounsfield(dataset: Any, k: int, stored: np.ndarray) -> Int16[np.ndarray, "
         values = np.asarray(apply_modality_lut(stored, dataset), dtype=np.float64)
     else:
         sequence = "PixelValueTransformationSequence"
+        kind = str(_value(dataset, k, sequence, "RescaleType") or "").strip().upper()
+        if kind not in HOUNSFIELD_TYPES:
+            raise RefusedError("its values are rescaled to something else than Hounsfield units")
         slope, intercept = (_value(dataset, k, sequence, key) for key in ("RescaleSlope", "RescaleIntercept"))
         slope, intercept = _numbers([slope, intercept], 2, "rescale slope and intercept: Hounsfield units unknown")
         values = stored * slope + intercept

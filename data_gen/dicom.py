@@ -5,12 +5,13 @@ from __future__ import annotations
 import zipfile
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 
 from data_gen._dicom_frame import Frame, RefusedError, read_frames
-from data_gen.volumes import CtVolume
+from data_gen.volumes import CtVolume, not_ct, resample_slices
 from hybrid.errors import DataError, describe
 
 MAX_FILE_BYTES = 2**30
@@ -20,7 +21,13 @@ TOO_LARGE = f"larger than {MAX_FILE_BYTES >> 20} MiB"
 
 SAME_PLACE_MM = 1e-3
 SKIPPED_NAMES = {"dicomdir", ".ds_store", "thumbs.db"}
-OTHER_SUFFIXES = {".npz", ".json", ".txt", ".md", ".csv"}
+OTHER_SUFFIXES = {".npz", ".nii", ".gz", ".json", ".txt", ".md", ".csv"}
+
+EVEN_SHARE = 0.1
+"""Slice distances within this share of their median count as even (headers round, couches slip)."""
+
+LARGEST_GAP = 2.5
+"""A gap of up to this many slice distances is bridged; across a wider one the mixture of two slices shows neither."""
 
 
 @dataclass(frozen=True)
@@ -36,10 +43,11 @@ class Refusal:
 
 @dataclass(frozen=True, eq=False)
 class DicomReading:
-    """All volumes found, the largest first, and everything that was left out."""
+    """All volumes found, the largest first, everything that was left out, and what was done to uneven series."""
 
     volumes: tuple[CtVolume, ...]
     refusals: tuple[Refusal, ...]
+    notes: tuple[str, ...] = ()
 
 
 def read_all(path: Path | str) -> DicomReading:
@@ -58,9 +66,10 @@ def read_all(path: Path | str) -> DicomReading:
                 frames.setdefault((container, *frame.series), []).append((source, frame))
         except RefusedError as error:
             refusals.append(Refusal(source, str(error)))
-    volumes = [_stack(group, refusals) for group in frames.values()]
+    notes: list[str] = []
+    volumes = [volume for group in frames.values() for volume in _stacks(group, refusals, notes)]
     volumes.sort(key=lambda volume: -len(volume.hu))
-    return DicomReading(tuple(volumes), tuple(refusals))
+    return DicomReading(tuple(volumes), tuple(refusals), tuple(notes))
 
 
 def read_series(path: Path | str) -> list[CtVolume]:
@@ -127,19 +136,46 @@ def _zip_entries(path: Path, refusals: list[Refusal]) -> Iterator[tuple[str, str
             yield name, str(path), content
 
 
-def _stack(group: list[tuple[str, Frame]], refusals: list[Refusal]) -> CtVolume:
-    """Frames of one series in order from below; a second slice at the same place is left out."""
+def _stacks(group: list[tuple[str, Frame]], refusals: list[Refusal], notes: list[str]) -> list[CtVolume]:
+    """The frames of one series, in order from below, as evenly spaced volumes: one, or more where it has wide gaps.
+
+    A second slice at the same place is left out, and so is what does not hold Hounsfield units.
+    """
     ordered = sorted(group, key=lambda item: item[1].height_mm)
-    kept = [ordered[0][1]]
+    kept = [ordered[0]]
     for source, frame in ordered[1:]:
-        if frame.height_mm - kept[-1].height_mm < SAME_PLACE_MM:
+        if frame.height_mm - kept[-1][1].height_mm < SAME_PLACE_MM:
             refusals.append(Refusal(source, "a second slice at the same position"))
         else:
-            kept.append(frame)
-    first = kept[0]
-    steps = np.diff([frame.height_mm for frame in kept])
-    step_mm = float(np.median(steps)) if len(steps) else (first.thickness_mm or 1.0)
-    return CtVolume(np.stack([frame.hu for frame in kept]), (step_mm, *first.spacing_mm), f"dicom_{first.series[0]}")
+            kept.append((source, frame))
+    steps = np.diff([frame.height_mm for _, frame in kept])
+    wide = np.flatnonzero(steps > LARGEST_GAP * np.median(steps)) + 1 if len(steps) else []
+    name = f"dicom_{kept[0][1].series[0]}"
+    if len(wide):
+        notes.append(f"{name}: {len(wide)} gap(s) of more than {LARGEST_GAP:g} slice distances, cut there")
+    volumes = []
+    for first, last in pairwise([0, *wide, len(kept)]):
+        volume = _even_volume([frame for _, frame in kept[first:last]], name, notes)
+        reason = not_ct(volume.hu)
+        if reason:
+            refusals.append(Refusal(kept[first][0], reason))
+        else:
+            volumes.append(volume)
+    return volumes
+
+
+def _even_volume(frames: list[Frame], name: str, notes: list[str]) -> CtVolume:
+    """Sorted frames as a volume; uneven distances are resampled to their median, linearly between neighbours."""
+    heights = np.array([frame.height_mm for frame in frames])
+    hu, steps = np.stack([frame.hu for frame in frames]), np.diff(heights)
+    step_mm = float(np.median(steps)) if len(steps) else (frames[0].thickness_mm or 1.0)
+    if len(steps) and np.abs(steps - step_mm).max() > EVEN_SHARE * step_mm:
+        notes.append(
+            f"{name}: slice distances from {steps.min():.3g} to {steps.max():.3g} mm, resampled at {step_mm:.3g} mm"
+        )
+        wanted = np.arange(heights[0], heights[-1] + 0.5 * step_mm, step_mm).clip(max=heights[-1])
+        hu = resample_slices(hu, np.interp(wanted, heights, np.arange(len(heights), dtype=np.float64)))
+    return CtVolume(hu, (step_mm, *frames[0].spacing_mm), name)
 
 
 __all__ = ["DicomReading", "Refusal", "read_all", "read_series"]

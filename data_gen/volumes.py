@@ -1,4 +1,4 @@
-"""CT volumes: the record, the readers of ``.npz`` and DICOM folders, and windowing to display grey."""
+"""CT volumes: the record, the readers of ``.npz``, NIfTI and DICOM folders, and windowing to display grey."""
 
 from __future__ import annotations
 
@@ -23,6 +23,12 @@ BODY_WIDTH_MM = 235.0
 
 THICKER_THAN_TABLES_MM = 36.0
 """A table is about 20 mm thick; the walls of a chest, front and back together, are more than this."""
+
+
+LEAST_SPAN_HU = 300
+"""Fat and soft tissue alone lie further apart, with blur and noise; masks and empty images do not."""
+
+NIFTI_SUFFIXES = (".nii", ".nii.gz")
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,6 +91,31 @@ def is_body(volume: CtVolume) -> bool:
     return tissue_width_mm(volume) > BODY_WIDTH_MM
 
 
+def not_ct(hu: np.ndarray) -> str:
+    """Why these values show no scanned body in Hounsfield units; empty where they may."""
+    low, high = float(hu.min()), float(hu.max())
+    if high - low < LEAST_SPAN_HU:
+        return f"values from {low:g} to {high:g}: a mask or an empty image, not Hounsfield units"
+    return ""
+
+
+def resample_slices(
+    hu: Int16[np.ndarray, "slices rows cols"], positions: Float[np.ndarray, " n"]
+) -> Int16[np.ndarray, "n rows cols"]:
+    """Slices at fractional positions (0 is the first), mixed linearly from their two neighbours."""
+    lower = np.clip(np.floor(positions).astype(int), 0, max(len(hu) - 2, 0))
+    share = (positions - lower).astype(np.float32)[:, None, None]
+    upper = np.minimum(lower + 1, len(hu) - 1)
+    return np.rint(hu[lower] * (1 - share) + hu[upper] * share).astype(np.int16)
+
+
+def as_hounsfield(values: np.ndarray) -> Int16[np.ndarray, "*shape"]:
+    """Numbers of any type as int16; what is not a number is air."""
+    if values.dtype == np.int16:
+        return values
+    return np.clip(np.rint(np.nan_to_num(values, nan=-1024.0)), -32768, 32767).astype(np.int16)
+
+
 def read_npz(path: Path) -> CtVolume:
     """The volume in a ``.npz`` file with ``hu`` (slices, rows, cols), ``spacing_mm`` (3,) and optional JSON ``meta``.
 
@@ -116,33 +147,35 @@ def read_npz(path: Path) -> CtVolume:
                 do="Export the volume again",
             )
         )
-    clipped = np.clip(np.nan_to_num(hu, nan=-1024.0), -32768, 32767).astype(np.int16) if hu.dtype != np.int16 else hu
     name = meta.get("name", path.stem) if isinstance(meta, dict) else path.stem
-    return CtVolume(clipped, (z, y, x), str(name))
+    return CtVolume(as_hounsfield(hu), (z, y, x), str(name))
 
 
 def load_volumes(folder: Path | str) -> list[CtVolume]:
-    """Every volume under ``folder``: ``.npz`` files, DICOM folders and zips of DICOM files, in sorted order.
+    """Every volume under ``folder``: ``.npz`` and NIfTI files, DICOM folders and zips of DICOM files, in sorted order.
 
-    What is refused inside a DICOM folder is logged with its reason. Raises DataError where the folder is missing,
-    where an ``.npz`` is damaged, where DICOM data is met and pydicom is not installed, and where nothing is found.
+    A NIfTI file, or what is in a DICOM folder, that is no CT is logged with the reason. Raises DataError where the
+    folder is missing, where an ``.npz`` is damaged, where the reader's package is not installed, and where nothing is
+    found.
     """
     folder = Path(folder)
     if not folder.is_dir():
         raise DataError(
-            describe(what="CT folder", where=folder, got="no such folder", do="Give a folder with .npz or DICOM files")
+            describe(what="CT folder", where=folder, got="no such folder", do="Give a folder with CT volumes in it")
         )
     files = [path for path in sorted(folder.rglob("*")) if path.is_file()]
     volumes = [read_npz(path) for path in files if path.suffix.lower() == ".npz"]
+    volumes += _read_nifti([path for path in files if path.name.lower().endswith(NIFTI_SUFFIXES)])
     if any(path.suffix.lower() == ".zip" or _looks_like_dicom(path) for path in files):
-        volumes += [v for v in _read_dicom(folder) if len(v.hu) >= MIN_PRINT_SLICES]
+        volumes += _read_dicom(folder)
+    volumes = [volume for volume in volumes if len(volume.hu) >= MIN_PRINT_SLICES]
     if not volumes:
         raise DataError(
             describe(
                 what="CT folder",
                 where=folder,
                 got=f"{len(files)} files, no volume of {MIN_PRINT_SLICES} or more axial CT slices",
-                allowed=".npz volumes, DICOM folders, zips of DICOM files",
+                allowed=".npz or NIfTI volumes, DICOM folders, zips of DICOM files",
                 do="Check the path, or leave the option out to use the built-in phantoms",
             )
         )
@@ -156,19 +189,33 @@ def _looks_like_dicom(path: Path) -> bool:
         return file.read(132)[128:] == b"DICM"
 
 
+def _read_nifti(paths: list[Path]) -> list[CtVolume]:
+    if not paths:
+        return []
+    try:
+        from data_gen.nifti import NotCtError, read_nifti
+    except ModuleNotFoundError as error:
+        raise _not_installed("NIfTI data", paths[0], "nibabel") from error
+    volumes = []
+    for path in paths:
+        try:
+            volumes.append(read_nifti(path))
+        except NotCtError as refusal:  # segmentations lie beside the CT they belong to
+            LOG.info("%s", refusal)
+    return volumes
+
+
 def _read_dicom(source: Path) -> list[CtVolume]:
     try:
         from data_gen.dicom import read_all
     except ModuleNotFoundError as error:
-        raise DataError(
-            describe(
-                what="DICOM data",
-                where=source,
-                got="pydicom is not installed",
-                do="Install it with: pip install 'hybrid[data]'",
-            )
-        ) from error
+        raise _not_installed("DICOM data", source, "pydicom") from error
     reading = read_all(source)
-    for refusal in reading.refusals:
-        LOG.info("%s", refusal)
+    for remark in (*reading.refusals, *reading.notes):
+        LOG.info("%s", remark)
     return list(reading.volumes)
+
+
+def _not_installed(what: str, source: Path, package: str) -> DataError:
+    do = "Install it with: pip install 'hybrid[data]'"
+    return DataError(describe(what=what, where=source, got=f"{package} is not installed", do=do))

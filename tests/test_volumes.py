@@ -7,8 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from data_gen.volumes import CtVolume, is_body, load_volumes, read_npz, tissue_width_mm, window
-from hybrid.errors import DataError
+nibabel = pytest.importorskip("nibabel", reason="nibabel is not installed")
+
+from data_gen.nifti import NotCtError, read_nifti  # noqa: E402
+from data_gen.volumes import CtVolume, is_body, load_volumes, read_npz, tissue_width_mm, window  # noqa: E402
+from hybrid.errors import DataError  # noqa: E402
 
 SHARED = os.environ.get("HYBRID_SHARED_DATA")
 
@@ -92,6 +95,80 @@ def test_load_volumes_says_what_to_do_where_nothing_is(tmp_path: Path):
         load_volumes(tmp_path)
     with pytest.raises(DataError, match="no such folder"):
         load_volumes(tmp_path / "nowhere")
+
+
+# ---------------------------------------------------------------- NIfTI
+
+AXES = {"R": (0, 1), "L": (0, -1), "A": (1, 1), "P": (1, -1), "S": (2, 1), "I": (2, -1)}
+
+
+def scan() -> CtVolume:
+    """A volume that tells every corner apart."""
+    hu = np.random.default_rng(0).integers(-1000, 1000, (3, 6, 5)).astype(np.int16)
+    return CtVolume(hu, (5.0, 0.8, 0.7), "scan")
+
+
+def save_nifti(path: Path, volume: CtVolume, codes: str, dtype: type = np.int16) -> Path:
+    """The volume stored with its axes along ``codes`` (a letter per axis, as nibabel names them)."""
+    ras = volume.hu.T[::-1, ::-1]  # CtVolume runs to the left, to the back, upwards
+    lengths = volume.spacing_mm[::-1]
+    affine = np.eye(4)
+    affine[:3, :3] = 0
+    order = []
+    for axis, code in enumerate(codes):
+        world, sign = AXES[code]
+        order.append(world)
+        affine[world, axis] = sign * lengths[world]
+    data = ras.transpose(order)[tuple(slice(None, None, AXES[code][1]) for code in codes)]
+    nibabel.save(nibabel.Nifti1Image(data.astype(dtype), affine), path)
+    return path
+
+
+@pytest.mark.parametrize("codes", ["RAS", "LPS", "LAS", "RPI", "SLP", "PSR"])
+@pytest.mark.parametrize("suffix", [".nii", ".nii.gz"])
+def test_nifti_is_turned_by_its_affine(tmp_path: Path, codes: str, suffix: str):
+    volume = scan()
+    (got,) = load_volumes(save_nifti(tmp_path / f"a{suffix}", volume, codes).parent)
+    assert np.array_equal(got.hu, volume.hu)
+    assert np.allclose(got.spacing_mm, volume.spacing_mm)
+
+
+def test_nifti_names_tell_nothing_of_the_file_name(tmp_path: Path):
+    path = save_nifti(tmp_path / "DOE_JANE_4711.nii.gz", scan(), "RAS", np.float32)
+    assert "DOE" not in read_nifti(path).name
+    assert read_nifti(path).name == read_nifti(path).name
+
+
+def test_nifti_that_is_no_ct_is_refused_with_a_reason(tmp_path: Path):
+    volume = scan()
+    mask = CtVolume((volume.hu > 0).astype(np.int16), volume.spacing_mm, "mask")
+    mr = CtVolume(np.abs(volume.hu), volume.spacing_mm, "mr")
+    flat = CtVolume(volume.hu, (0.8, 5.0, 0.7), "coronal")
+    for path, reason in [
+        (save_nifti(tmp_path / "mask.nii.gz", mask, "RAS"), "a mask"),
+        (save_nifti(tmp_path / "mr.nii", mr, "RAS"), "no value below"),
+        (save_nifti(tmp_path / "coronal.nii", flat, "RAS"), "not square"),
+    ]:
+        with pytest.raises(NotCtError, match=reason):
+            read_nifti(path)
+    turned = np.eye(4)
+    turned[:3, :3] = [[0.7, -0.7, 0], [0.7, 0.7, 0], [0, 0, 1]]
+    odd = {
+        "oblique": nibabel.Nifti1Image(volume.hu, turned),
+        "series": nibabel.Nifti1Image(np.zeros((3, 3, 3, 4), np.int16), np.eye(4)),
+        "complex": nibabel.Nifti1Image(np.zeros((3, 3, 3), np.complex64), np.eye(4)),
+    }
+    for (name, image), reason in zip(odd.items(), ["far from", "not one volume", "complex"], strict=True):
+        nibabel.save(image, tmp_path / f"{name}.nii")
+        with pytest.raises(NotCtError, match=reason):
+            read_nifti(tmp_path / f"{name}.nii")
+    whole = (tmp_path / "mr.nii").read_bytes()
+    for name, content in [("cut.nii", whole[:400]), ("text.nii.gz", b"text"), ("empty.nii", b"")]:
+        (tmp_path / name).write_bytes(content)
+        with pytest.raises(NotCtError, match="damaged"):
+            read_nifti(tmp_path / name)
+    with pytest.raises(DataError, match="no volume"):
+        load_volumes(tmp_path)
 
 
 @pytest.mark.skipif(SHARED is None, reason="HYBRID_SHARED_DATA is not set: no real CT volumes")

@@ -1,0 +1,53 @@
+"""A decoder plug-in of pydicom for 12-bit JPEG (transfer syntax JPEG Extended), which its own plug-ins refuse.
+
+GDCM decodes such frames exactly as libjpeg-turbo does; pydicom's plug-in for GDCM turns them away unasked.
+"""
+
+from __future__ import annotations
+
+from importlib.util import find_spec
+from typing import Any
+
+from pydicom.pixels.decoders.base import JPEGExtended12BitDecoder
+from pydicom.uid import JPEGExtended12Bit
+
+LABEL = "gdcm_12_bit"
+DECODER_DEPENDENCIES = {JPEGExtended12Bit: ("python-gdcm>=3.0",)}
+
+
+def is_available(uid: str) -> bool:
+    """Whether frames of this transfer syntax can be decoded here (called by pydicom)."""
+    return uid in DECODER_DEPENDENCIES and find_spec("gdcm") is not None
+
+
+def register() -> None:
+    """Makes the plug-in known to pydicom; a second call changes nothing."""
+    if LABEL not in (*JPEGExtended12BitDecoder.available_plugins, *JPEGExtended12BitDecoder.missing_dependencies):
+        JPEGExtended12BitDecoder.add_plugin(LABEL, (__name__, "decode_frame"))
+
+
+def decode_frame(source: bytes, runner: Any) -> bytes:
+    """The little-endian 16-bit pixels of one compressed frame; ``runner`` is pydicom's, with the header's numbers."""
+    import gdcm
+
+    if runner.bits_stored <= 8 or runner.samples_per_pixel != 1:
+        raise NotImplementedError("only grey frames of more than 8 bits")
+    fragment = gdcm.Fragment()
+    fragment.SetByteStringValue(source)
+    fragments = gdcm.SequenceOfFragments.New()
+    fragments.AddFragment(fragment)
+    pixels = gdcm.DataElement(gdcm.Tag(0x7FE0, 0x0010))
+    pixels.SetValue(fragments.__ref__())
+    image = gdcm.Image()
+    image.SetNumberOfDimensions(2)
+    image.SetDimensions((runner.columns, runner.rows, 1))
+    image.SetDataElement(pixels)
+    grey = gdcm.PhotometricInterpretation.GetPIType(runner.photometric_interpretation)
+    image.SetPhotometricInterpretation(gdcm.PhotometricInterpretation(grey))
+    image.SetTransferSyntax(gdcm.TransferSyntax(gdcm.TransferSyntax.GetTSType(str(JPEGExtended12Bit))))
+    bits = runner.bits_stored
+    image.SetPixelFormat(gdcm.PixelFormat(1, runner.bits_allocated, bits, bits - 1, runner.pixel_representation))
+    return image.GetBuffer().encode("utf-8", "surrogateescape")  # GDCM's wrapper gives bytes as text
+
+
+__all__ = ["DECODER_DEPENDENCIES", "LABEL", "decode_frame", "is_available", "register"]
