@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from jaxtyping import Float
@@ -20,6 +20,12 @@ def spline_weights(n_nodes: int, t: Float[np.ndarray, " n"]) -> Float[np.ndarray
     """Weights of the g node values in the cubic spline through them, at film coordinates ``t`` of one axis."""
     nodes = node_centres_1d(n_nodes)
     return make_interp_spline(nodes, np.eye(n_nodes), k=3)(t)
+
+
+@lru_cache(maxsize=32)
+def _pixel_weights(n_nodes: int, n_pixels: int) -> Float[np.ndarray, "n g"]:
+    """Spline weights at the pixel centres of one axis; the same few sizes come again and again."""
+    return spline_weights(n_nodes, film_centres_1d(n_pixels))
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,8 +116,7 @@ class BackwardMap:
     def dense(self, size: tuple[int, int]) -> Float[np.ndarray, "h w 2"]:
         """Photo points (float32) of all pixel centres of a film image of ``size`` (height, width)."""
         gh, gw = self.nodes.shape[:2]
-        weights_v = spline_weights(gh, film_centres_1d(size[0]))
-        weights_u = spline_weights(gw, film_centres_1d(size[1])).astype(np.float32)
+        weights_v, weights_u = _pixel_weights(gh, size[0]), _pixel_weights(gw, size[1]).astype(np.float32)
         columns = np.tensordot(weights_v, self.nodes, axes=(1, 0)).astype(np.float32)  # (h, gw, 2)
         return np.stack([columns[..., k] @ weights_u.T for k in range(2)], axis=-1)
 
@@ -161,6 +166,11 @@ class Orientation:
         """The orientation of an index from 0 to 7."""
         return Orientation(index % 4, index >= 4)
 
+    @property
+    def inverse(self) -> Orientation:
+        """What undoes it: ``seen = true.turned(inverse.turns, inverse.mirrored)``. A reflection undoes itself."""
+        return self if self.mirrored else Orientation(-self.turns % 4, False)
+
     def film_from_seen(self, uv: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n 2"]:
         """Film uv of coordinates of the film as seen."""
         return _from_middle(uv, self._film_from_seen)
@@ -185,7 +195,11 @@ def _from_middle(uv: np.ndarray, matrix: Float[np.ndarray, "2 2"]) -> np.ndarray
 def orientation(backward: BackwardMap) -> Orientation:
     """How the film lies in the photo: mirrored or not, and its top to the nearest quarter turn."""
     nodes = backward.nodes
-    across, down = (nodes[:, -1] - nodes[:, 0]).mean(axis=0), (nodes[-1] - nodes[0]).mean(axis=0)
+    return orientation_of((nodes[:, -1] - nodes[:, 0]).mean(axis=0), (nodes[-1] - nodes[0]).mean(axis=0))
+
+
+def orientation_of(across: Float[np.ndarray, "2"], down: Float[np.ndarray, "2"]) -> Orientation:
+    """The orientation of a film whose u and v directions are seen as ``across`` and ``down`` (x, y)."""
     mirrored = bool(across[0] * down[1] - across[1] * down[0] < 0)
     if mirrored:
         across, down = across * [-1, 1], down * [-1, 1]  # as in the photo mirrored left to right
@@ -201,4 +215,4 @@ def end_point_error(predicted: BackwardMap, true_points: Float[np.ndarray, "n n 
     return np.linalg.norm(predicted.photo_from_film(uv) - true_points, axis=-1)
 
 
-__all__ = ["BackwardMap", "Orientation", "end_point_error", "orientation", "spline_weights"]
+__all__ = ["BackwardMap", "Orientation", "end_point_error", "orientation", "orientation_of", "spline_weights"]

@@ -21,6 +21,8 @@ def test_orientation_is_what_makes_the_seen_film_upright(index):
     assert way.index == index
     true = seen_map().turned(way.turns, way.mirrored)
     assert orientation(true) == way
+    back = true.turned(way.inverse.turns, way.inverse.mirrored)
+    np.testing.assert_allclose(back.nodes, seen_map().nodes)
 
 
 @pytest.mark.parametrize("index", range(8))

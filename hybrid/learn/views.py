@@ -1,0 +1,76 @@
+"""Views: what the network is shown. A view maps its own unit square to the photo, as a film does (a BackwardMap).
+
+The first view is a square window of the photo. Once the film is roughly known, the next views show it as the map so
+far would flatten it, so that what is left to predict is small: first by a homography, then by the bent map itself.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from hybrid.backward import BackwardMap
+from hybrid.coords import film_nodes, opencv_from_photo, rescale_points
+
+PLANE_NODES = (9, 9)
+"""Film points to which a homography is fitted."""
+VIEW_NODES = (17, 17)
+"""Nodes of a view that follows a bent film."""
+
+
+def square_view(centre: tuple[float, float], side: float, turn: float = 0.0) -> BackwardMap:
+    """A square window of the photo: centre (x, y) and side in pixels; ``turn`` (radians) clockwise in the photo."""
+    cos, sin = np.cos(turn), np.sin(turn)
+    middle = film_nodes((4, 4)) - film_nodes((3, 3))[1, 1]
+    return BackwardMap(side * middle @ np.array([[cos, sin], [-sin, cos]]) + np.asarray(centre))
+
+
+def whole_view(size: tuple[int, int]) -> BackwardMap:
+    """The smallest square around a photo of ``size`` (height, width)."""
+    return square_view((size[1] / 2, size[0] / 2), float(max(size)))
+
+
+def film_view(film: BackwardMap, margin: float) -> BackwardMap:
+    """The film as its map flattens it, with ``margin`` (part of the view's side) around it."""
+    return BackwardMap(film.photo_from_film(film_from_view(film_nodes(VIEW_NODES), margin)))
+
+
+def film_from_view(at: Float[np.ndarray, "*n 2"], margin: float) -> Float[np.ndarray, "*n 2"]:
+    """Film coordinates of view coordinates, where the film lies within ``margin`` on each side."""
+    return (at - margin) / (1 - 2 * margin)
+
+
+def plane_of(film: BackwardMap) -> BackwardMap:
+    """The map of the plane sheet that lies nearest to a bent one: a homography, by least squares in the photo."""
+    uv = film_nodes(PLANE_NODES).reshape(-1, 2)
+    homography, _ = cv2.findHomography(uv, film.photo_from_film(uv))
+    if homography is None:
+        return film
+    ahead = film_nodes(VIEW_NODES) @ homography[2, :2] + homography[2, 2]
+    if ahead.min() <= 0.2 * ahead.max():  # runs off near the film: no plane sheet looks like this
+        return film
+    return BackwardMap(cv2.perspectiveTransform(film_nodes(VIEW_NODES), homography))
+
+
+def view_image(photo: UInt8[np.ndarray, "H W 3"], view: BackwardMap, n: int) -> UInt8[np.ndarray, "n n 3"]:
+    """The view as an n x n image: area-averaged where it is reduced, the photo's rim repeated beyond the photo."""
+    points = view.dense((n, n))
+    h, w = photo.shape[:2]
+    low = np.clip(np.floor(points.min(axis=(0, 1))).astype(int) - 2, 0, [w - 1, h - 1])
+    high = np.clip(np.ceil(points.max(axis=(0, 1))).astype(int) + 2, low + 1, [w, h])
+    part = photo[low[1] : high[1], low[0] : high[0]]
+    points = points - low.astype(np.float32)
+    scale = float(np.sqrt(np.prod(view.mean_film_pixels()))) / n
+    if scale > 1.0:  # photo pixels per view pixel
+        size = (max(1, round(part.shape[0] / scale)), max(1, round(part.shape[1] / scale)))
+        points = rescale_points(points, (part.shape[0], part.shape[1]), size)
+        part = cv2.resize(part, size[::-1], interpolation=cv2.INTER_AREA)
+    at = opencv_from_photo(points.astype(np.float32))
+    x, y = np.ascontiguousarray(at[..., 0]), np.ascontiguousarray(at[..., 1])
+    return cv2.remap(part, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+
+
+def output_points(view: BackwardMap, n: int, stride: int) -> Float[np.ndarray, "m m 2"]:
+    """Photo points of the pixel centres of the network's output for an n x n view."""
+    return view.dense((n // stride, n // stride))
