@@ -200,7 +200,7 @@ def test_files_of_the_standard_before_dicom_are_read(tmp_path: Path):
         ({"ImageOrientationPatient": [0, 0, 0, 0, 0, 0]}, "unusable orientation"),
         ({"RescaleSlope": None}, "Hounsfield units unknown"),
         ({"RescaleType": "Z_EFF"}, "something else than Hounsfield units"),
-        ({"RescaleSlope": 0.02}, "a mask or an empty image"),
+        ({"RescaleSlope": 0.001}, "a mask or an empty image"),
         ({"PixelData": None}, "no pixels"),
         ({"PixelData": b"\0\0"}, "truncated"),
         ({"NumberOfFrames": 7}, "truncated"),
