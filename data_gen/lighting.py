@@ -2,18 +2,30 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from jaxtyping import Float
+
+from data_gen.lamps import Lamp, Shape, Vector, planckian, vector_irradiance
+
+LAMP_SHARE = 0.35
+"""Share of photos in rooms with lamps near the film."""
+
+FLASH_SHARE = 0.25
+"""Share of those in which the phone's flash is one of them."""
+
+_FLASH_AT_MM = 500.0
+"""Distance at which a flash gives the irradiance that was drawn for it."""
 
 
 @dataclass(frozen=True)
 class Material:
-    """How the film answers to light.
+    """How the film answers to light (the equations stand in shade.py).
 
-    diffuse: share of the print's reflectance. transmission: share of light from behind that white lets through,
-    scattered. clear: likewise unscattered. haze: grey that the sheet itself scatters. roughness: GGX. ior: of the
-    surface. gloss: factor on the Fresnel reflection (1: one surface).
+    diffuse: share that white scatters back, transmission: lets through scattered, clear: lets through straight.
+    haze: share that the sheet itself scatters to each side, whatever is printed. Their sum is at most 1.
+    roughness: GGX's, alpha = roughness^2. ior: refractive index. surfaces: 1, or 3 in a clear sleeve.
     """
 
     diffuse: float
@@ -22,46 +34,192 @@ class Material:
     haze: float
     roughness: float
     ior: float
-    gloss: float
+    surfaces: int = 1
+
+    def __post_init__(self) -> None:
+        shares = (self.diffuse, self.transmission, self.clear, self.haze)
+        if min(shares) < 0 or self.diffuse + self.transmission + self.clear + 2 * self.haze > 1 + 1e-9:
+            raise ValueError(f"Material: got shares {shares}; allowed: >= 0, with twice the haze at most 1 in all")
+
+
+@dataclass(frozen=True)
+class LightBox:
+    """A bright panel behind the film.
+
+    radiance: linear RGB where it is brightest. falloff: share lost far from ``centre``, over ``spread`` of its sides.
+    tubes: waves of brightness across it (0: none), along its height where ``upright``. size: of its sides, relative
+    to the film's. gap_mm: between it and the film.
+    """
+
+    radiance: Vector
+    falloff: float
+    centre: tuple[float, float]
+    spread: float
+    tubes: float
+    upright: bool
+    size: tuple[float, float]
+    gap_mm: float
+
+    def brightness(self, uv: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n"]:
+        """Relative brightness at points of the panel, (0, 0) to (1, 1) from corner to corner."""
+        distance2 = ((uv - np.array(self.centre)) ** 2).sum(axis=-1)
+        fade = 1 - self.falloff * (1 - np.exp(-distance2 / (2 * self.spread**2)))
+        if self.tubes:
+            fade = fade * (0.93 + 0.07 * np.cos(2 * np.pi * self.tubes * uv[..., 0 if self.upright else 1]))
+        return fade.astype(np.float32)
 
 
 @dataclass(frozen=True)
 class Light:
-    """What lights the film besides the environment.
+    """What lights the film.
 
-    light_box: True on a light box. box_radiance: its brightness, box_falloff: how it fades to its rim.
-    front: factor on the environment's light. turn_deg: azimuth by which the room is turned, lying: film on its back.
+    box: a light box behind it, or None. front: factor on the environment's light. turn_deg: azimuth by which the room
+    is turned, lying: film on its back. lamps: near the film, in its world. photographer: whoever takes the photo
+    stands dark in the room's reflection.
     """
 
-    light_box: bool
-    box_radiance: float
-    box_falloff: float
     front: float
     turn_deg: float
     lying: bool
+    box: LightBox | None = None
+    lamps: tuple[Lamp, ...] = ()
+    photographer: bool = False
+
+    @property
+    def light_box(self) -> bool:
+        return self.box is not None
+
+    @property
+    def box_radiance(self) -> float:
+        """Mean of the box's brightest radiance over RGB; 0 without a box."""
+        return float(np.mean(self.box.radiance)) if self.box else 0.0
+
+    @property
+    def up(self) -> Float[np.ndarray, "3"]:
+        """The room's upward direction in the film's world."""
+        return np.array([0.0, 0.0, -1.0] if self.lying else [0.0, -1.0, 0.0])
+
+
+# ---------------------------------------------------------------- at random
 
 
 def sample_material(rng: np.random.Generator) -> Material:
-    glossy = rng.random() < 0.65
+    """A random film: a tenth as published (PAPER code), over half with clear reflections, the rest between."""
+    kind = rng.random()
+    if kind < 0.1:
+        diffuse, transmission, clear, roughness = 0.25, 0.7, 0.0, 0.95
+        ior, total = float(rng.uniform(1.1, 1.6)), 0.95
+    else:
+        diffuse, transmission = float(rng.uniform(0.2, 1.0)), float(rng.uniform(0.1, 0.9))
+        clear = float(rng.uniform(0.05, 0.8)) if rng.random() < 0.4 else 0.0
+        roughness = float(rng.uniform(0.05, 0.3) if kind < 0.68 else rng.uniform(0.3, 0.95))
+        ior, total = float(rng.uniform(1.3, 1.6)), float(rng.uniform(0.5, 0.95))
+    scale = total / (diffuse + transmission + clear)
     return Material(
-        diffuse=float(rng.uniform(0.2, 1.0)),
-        transmission=float(rng.uniform(0.1, 0.9)),
-        clear=float(rng.uniform(0, 0.6)) if rng.random() < 0.4 else 0.0,
-        haze=float(10 ** rng.uniform(-3, -1.4)),
-        roughness=float(rng.uniform(0.05, 0.35) if glossy else rng.uniform(0.35, 0.95)),
-        ior=float(rng.uniform(1.3, 1.6)),
-        gloss=float(rng.uniform(0.5, 2.0) if glossy else rng.uniform(0.1, 1.0)),
+        diffuse=diffuse * scale,
+        transmission=transmission * scale,
+        clear=clear * scale,
+        haze=float(10 ** rng.uniform(-3.3, -1.7)),
+        roughness=roughness,
+        ior=ior,
+        surfaces=3 if kind >= 0.1 and rng.random() < 0.12 else 1,
     )
 
 
 def sample_light(rng: np.random.Generator, light_box_share: float) -> Light:
-    light_box = bool(rng.random() < light_box_share)
-    dark_room = light_box and rng.random() < 0.7
-    return Light(
-        light_box=light_box,
-        box_radiance=float(rng.uniform(1.0, 6.0)),
-        box_falloff=float(rng.uniform(0.0, 0.8)),
-        front=float(rng.uniform(0.0, 0.15)) if dark_room else 1.0,
+    """Random light: a room with or without lamps, or a light box in a dark or a lit room."""
+    boxed = bool(rng.random() < light_box_share)
+    dark_room = boxed and rng.random() < 0.7
+    light = Light(
+        front=float(rng.uniform(0.0, 0.15)) if dark_room else float(rng.uniform(0.4, 1.0)) if boxed else 1.0,
         turn_deg=float(rng.uniform(0, 360)),
-        lying=bool(rng.random() < 0.4),
+        lying=bool(rng.random() < (0.15 if boxed else 0.4)),
+        box=_light_box(rng) if boxed else None,
+        photographer=bool(rng.random() < 0.6),
     )
+    if boxed or rng.random() >= LAMP_SHARE:
+        return light
+    lamps = [_flash(rng)] if rng.random() < FLASH_SHARE else []
+    kinds = (_ceiling_lamp, _ceiling_lamp, _desk_lamp, _desk_lamp, _window)
+    for _ in range(int(rng.integers(0 if lamps else 1, 3))):
+        lamps.append(kinds[int(rng.integers(len(kinds)))](rng, light.up))
+    return replace(light, lamps=tuple(lamps))
+
+
+def _light_box(rng: np.random.Generator) -> LightBox:
+    colour = planckian(float(rng.uniform(4000, 10200)))
+    return LightBox(
+        radiance=_vector(colour * rng.uniform(1.5, 7.0)),
+        falloff=float(rng.uniform(0.0, 0.7)),
+        centre=(float(rng.uniform(0.25, 0.75)), float(rng.uniform(0.25, 0.75))),
+        spread=float(rng.uniform(0.3, 1.0)),
+        tubes=float(rng.uniform(2, 6)) if rng.random() < 0.3 else 0.0,
+        upright=bool(rng.random() < 0.5),
+        size=(float(rng.uniform(0.9, 2.2)), float(rng.uniform(0.95, 1.5))),
+        gap_mm=float(rng.uniform(1, 20)),
+    )
+
+
+def _ceiling_lamp(rng: np.random.Generator, up: Float[np.ndarray, "3"]) -> Lamp:
+    """A panel, a tube, a disc or a bare bulb overhead."""
+    side = _aside(rng, up)
+    centre = up * rng.uniform(900, 2200) + side * abs(rng.normal(0, 900))
+    radius = float(rng.uniform(80, 250))
+    shapes: list[tuple[Shape, tuple[float, float]]] = [
+        ("rectangle", (300.0, 300.0)),
+        ("rectangle", (radius / 4, 600.0)),
+        ("disc", (radius, radius)),
+        ("sphere", (radius / 3, radius / 3)),
+    ]
+    kind, half = shapes[int(rng.integers(4))]
+    lamp = Lamp(kind, _vector(centre), _vector(-up), _vector(_aside(rng, up)), half, (1, 1, 1))
+    return _bright(rng, lamp, (2700, 6500))
+
+
+def _desk_lamp(rng: np.random.Generator, up: Float[np.ndarray, "3"]) -> Lamp:
+    """A bulb, or a reflector aimed near the film, within arm's reach; one in five behind the film."""
+    towards = rng.normal(0, 1, 3) + 0.8 * up
+    towards[2] = (abs(towards[2]) + 0.3) * (1 if rng.random() < 0.2 else -1)
+    centre = towards / np.linalg.norm(towards) * rng.uniform(280, 900)
+    aim = centre + rng.normal(0, 60, 3)
+    axis = -aim / np.linalg.norm(aim)
+    kind, radius = (
+        ("sphere", float(rng.uniform(20, 50))) if rng.random() < 0.5 else ("disc", float(rng.uniform(30, 90)))
+    )
+    lamp = Lamp(kind, _vector(centre), _vector(axis), _vector(_aside(rng, axis)), (radius, radius), (1, 1, 1))
+    return _bright(rng, lamp, (2700, 6500))
+
+
+def _window(rng: np.random.Generator, up: Float[np.ndarray, "3"]) -> Lamp:
+    """A window or balcony door as a flat source of daylight."""
+    towards = _aside(rng, up)
+    centre = towards * rng.uniform(900, 3500) + up * rng.uniform(-200, 700)
+    half = (float(rng.uniform(350, 900)), float(rng.uniform(450, 1000)))
+    lamp = Lamp("rectangle", _vector(centre), _vector(-towards), _vector(np.cross(up, towards)), half, (1, 1, 1))
+    return _bright(rng, lamp, (5000, 10200))
+
+
+def _flash(rng: np.random.Generator) -> Lamp:
+    """The phone's flash: a small bright disc, taken as a ball, beside the camera's centre."""
+    centre, radius = np.append(rng.normal(0, 10, 2), 0.0), float(rng.uniform(1.5, 3.0))
+    strength = float(np.exp(rng.uniform(np.log(0.3), np.log(3.0)))) * _FLASH_AT_MM**2 / radius**2
+    colour = planckian(float(rng.uniform(5000, 6500)))
+    return Lamp("sphere", _vector(centre), (0, 0, 1), (1, 0, 0), (radius, radius), _vector(colour * strength), True)
+
+
+def _bright(rng: np.random.Generator, lamp: Lamp, kelvin: tuple[float, float]) -> Lamp:
+    """The lamp at a random colour, lighting the film's middle 0.25 to 4 times as much as an even room does."""
+    strength = np.exp(rng.uniform(np.log(0.25), np.log(4.0))) * np.pi
+    received = float(np.linalg.norm(vector_irradiance(lamp, np.zeros((1, 3)))))
+    return replace(lamp, radiance=_vector(planckian(float(rng.uniform(*kelvin))) * strength / received))
+
+
+def _aside(rng: np.random.Generator, axis: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
+    """A random unit vector at right angles to ``axis``."""
+    vector = np.cross(axis, rng.normal(0, 1, 3))
+    return vector / np.linalg.norm(vector)
+
+
+def _vector(values: np.ndarray) -> Vector:
+    x, y, z = (float(v) for v in values)
+    return x, y, z

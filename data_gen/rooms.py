@@ -11,20 +11,24 @@ import numpy as np
 from jaxtyping import Complex, Float
 
 from data_gen._room_paint import paint_outdoors, paint_room
-from hybrid.coords import centres_1d, opencv_from_photo, rgb_from_bgr
+from data_gen._sphere import SphereLookup, directions, solid_angles
+from data_gen.gloss import GRAZING_MEAN
+from hybrid.coords import centres_1d, rgb_from_bgr
 from hybrid.errors import DataError, describe
 
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722], dtype=np.float32)
 """Rec. 709 weights of linear RGB."""
 
 ENVIRONMENT_SIZE = (256, 512)
-FILTERED_SIZE = (64, 128)
+"""Of procedural rooms: 0.7 degrees for a pixel."""
+
+HDRI_SIZE = (512, 1024)
+"""Of environments from files: sharp enough for a mirror-like film at 1080 px."""
+
+ROUGHNESS_LEVELS = (0.14, 0.2, 0.3, 0.45, 0.65, 1.0)
 
 MAX_RELATIVE_RADIANCE = 3000.0
 """The sun of an HDR file is cut here (times the mean): brighter points only add noise to a blurred reflection."""
-
-REMAP_COLUMNS = 2048
-"""OpenCV's remap takes no side longer than 32767, so lists of points are folded into rows."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,28 +66,17 @@ class FilteredEnvironment:
     """An environment and what rough surfaces see of it.
 
     roughness: the levels, ascending, each in (0, 1].
-    stack: (levels, h, w, 3) radiance seen by a GGX lobe of that roughness around the mirror direction.
-    irradiance: (h, w, 3) integral of radiance times cosine over the hemisphere around a normal.
+    stack: for each level the radiance seen by a GGX lobe of that roughness around the mirror direction; the finer the
+        lobe, the finer the image.
+    irradiance: (h, w, 3) integral of radiance times c, the cosine to a normal, over the hemisphere around it.
+    grazing: (h, w, 3) integral of radiance times c (1 - c)^5: what a smooth surface keeps from entering.
     """
 
     environment: Environment
     roughness: tuple[float, ...]
-    stack: Float[np.ndarray, "levels h w 3"]
+    stack: tuple[Float[np.ndarray, "_ _ 3"], ...]
     irradiance: Float[np.ndarray, "h w 3"]
-
-
-def directions(size: tuple[int, int]) -> Float[np.ndarray, "H W 3"]:
-    """Unit world directions (float32, z up) of the pixel centres of an environment of ``size`` (height, width)."""
-    polar, azimuth = centres_1d(size[0]) * (np.pi / size[0]), centres_1d(size[1]) * (2 * np.pi / size[1])
-    sin = np.sin(polar)[:, None]
-    z = np.broadcast_to(np.cos(polar)[:, None], size)
-    return np.stack([sin * np.cos(azimuth), sin * np.sin(azimuth), z], axis=-1).astype(np.float32)
-
-
-def solid_angles(size: tuple[int, int]) -> Float[np.ndarray, " H"]:
-    """Solid angle in steradians of one pixel of each row, exact: they sum to 4 pi over the sphere."""
-    edges = np.cos(np.linspace(0.0, np.pi, size[0] + 1))
-    return (edges[:-1] - edges[1:]) * (2 * np.pi / size[1])
+    grazing: Float[np.ndarray, "h w 3"]
 
 
 def mean_luminance(radiance: Float[np.ndarray, "H W 3"]) -> float:
@@ -110,7 +103,7 @@ def scaled_environment(radiance: Float[np.ndarray, "H W 3"], name: str) -> Envir
     return Environment(limited / np.float32(mean_luminance(limited)), name)
 
 
-def load_hdri(path: Path | str, size: tuple[int, int] = ENVIRONMENT_SIZE) -> Environment:
+def load_hdri(path: Path | str, size: tuple[int, int] = HDRI_SIZE) -> Environment:
     """An equirectangular Radiance RGBE (or other float) image, averaged down to ``size`` and scaled to mean 1.
 
     Raises DataError where OpenCV cannot read it.
@@ -151,28 +144,7 @@ def load_environments(folder: Path | str) -> list[Environment]:
 
 def sample_environment(env: Environment, directions: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
     """Radiance (float32) from unit world directions (z up), bilinear between pixel centres, wrapping in azimuth."""
-    return sample_sphere(env.radiance, directions)
-
-
-def sample_sphere(
-    image: Float[np.ndarray, "H W 3"], directions: Float[np.ndarray, "*n 3"]
-) -> Float[np.ndarray, "*n 3"]:
-    """Bilinear lookup of any equirectangular image by unit world direction; clamped at the poles."""
-    height, width = image.shape[:2]
-    shape = directions.shape
-    flat = np.ascontiguousarray(directions.reshape(-1, 3), dtype=np.float32)
-    count = len(flat)
-    if count == 0:
-        return np.zeros(shape, np.float32)
-    columns = min(count, REMAP_COLUMNS)
-    x, y = np.zeros((2, -(-count // columns), columns), np.float32)
-    radius, azimuth = cv2.cartToPolar(flat[:, 0].copy(), flat[:, 1].copy())
-    polar = np.arctan2(radius.ravel(), flat[:, 2])
-    x.reshape(-1)[:count] = opencv_from_photo(azimuth.ravel() * np.float32(width / (2 * np.pi))) + np.float32(1.0)
-    y.reshape(-1)[:count] = opencv_from_photo(polar * np.float32(height / np.pi))
-    padded = cv2.copyMakeBorder(image, 0, 0, 1, 1, cv2.BORDER_WRAP)
-    out = cv2.remap(padded, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    return out.reshape(-1, 3)[:count].reshape(shape)
+    return SphereLookup(directions).values(env.radiance)
 
 
 # ---------------------------------------------------------------- procedural
@@ -189,11 +161,7 @@ def procedural_room(rng: np.random.Generator, size: tuple[int, int] = ENVIRONMEN
 # ---------------------------------------------------------------- rough surfaces
 
 
-def prefilter(
-    env: Environment,
-    roughness_levels: tuple[float, ...] = (0.1, 0.2, 0.35, 0.5, 0.7, 1.0),
-    size: tuple[int, int] = FILTERED_SIZE,
-) -> FilteredEnvironment:
+def prefilter(env: Environment, roughness_levels: tuple[float, ...] = ROUGHNESS_LEVELS) -> FilteredEnvironment:
     """What GGX lobes of the given roughness (alpha = roughness^2, ascending) and a matt surface see of ``env``.
 
     A lobe depends only on the angle to its axis, so along azimuth the blur is a circular convolution: one product of
@@ -203,10 +171,22 @@ def prefilter(
     levels = tuple(float(level) for level in roughness_levels)
     if list(levels) != sorted(set(levels)) or not levels or not 0 < levels[0] <= levels[-1] <= 1:
         raise ValueError(f"prefilter: got roughness levels {levels}; allowed: ascending, in (0, 1]")
-    spectrum = np.fft.rfft(resize_environment(env.radiance, size), axis=1)
-    stack = np.stack([_convolve(_lobe_spectrum(level, size), spectrum, size[1]) for level in levels])
-    irradiance = np.pi * _convolve(_lobe_spectrum(None, size), spectrum, size[1])
-    return FilteredEnvironment(env, levels, stack.astype(np.float32), irradiance.astype(np.float32))
+    small, spectra = env.radiance, {}
+    for size in sorted({_filtered_size(level) for level in levels} | {MATT_SIZE}, reverse=True):
+        small = resize_environment(small, size)
+        spectra[size] = np.fft.rfft(small, axis=1).astype(np.complex64)
+    stack = tuple(_convolve(_ggx_spectrum(r, _filtered_size(r)), spectra[_filtered_size(r)]) for r in levels)
+    matt, grazing = (_convolve(_cosine_spectrum(power, MATT_SIZE), spectra[MATT_SIZE]) for power in (0, 5))
+    return FilteredEnvironment(env, levels, stack, np.float32(np.pi) * matt, np.float32(np.pi * GRAZING_MEAN) * grazing)
+
+
+MATT_SIZE = (32, 64)
+"""Irradiance is smooth: 5.6 degrees for a pixel."""
+
+
+def _filtered_size(roughness: float) -> tuple[int, int]:
+    """Size of the image of what a GGX lobe sees; its full width at half maximum is 2.6 roughness^2 rad."""
+    return (128, 256) if roughness <= 0.2 else (64, 128) if roughness <= 0.5 else (32, 64)
 
 
 def sample_filtered(
@@ -215,45 +195,65 @@ def sample_filtered(
     """Radiance (float32) that a surface of one ``roughness`` in [0, 1] reflects from around mirror ``directions``."""
     levels = (0.0, *filtered.roughness)
     above = int(np.clip(np.searchsorted(levels, roughness), 1, len(levels) - 1))
-    share = float(np.clip((roughness - levels[above - 1]) / (levels[above] - levels[above - 1]), 0.0, 1.0))
-    upper = filtered.stack[above - 1]
-    if above == 1:
-        sharp = sample_environment(filtered.environment, directions)
-        return (1 - share) * sharp + share * sample_sphere(upper, directions)
-    mixed = (1 - share) * filtered.stack[above - 2] + share * upper
-    return sample_sphere(mixed.astype(np.float32), directions)
+    share = np.float32(np.clip((roughness - levels[above - 1]) / (levels[above] - levels[above - 1]), 0.0, 1.0))
+    lookup = SphereLookup(directions)
+    lower = filtered.environment.radiance if above == 1 else filtered.stack[above - 2]
+    if share == 1:
+        return lookup.values(filtered.stack[above - 1])
+    seen = lookup.values(lower)
+    if share > 0:
+        seen *= 1 - share
+        seen += share * lookup.values(filtered.stack[above - 1])
+    return seen
 
 
-def sample_irradiance(filtered: FilteredEnvironment, normals: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
-    """Irradiance (float32) on surfaces with unit world ``normals``: pi times the radiance where light is constant."""
-    return sample_sphere(filtered.irradiance, normals)
+def sample_irradiance(
+    filtered: FilteredEnvironment, normals: Float[np.ndarray, "*n 3"], entry: tuple[float, float] = (1.0, 0.0)
+) -> Float[np.ndarray, "*n 3"]:
+    """Irradiance (float32) on surfaces with unit world ``normals``: pi times the radiance where light is constant.
+
+    entry: (a, b) weighs light at cosine c to the normal by a + b (1 - c)^5.
+    """
+    a, b = (np.float32(weight) for weight in entry)
+    weighted = filtered.irradiance if (a, b) == (1, 0) else a * filtered.irradiance + b * filtered.grazing
+    return SphereLookup(normals).values(weighted)
 
 
-def _convolve(
-    kernel: Float[np.ndarray, "m h h"], spectrum: Complex[np.ndarray, "h m 3"], width: int
-) -> Float[np.ndarray, "h w 3"]:
-    mixed = np.matmul(kernel, spectrum.transpose(1, 0, 2))
-    return np.maximum(np.fft.irfft(mixed.transpose(1, 0, 2), n=width, axis=1), 0.0)
+def _convolve(kernel: Float[np.ndarray, "m h h"], spectrum: Complex[np.ndarray, "h m 3"]) -> Float[np.ndarray, "h w 3"]:
+    parts = np.ascontiguousarray(spectrum.transpose(1, 0, 2)).view(np.float32)  # real and imaginary: the kernel is real
+    mixed = np.matmul(kernel, parts).view(np.complex64)
+    width = 2 * (spectrum.shape[1] - 1)
+    return np.maximum(np.fft.irfft(mixed.transpose(1, 0, 2), n=width, axis=1), 0.0).astype(np.float32)
 
 
 @lru_cache(maxsize=32)
-def _lobe_spectrum(roughness: float | None, size: tuple[int, int]) -> Float[np.ndarray, "m h h"]:
-    """Azimuthal spectrum (m, row out, row in) of a normalised lobe: GGX, or the cosine lobe for None."""
-    height, width = size
-    polar = centres_1d(height) * (np.pi / height)
-    azimuth = np.arange(width) * (2 * np.pi / width)
+def _ggx_spectrum(roughness: float, size: tuple[int, int]) -> Float[np.ndarray, "m h h"]:
+    """GGX's lobe with view, normal and mirror direction taken as one (Karis 2013): the half vector halves the angle."""
+    alpha_sq = roughness**4
+    dot = _dots(size)
+    cos_half_sq = 0.5 * (1.0 + dot)
+    return _spectrum(np.maximum(dot, 0.0) / (cos_half_sq * (alpha_sq - 1.0) + 1.0) ** 2, size)
+
+
+@lru_cache(maxsize=8)
+def _cosine_spectrum(power: int, size: tuple[int, int]) -> Float[np.ndarray, "m h h"]:
+    """The lobe c (1 - c)^power."""
+    dot = np.maximum(_dots(size), 0.0)
+    return _spectrum(dot * (1 - dot) ** power, size)
+
+
+def _dots(size: tuple[int, int]) -> Float[np.ndarray, "h h w"]:
+    """Cosine between the pixels (row out, column 0) and (row in, column)."""
+    polar, azimuth = centres_1d(size[0]) * (np.pi / size[0]), np.arange(size[1]) * (2 * np.pi / size[1])
     cos, sin = np.cos(polar), np.sin(polar)
-    dot = cos[:, None, None] * cos[None, :, None] + sin[:, None, None] * sin[None, :, None] * np.cos(azimuth)
-    lobe = np.maximum(dot, 0.0)
-    if (
-        roughness is not None
-    ):  # view, normal and mirror direction taken as one (Karis 2013): half vector halves the angle
-        alpha_sq = roughness**4
-        cos_half_sq = 0.5 * (1.0 + np.clip(dot, -1.0, 1.0))
-        lobe = lobe * alpha_sq / (np.pi * (cos_half_sq * (alpha_sq - 1.0) + 1.0) ** 2)
+    return cos[:, None, None] * cos[None, :, None] + sin[:, None, None] * sin[None, :, None] * np.cos(azimuth)
+
+
+def _spectrum(lobe: Float[np.ndarray, "h h w"], size: tuple[int, int]) -> Float[np.ndarray, "m h h"]:
+    """Azimuthal spectrum (m, row out, row in) of a lobe, normalised over the sphere for each row out."""
     lobe = lobe * solid_angles(size)[None, :, None]
-    lobe = lobe / lobe.sum(axis=(1, 2), keepdims=True)
-    return np.fft.rfft(lobe, axis=2).real.transpose(2, 0, 1)  # even in azimuth: the spectrum is real
+    lobe /= lobe.sum(axis=(1, 2), keepdims=True)
+    return np.fft.rfft(lobe, axis=2).real.astype(np.float32).transpose(2, 0, 1)  # even in azimuth: real
 
 
 __all__ = [
@@ -267,4 +267,5 @@ __all__ = [
     "sample_environment",
     "sample_filtered",
     "sample_irradiance",
+    "solid_angles",
 ]

@@ -1,9 +1,22 @@
 """Linear light that leaves the film, computed in film space: smooth light on a lattice, print detail multiplied in.
 
-radiance = diffuse T E(n) / pi + transmission T E_back(-n) / pi + clear T L(behind) + haze E(n) / pi + gloss F L(mirror)
+The film is a thin sheet with a print of linear reflectance T below a glossy surface; both sides answer alike. With o
+towards the eye, i towards the light, c their cosines to the normal, R the surface's directional albedo and M its
+cosine-weighted mean, the sheet scatters by
 
-with T the print's linear reflectance, E irradiance, L the environment's radiance and F Schlick's Fresnel term.
-Light varies slowly over the film, so it is evaluated on a lattice of film points and enlarged to the print.
+    f(i, o) = gloss                   F D G1(i) G1(o) / (4 c_i c_o)               i and o on one side
+            + (T diffuse + haze)      (1 - R(i)) (1 - R(o)) / (pi (1 - M))        i and o on one side
+            + (T transmission + haze) (1 - R(i)) (1 - R(o)) / (pi (1 - M))        i and o on different sides
+            + T clear                 (1 - R(o)) delta(i = -o)                    straight through
+
+What the surface does not reflect enters, so the lobes below it share 1 - R (Kelemen and Szirmay-Kalos 2001, the
+`roughplastic` of Mitsuba): whatever the roughness, a sheet with diffuse + transmission + clear + 2 haze = 1 and T = 1
+loses nothing, every draw of parameters reflects and lets through at most what comes in, and f(i, o) = f(o, i).
+Left out: light that the film's far surface reflects back through the print, shadows of the film on itself and light
+from one part of it on another; benchmarks/radiance.py says what they amount to.
+
+Light varies slowly over the film, so radiance = gain * T + veil is evaluated on a lattice of film points and enlarged
+to the print; the lattice is the finer, the more the film is a mirror.
 """
 
 from __future__ import annotations
@@ -13,15 +26,19 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from jaxtyping import Float
+from scipy.interpolate import make_interp_spline
 
-from data_gen.lighting import Light
+from data_gen.gloss import Gloss, gloss, smith, spiral_disc, visible_half
+from data_gen.gloss import fresnel as fresnel_reflectance
+from data_gen.lamps import Lamp, highlight, lamp_seen, surface_irradiance, vector_irradiance
+from data_gen.lighting import Light, LightBox, Material
 from data_gen.rooms import FilteredEnvironment, sample_environment, sample_filtered, sample_irradiance
 from data_gen.scene import Scene
 from hybrid.coords import film_centres_1d, linear_from_srgb
 from hybrid.mesh.film import FilmMesh
 
-LIGHT_LATTICE = 96
-"""Film points along each side at which light is evaluated: 4 mm on a 35 x 43 cm film."""
+SMOOTH_LATTICE = 48
+"""Film points along each side at which matt light is evaluated: 9 mm on a 35 x 43 cm film."""
 
 _SRGB_LINEAR = linear_from_srgb(np.arange(256) / 255).astype(np.float32)
 
@@ -37,6 +54,49 @@ class FilmLight:
     veil: Float[np.ndarray, "n n 3"]
 
 
+@dataclass(frozen=True, eq=False)
+class SeenFilm:
+    """A lattice of film points as one camera sees them; float32.
+
+    points: mm. normals: unit, of the side that is seen. view: unit, towards the camera. cosine: between those two.
+    """
+
+    points: Float[np.ndarray, "m n 3"]
+    normals: Float[np.ndarray, "m n 3"]
+    view: Float[np.ndarray, "m n 3"]
+    cosine: Float[np.ndarray, "m n 1"]
+
+    @property
+    def mirror(self) -> Float[np.ndarray, "m n 3"]:
+        """Unit directions from which a mirror would send light to the camera."""
+        return 2 * self.cosine * self.normals - self.view
+
+    def part(self, rows: slice, cols: slice) -> SeenFilm:
+        return SeenFilm(*(getattr(self, name)[rows, cols] for name in ("points", "normals", "view", "cosine")))
+
+
+def seen_film(film: FilmMesh, camera_mm: Float[np.ndarray, "3"], n: int) -> SeenFilm:
+    """The n x n lattice of film pixel centres on the smooth (bicubic) film, seen from ``camera_mm``.
+
+    The bicubic surface through the vertices is a product of two interpolations: matrices, fast on fine lattices.
+    """
+    t = film_centres_1d(n)
+    across, down = (make_interp_spline(x, np.eye(len(x))) for x in (film.u_lines, film.v_lines))
+    u, v, du, dv = (m.astype(np.float32) for m in (across(t), down(t), across(t, nu=1), down(t, nu=1)))
+    grid = film.vertices.astype(np.float32)
+
+    def lattice(rows: np.ndarray, cols: np.ndarray) -> np.ndarray:
+        return np.stack([rows @ grid[..., k] @ cols.T for k in range(3)], axis=-1)
+
+    points, normals = lattice(v, u), np.cross(lattice(dv, u), lattice(v, du))
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    view = camera_mm.astype(np.float32) - points
+    view /= np.linalg.norm(view, axis=-1, keepdims=True)
+    towards = (view * normals).sum(axis=-1, keepdims=True)
+    normals *= np.where(towards < 0, np.float32(-1), np.float32(1))
+    return SeenFilm(points, normals, view, np.maximum(np.abs(towards), np.float32(0.01)))
+
+
 def room_from_film(light: Light) -> Float[np.ndarray, "3 3"]:
     """Rotation from the film's world (x right, y down, z away) to the room's (z up)."""
     upright = np.array([[1.0, 0, 0], [0, 0, 1.0], [0, -1.0, 0]])  # down is the floor, away is horizontal
@@ -46,34 +106,29 @@ def room_from_film(light: Light) -> Float[np.ndarray, "3 3"]:
     return azimuth @ (lying if light.lying else upright)
 
 
-def film_light(
-    film: FilmMesh, scene: Scene, room: FilteredEnvironment, rng: np.random.Generator, n: int = LIGHT_LATTICE
-) -> FilmLight:
+def film_light(film: FilmMesh, scene: Scene, room: FilteredEnvironment, rng: np.random.Generator) -> FilmLight:
     """Gain and veil over the film for one scene."""
-    t = film_centres_1d(n)
-    points, normals = film.surface(t, t), film.normals(t, t)
-    view = scene.camera.centre_world - points
-    view /= np.linalg.norm(view, axis=-1, keepdims=True)
-    towards = (view * normals).sum(axis=-1, keepdims=True)
-    normals = np.where(towards < 0, -normals, normals)  # of the side that is seen: the film's back, if that faces it
-    cosine = np.clip(np.abs(towards), 0.02, 1.0)
-    turn = room_from_film(scene.light).T
-    material, light = scene.material, scene.light
-    front = sample_irradiance(room, normals @ turn) * (light.front / np.pi)
-    mirror = 2 * cosine * normals - view
-    reflected = sample_filtered(room, mirror @ turn, material.roughness) * light.front
-    f0 = ((material.ior - 1) / (material.ior + 1)) ** 2
-    fresnel = f0 + (1 - f0) * (1 - cosine) ** 5
-    if light.light_box:
-        behind = back = light_box_radiance(t, light, rng)
-    else:
-        back = sample_irradiance(room, -normals @ turn) / np.pi
-        behind = sample_environment(room.environment, -view @ turn)
-    gain = material.diffuse * front + material.transmission * back + material.clear * behind
-    veil = material.haze * (front + back) + material.gloss * fresnel * reflected
+    material, light, camera_mm = scene.material, scene.light, scene.camera.centre_world
+    surface = gloss(material.roughness, material.ior, material.surfaces)
+    lamps = tuple(lamp.placed(camera_mm) for lamp in light.lamps)
+    smooth = seen_film(film, camera_mm, SMOOTH_LATTICE)
+    panel = light_box_lamp(light.box, film, camera_mm) if light.box else None
+    front, back = matt_light(smooth, light, room, surface, (lamps, panel))
     if scene.shadow:
-        gain = gain * soft_shadow(n, rng)[..., None]
-    return FilmLight(gain.astype(np.float32), veil.astype(np.float32))
+        shadow = soft_shadow(SMOOTH_LATTICE, rng)[..., None]
+        front, back = front * shadow, back * shadow
+    inside = 1 - surface.reflected(smooth.cosine)
+    gain = inside * (material.diffuse * front + material.transmission * back)
+    veil = inside * (material.haze * (front + back))
+    n = glossy_lattice(material, scene.camera.size)
+    fine = seen_film(film, camera_mm, n)
+    gain, veil = (cv2.resize(x.astype(np.float32), (n, n), interpolation=cv2.INTER_LINEAR) for x in (gain, veil))
+    if material.clear:
+        gain += material.clear * (1 - surface.reflected(fine.cosine)) * light_behind(fine, light, room, (lamps, panel))
+    veil += reflection(fine, light, room, surface)
+    for lamp in lamps:
+        veil += lamp_highlight(lamp, fine, surface)[..., None] * np.array(lamp.radiance, np.float32)
+    return FilmLight(gain, veil)
 
 
 def film_radiance(image: Float[np.ndarray, "h w"], light: FilmLight) -> Float[np.ndarray, "h w 3"]:
@@ -86,16 +141,81 @@ def film_radiance(image: Float[np.ndarray, "h w"], light: FilmLight) -> Float[np
     return radiance
 
 
-def light_box_radiance(t: np.ndarray, light: Light, rng: np.random.Generator) -> Float[np.ndarray, "n n 3"]:
-    """Radiance of the light box behind each film point: bright around some point, fading to the rim; tubes on some."""
-    u, v = np.meshgrid(t, t)
-    cu, cv_ = rng.uniform(0.2, 0.8, 2)
-    spread = rng.uniform(0.4, 1.2)
-    fade = 1 - light.box_falloff * (1 - np.exp(-((u - cu) ** 2 + (v - cv_) ** 2) / (2 * spread**2)))
-    if rng.random() < 0.3:
-        fade *= 1 + 0.15 * np.cos(2 * np.pi * (rng.uniform(2, 6) * (u if rng.random() < 0.5 else v)))
-    colour = np.exp2(rng.normal(0, [0.1, 0.02, 0.1]))
-    return light.box_radiance * fade[..., None] * colour
+def glossy_lattice(material: Material, photo_size: tuple[int, int]) -> int:
+    """Film points along each side at which reflections are evaluated.
+
+    A lobe's half width is 1.3 alpha rad, and reflected directions turn by about 3 rad over a bent film; finer than
+    two photo pixels nobody sees.
+    """
+    return int(np.clip(4.0 / material.roughness**2, SMOOTH_LATTICE, max(0.4 * max(photo_size), 96)))
+
+
+# ---------------------------------------------------------------- matt light
+
+Sources = tuple[tuple[Lamp, ...], tuple[Lamp, LightBox] | None]
+"""The lamps of a scene, in the film's world, and its light box with the rectangle that it shines from."""
+
+
+def matt_light(
+    seen: SeenFilm, light: Light, room: FilteredEnvironment, surface: Gloss, sources: Sources
+) -> tuple[Float[np.ndarray, "m n 3"], Float[np.ndarray, "m n 3"]]:
+    """Irradiance that enters the print, over pi (1 for even light of radiance 1), from the seen side and the other."""
+    lamps, panel = sources
+    turn = room_from_film(light).T.astype(np.float32)
+    sides = []
+    for normals in (seen.normals, -seen.normals):
+        received = sample_irradiance(room, normals @ turn, surface.entry) * np.float32(light.front / np.pi)
+        if panel:
+            lamp, box = panel
+            share, _ = surface_irradiance(vector_irradiance(lamp, seen.points), normals)
+            share = share[..., None] / np.float32(np.pi)
+            bright = box.brightness(_panel_uv(lamp, seen.points))[..., None] * np.array(lamp.radiance, np.float32)
+            received = received * (1 - share) + share * bright
+        sides.append(received)
+    for lamp in lamps:
+        vector = vector_irradiance(lamp, seen.points)
+        filled = np.sqrt((vector**2).sum(axis=-1)) / np.float32(np.pi)
+        for side, normals in enumerate((seen.normals, -seen.normals)):
+            received, cosine = surface_irradiance(vector, normals)
+            # Entry is taken at the lamp's mean direction; a lamp that fills the hemisphere enters like even light.
+            received *= (surface.entering(np.maximum(cosine, 0)) * (1 - filled) + filled) / np.float32(np.pi)
+            sides[side] = sides[side] + received[..., None] * np.array(lamp.radiance, np.float32)
+    return sides[0], sides[1]
+
+
+def light_behind(
+    seen: SeenFilm, light: Light, room: FilteredEnvironment, sources: Sources
+) -> Float[np.ndarray, "m n 3"]:
+    """Radiance that comes straight through the film: the room, lamps or the light box behind it."""
+    lamps, panel = sources
+    rays = -seen.view
+    behind = sample_environment(room.environment, rays @ room_from_film(light).T.astype(np.float32))
+    behind *= np.float32(light.front)
+    for lamp in lamps:
+        behind[lamp_seen(lamp, seen.points, rays)] = lamp.radiance
+    if panel:
+        lamp, box = panel
+        hit = lamp_seen(lamp, seen.points, rays)
+        depth = (np.array(lamp.centre_mm) - seen.points) @ np.array(lamp.axis) / (rays @ np.array(lamp.axis))
+        uv = _panel_uv(lamp, (seen.points + rays * depth[..., None])[hit])
+        behind[hit] = box.brightness(uv)[..., None] * np.array(lamp.radiance, np.float32)
+    return behind
+
+
+def light_box_lamp(box: LightBox, film: FilmMesh, camera_mm: Float[np.ndarray, "3"]) -> tuple[Lamp, LightBox]:
+    """The box as a rectangle just behind the film, as the camera sees it, upright in the film's world."""
+    points = film.vertices.reshape(-1, 3)
+    centre, away = points.mean(axis=0), 1.0 if points[:, 2].mean() > camera_mm[2] else -1.0
+    depth = (points[:, 2] * away).max() + box.gap_mm
+    half = (box.size[0] * film.size_mm[1] / 2, box.size[1] * film.size_mm[0] / 2)
+    at = (float(centre[0]), float(centre[1]), float(away * depth))
+    return Lamp("rectangle", at, (0.0, 0.0, -away), (1.0, 0.0, 0.0), half, box.radiance), box
+
+
+def _panel_uv(lamp: Lamp, points: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 2"]:
+    """Where on the panel, (0, 0) to (1, 1), points lie that are moved onto it along its normal."""
+    offset = (points - np.array(lamp.centre_mm))[..., :2] / np.array(lamp.half_mm)
+    return np.clip((1 + offset) / 2, 0, 1)
 
 
 def soft_shadow(n: int, rng: np.random.Generator) -> Float[np.ndarray, "n n"]:
@@ -106,4 +226,61 @@ def soft_shadow(n: int, rng: np.random.Generator) -> Float[np.ndarray, "n n"]:
         axes = tuple(int(a) for a in rng.uniform(0.08, 0.6, 2) * n)
         cv2.ellipse(mask, centre, axes, float(rng.uniform(0, 180)), 0, 360, 1.0, -1)
     soft = cv2.GaussianBlur(mask, (0, 0), float(rng.uniform(0.01, 0.12)) * n)
-    return 1 - rng.uniform(0.05, 0.7) * soft
+    return 1 - np.float32(rng.uniform(0.05, 0.7)) * soft
+
+
+# ---------------------------------------------------------------- reflections
+
+
+def reflection(seen: SeenFilm, light: Light, room: FilteredEnvironment, surface: Gloss) -> Float[np.ndarray, "m n 3"]:
+    """Radiance of the room in the film's glossy surface.
+
+    Half vectors are taken in proportion to what of the rough surface is seen, each with a narrower lobe that fills
+    its share of the wide one (Krivanek and Colbert 2008, filtered importance sampling); a narrow lobe is one sample
+    in the mirror's direction. Weights are scaled to the directional albedo, so even light comes out exactly.
+    """
+    turn = room_from_film(light).T.astype(np.float32)
+    albedo = surface.reflected(seen.cosine) * np.float32(light.front)
+    count = reflection_samples(surface.alpha)
+    if count == 1:
+        return albedo * sample_filtered(room, seen.mirror @ turn, float(np.sqrt(surface.alpha)))
+    sine = np.sqrt(np.maximum(1 - seen.cosine**2, np.float32(1e-12)))
+    foot = (seen.view - seen.cosine * seen.normals) / sine
+    aside = np.cross(seen.normals, foot)
+    total, weights = np.zeros_like(seen.points), np.zeros_like(seen.cosine)
+    for across, beside in spiral_disc(count).astype(np.float32):
+        hx, hy, hz = visible_half(seen.cosine, surface.alpha, across, beside)
+        o_h = sine * hx + seen.cosine * hz
+        towards = (2 * o_h * hx - sine) * foot + 2 * o_h * hy * aside + (2 * o_h * hz - seen.cosine) * seen.normals
+        weight = fresnel_reflectance(o_h, surface.ior, surface.surfaces) * smith(
+            2 * o_h * hz - seen.cosine, surface.alpha
+        )
+        # The lobe of width a has density 1 / (4 pi a^2) at its middle, and (1 - r^2)^2 times that at disc radius r.
+        narrow = surface.alpha / (np.sqrt(count) * (1 - across**2 - beside**2))
+        total += weight * sample_filtered(room, towards @ turn, float(np.sqrt(min(narrow, 1.0))))
+        weights += weight
+    return albedo * total / np.maximum(weights, 1e-9)
+
+
+def reflection_samples(alpha: float) -> int:
+    """How many half vectors stand for a lobe of width alpha."""
+    return 1 if alpha < 0.01 else 6 if alpha < 0.05 else 12
+
+
+def lamp_highlight(lamp: Lamp, seen: SeenFilm, surface: Gloss) -> Float[np.ndarray, "n n"]:
+    """Reflection of a lamp of radiance 1, on a coarse lattice and finer around its bright part."""
+    n = len(seen.points)
+    alpha = max(surface.alpha, 0.5 / n)  # half vectors turn by about 1 rad over the film: a lattice step of them
+    stride = max(1, n // 96)
+    if stride == 1:
+        return highlight(lamp, seen.points, seen.normals, seen.view, surface, alpha)
+    every = slice(stride // 2, None, stride)
+    coarse = seen.part(every, every)
+    rough = highlight(lamp, coarse.points, coarse.normals, coarse.view, surface, max(alpha, 0.5 / len(coarse.points)))
+    values = cv2.resize(rough, (n, n), interpolation=cv2.INTER_LINEAR)
+    rows, cols = (np.flatnonzero((rough > 0.02 * rough.max()).any(axis=axis)) for axis in (1, 0))
+    if rough.max() > 0:
+        block = tuple(slice(max(int(k[0]) - 2, 0) * stride, (int(k[-1]) + 3) * stride) for k in (rows, cols))
+        part = seen.part(*block)
+        values[block] = highlight(lamp, part.points, part.normals, part.view, surface, alpha)
+    return values

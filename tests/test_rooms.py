@@ -26,7 +26,7 @@ from hybrid.errors import DataError
 SHARED = os.environ.get("HYBRID_SHARED_DATA")
 
 FLOAT32 = 1e-5  # relative: a few dozen float32 operations
-LOOKUP = 2e-3  # relative to the steepest step between pixels: OpenCV's atan2 is good to about 1e-2 degrees
+LOOKUP = 4e-3  # relative to the steepest step between pixels: OpenCV's angles are good to about 1e-2 degrees each
 
 
 def constant(value: float, size: tuple[int, int] = (64, 128)) -> Environment:
@@ -83,7 +83,8 @@ def test_resizing_keeps_the_light_of_the_sphere():
 
 def test_constant_light_stays_constant_and_its_irradiance_is_pi_times_it():
     filtered = prefilter(constant(2.5))
-    assert np.allclose(filtered.stack, 2.5, rtol=FLOAT32)
+    assert all(np.allclose(level, 2.5, rtol=FLOAT32) for level in filtered.stack)
+    assert np.allclose(filtered.grazing, np.pi * 2.5 / 21, rtol=FLOAT32)  # the mean of (1 - c)^5, by hand
     assert np.allclose(filtered.irradiance, np.pi * 2.5, rtol=FLOAT32)
     rays = random_directions(100)
     for roughness in (0.0, 0.05, 0.3, 1.0):
@@ -100,17 +101,19 @@ def test_irradiance_of_a_first_order_harmonic_is_two_thirds_pi_of_it():
 
 def test_blur_keeps_the_harmonics_direction_and_shrinks_with_roughness():
     filtered = prefilter(linear_light(), (0.2, 0.5, 1.0))
-    rays = directions((64, 128))
-    gains = [float(((level - 2.0) * rays).sum() / (rays * rays).sum()) for level in filtered.stack]
+    gains = []
+    for level in filtered.stack:
+        rays = directions(level.shape[:2])
+        gains.append(float(((level - 2.0) * rays).sum() / (rays * rays).sum()))
+        assert np.abs(level - (2.0 + gains[-1] * rays)).max() < 0.02
     assert 1.0 > gains[0] > gains[1] > gains[2] > 0.5
-    residual = filtered.stack - (2.0 + np.array(gains).reshape(-1, 1, 1, 1) * rays)
-    assert np.abs(residual).max() < 0.02
 
 
 def test_turning_the_room_turns_the_blur():
     radiance = np.exp(np.random.default_rng(2).normal(0, 1, (64, 128, 3))).astype(np.float32)
-    straight, turned = (prefilter(Environment(np.roll(radiance, k, axis=1), "x")) for k in (0, 37))
-    assert np.allclose(np.roll(straight.stack, 37, axis=2), turned.stack, rtol=1e-4)
+    straight, turned = (prefilter(Environment(np.roll(radiance, k, axis=1), "x")) for k in (0, 32))
+    for a, b in zip((*straight.stack, straight.irradiance), (*turned.stack, turned.irradiance), strict=True):
+        assert np.allclose(np.roll(a, a.shape[1] // 4, axis=1), b, rtol=1e-3)
 
 
 @pytest.mark.parametrize("levels", [(), (0.0, 0.5), (0.5, 0.2), (0.5, 1.5)])
@@ -139,7 +142,7 @@ def test_hdr_file_round_trip(tmp_path: Path):
     radiance = np.random.default_rng(0).uniform(0.1, 3.0, (64, 128, 3)).astype(np.float32)
     cv2.imwrite(str(tmp_path / "a.hdr"), cv2.cvtColor(radiance, cv2.COLOR_RGB2BGR))
     env = load_environments(tmp_path)[0]
-    assert env.radiance.shape == (256, 512, 3)
+    assert env.radiance.shape == (512, 1024, 3)
     small = load_hdri(tmp_path / "a.hdr", (64, 128)).radiance
     gain = np.median(small / radiance)
     assert np.allclose(small / gain, radiance, atol=0.02)  # RGBE keeps 8 bits of the brightest channel

@@ -1,0 +1,240 @@
+"""Lamps near the film: bulbs, discs and rectangles, the light they shed on it and their highlights in it.
+
+Everything is in closed form. Light on a matt surface: Lambert's formula for a polygon's vector irradiance, and the
+irradiance of a sphere cut by the horizon in place of the polygon's (Hill and Heitz 2016, Real-time area lighting).
+Highlights: GGX's density of slopes m of the half vector, alpha^2 / (pi (alpha^2 + m^2)^2), is that of a cosine lobe
+seen from height alpha, so the share of it that a lamp's outline encloses is a form factor in the space of half vectors.
+Units: mm, radiance relative to the environment's mean of 1, the film's world (x right, y down, z away).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from data_gen.gloss import Gloss, fresnel, smith
+
+Vector = tuple[float, float, float]
+Shape = Literal["sphere", "disc", "rectangle"]
+
+DISC_SIDES = 10
+"""Sides of the polygon of equal area that stands for a disc."""
+
+_TINY = 1e-20
+
+
+@dataclass(frozen=True)
+class Lamp:
+    """An emitter of even radiance.
+
+    kind: 'sphere', or a flat 'disc' or 'rectangle' that shines to one side.
+    centre_mm: in the film's world, or from the camera's centre where ``at_camera`` (a flash).
+    axis: unit, to where a flat lamp shines. across: unit, along its first side. half_mm: half its sides, or radii.
+    radiance: linear RGB.
+    """
+
+    kind: Shape
+    centre_mm: Vector
+    axis: Vector
+    across: Vector
+    half_mm: tuple[float, float]
+    radiance: Vector
+    at_camera: bool = False
+
+    def placed(self, camera_mm: Float[np.ndarray, "3"]) -> Lamp:
+        """The same lamp in the world's frame."""
+        if not self.at_camera:
+            return self
+        centre = tuple((np.array(self.centre_mm) + camera_mm).tolist())
+        return replace(self, centre_mm=centre, at_camera=False)
+
+    @property
+    def corners(self) -> Float[np.ndarray, "m 3"]:
+        """Outline of a flat lamp, counter-clockwise as seen from where it shines."""
+        across, axis = np.array(self.across), np.array(self.axis)
+        if self.kind == "rectangle":
+            outline = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * self.half_mm
+        else:
+            turn = np.arange(DISC_SIDES) * (2 * np.pi / DISC_SIDES)
+            area = DISC_SIDES / 2 * np.sin(2 * np.pi / DISC_SIDES)
+            outline = np.stack([np.cos(turn), np.sin(turn)], axis=1) * self.half_mm * np.sqrt(np.pi / area)
+        return self.centre_mm + outline @ np.stack([across, np.cross(axis, across)])
+
+
+# ---------------------------------------------------------------- light on a matt surface
+
+
+def vector_irradiance(lamp: Lamp, points: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
+    """Integral of the direction to the lamp over the solid angle it fills: its dot product with a normal is the
+    irradiance for radiance 1 of a lamp all above the horizon. 0 behind a flat lamp."""
+    centre = (np.array(lamp.centre_mm) - points).astype(np.float32)
+    if lamp.kind == "sphere":
+        squared = np.maximum((centre**2).sum(axis=-1, keepdims=True), lamp.half_mm[0] ** 2)
+        return np.float32(np.pi * lamp.half_mm[0] ** 2) * centre / squared**1.5
+    rays = [_unit((corner - points).astype(np.float32)) for corner in lamp.corners]
+    total = np.zeros_like(rays[0])
+    for start, stop in zip(rays, rays[1:] + rays[:1], strict=True):
+        cross = np.cross(start, stop)
+        sine = np.sqrt((cross**2).sum(axis=-1, keepdims=True)) + np.float32(_TINY)
+        total += cross * (np.arctan2(sine, (start * stop).sum(axis=-1, keepdims=True)) / sine)
+    lit = (centre @ np.array(lamp.axis, np.float32) < 0)[..., None]
+    return np.where(lit, total * np.float32(-0.5), np.float32(0.0))
+
+
+def surface_irradiance(
+    vector: Float[np.ndarray, "*n 3"], normals: Float[np.ndarray, "*n 3"]
+) -> tuple[Float[np.ndarray, "*n"], Float[np.ndarray, "*n"]]:
+    """Irradiance on surfaces for radiance 1, and the cosine of the lamp's direction, from the vector irradiance.
+
+    A lamp that the horizon cuts is replaced by the sphere of the same vector irradiance, whose integral is closed.
+    """
+    size = np.sqrt((vector**2).sum(axis=-1)) + np.float32(_TINY)
+    cosine = np.clip((vector * normals).sum(axis=-1) / size, -1.0, 1.0)
+    squared_sine = np.clip(size / np.float32(np.pi), 1e-12, 0.9999)  # of the sphere's angular radius
+    whole = np.float32(np.pi) * np.maximum(cosine, 0.0) * squared_sine
+    cut = np.flatnonzero(cosine**2 < squared_sine)
+    if len(cut):
+        whole.reshape(-1)[cut] = _cut_sphere(cosine.reshape(-1)[cut], squared_sine.reshape(-1)[cut])
+    return whole, cosine
+
+
+def _cut_sphere(cosine: np.ndarray, squared_sine: np.ndarray) -> np.ndarray:
+    """Irradiance for radiance 1 of a sphere that the horizon cuts (Quilez 2014, after Snyder's area formulas)."""
+    c, squared = cosine.astype(np.float64), 1 / squared_sine.astype(np.float64)  # (distance / radius)^2
+    root = np.sqrt(np.maximum(1 - squared * c**2, 1e-12))
+    inner = np.clip(-c * np.sqrt((squared - 1) / np.maximum(1 - c**2, 1e-12)), -1, 1)
+    part = (c * np.arccos(inner) - root * np.sqrt(squared - 1)) / squared + np.arctan(root / np.sqrt(squared - 1))
+    return np.maximum(part, 0.0).astype(np.float32)
+
+
+# ---------------------------------------------------------------- highlights
+
+
+def highlight(
+    lamp: Lamp,
+    points: Float[np.ndarray, "*n 3"],
+    normals: Float[np.ndarray, "*n 3"],
+    view: Float[np.ndarray, "*n 3"],
+    gloss: Gloss,
+    alpha: float,
+) -> Float[np.ndarray, "*n"]:
+    """Radiance towards ``view`` that a glossy surface reflects of a lamp of radiance 1.
+
+    alpha: width of the lobe, that of the surface or wider where the lattice could not hold it.
+    """
+    cosine = np.maximum((normals * view).sum(axis=-1), np.float32(1e-3))
+    if lamp.kind == "sphere":
+        towards = _unit((np.array(lamp.centre_mm) - points).astype(np.float32))
+        share, half = _sphere_share(lamp, points, normals, view, towards, alpha)
+        above = (normals * towards).sum(axis=-1) > 0
+    else:
+        share, half = _polygon_share(lamp, points, normals, view, alpha)
+        above = (points - np.array(lamp.centre_mm)) @ np.array(lamp.axis) > 0
+    o_h, n_h = np.maximum((view * half).sum(axis=-1), 1e-4), np.maximum((normals * half).sum(axis=-1), 1e-3)
+    n_i = 2 * o_h * n_h - cosine
+    masking = smith(n_i, gloss.alpha) * smith(cosine, gloss.alpha)
+    weight = fresnel(o_h, gloss.ior, gloss.surfaces) * masking * o_h / (cosine * n_h)
+    return np.where(above, share * weight, 0.0).astype(np.float32)
+
+
+def _sphere_share(
+    lamp: Lamp,
+    points: Float[np.ndarray, "*n 3"],
+    normals: Float[np.ndarray, "*n 3"],
+    view: Float[np.ndarray, "*n 3"],
+    towards: Float[np.ndarray, "*n 3"],
+    alpha: float,
+) -> tuple[Float[np.ndarray, "*n"], Float[np.ndarray, "*n 3"]]:
+    """Share of the slopes that a bulb fills (as a disc of equal area), and the half vector at its centre.
+
+    The form factor of a disc of radius s at offset d, seen from height 1: (1 - (1 + d^2 - s^2) / sqrt((1 + d^2 +
+    s^2)^2 - 4 s^2 d^2)) / 2, written without its difference of nearly equal numbers.
+    """
+    half = _unit(towards + view)
+    n_h, o_h = np.maximum((normals * half).sum(axis=-1), 1e-3), np.maximum((view * half).sum(axis=-1), 1e-3)
+    squared = ((np.array(lamp.centre_mm) - points) ** 2).sum(axis=-1)
+    solid_angle = np.pi * lamp.half_mm[0] ** 2 / np.maximum(squared, lamp.half_mm[0] ** 2)
+    s2 = solid_angle / (4 * o_h * n_h**3 * np.pi * alpha**2)
+    d2 = (1 / n_h**2 - 1) / alpha**2
+    root, q = np.sqrt((1 + d2 + s2) ** 2 - 4 * s2 * d2), 1 + d2 - s2
+    return np.where(q > 0, 2 * s2 / (root * (root + np.maximum(q, 0))), (1 - q / root) / 2), half
+
+
+def _polygon_share(
+    lamp: Lamp,
+    points: Float[np.ndarray, "*n 3"],
+    normals: Float[np.ndarray, "*n 3"],
+    view: Float[np.ndarray, "*n 3"],
+    alpha: float,
+) -> tuple[Float[np.ndarray, "*n"], Float[np.ndarray, "*n 3"]]:
+    """Share of the slopes that a flat lamp's outline encloses, and their mean half vector.
+
+    Half vectors are shrunk along the normal by alpha: there GGX is a cosine lobe and Lambert's formula holds.
+    """
+    shrunk = []
+    for corner in lamp.corners:
+        half = _unit((corner - points).astype(np.float32)) + view
+        along = np.maximum((half * normals).sum(axis=-1, keepdims=True), 1e-4)
+        shrunk.append(_unit(half - (1 - np.float32(alpha)) * along * normals))
+    total, mean = np.zeros_like(points), np.zeros_like(points)
+    for start, stop in zip(shrunk, shrunk[1:] + shrunk[:1], strict=True):
+        cross = np.cross(start, stop)
+        sine = np.sqrt((cross**2).sum(axis=-1, keepdims=True)) + np.float32(_TINY)
+        total += cross * (np.arctan2(sine, (start * stop).sum(axis=-1, keepdims=True)) / sine)
+    share = np.abs((total * normals).sum(axis=-1)) / np.float32(2 * np.pi)
+    mean = total * np.sign((total * normals).sum(axis=-1, keepdims=True))
+    along = (mean * normals).sum(axis=-1, keepdims=True)
+    half = _unit(mean + (1 / np.float32(alpha) - 1) * along * normals)
+    return share, half
+
+
+def lamp_seen(lamp: Lamp, points: Float[np.ndarray, "*n 3"], rays: Float[np.ndarray, "*n 3"]) -> Bool[np.ndarray, "*n"]:
+    """Whether unit rays from the points meet the lamp's bright side."""
+    centre = np.array(lamp.centre_mm) - points
+    if lamp.kind == "sphere":
+        along = (centre * rays).sum(axis=-1)
+        return (along > 0) & ((centre**2).sum(axis=-1) - along**2 < lamp.half_mm[0] ** 2)
+    axis, across = np.array(lamp.axis), np.array(lamp.across)
+    facing, depth = rays @ axis, centre @ axis
+    reach = depth / np.where(np.abs(facing) < 1e-9, 1e-9, facing)
+    offset = rays * reach[..., None] - centre
+    a, b = offset @ across / lamp.half_mm[0], offset @ np.cross(axis, across) / lamp.half_mm[1]
+    inside = np.maximum(np.abs(a), np.abs(b)) < 1 if lamp.kind == "rectangle" else a**2 + b**2 < 1
+    return (facing < 0) & (depth < 0) & inside
+
+
+def _unit(vectors: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
+    return vectors / (np.sqrt((vectors**2).sum(axis=-1, keepdims=True)) + np.float32(_TINY))
+
+
+# ---------------------------------------------------------------- colour, random lamps
+
+
+def planckian(kelvin: float) -> Float[np.ndarray, "3"]:
+    """Linear sRGB, luminance 1, of a black body, with daylight (6504 K) white.
+
+    Chromaticity by Kang et al. 2002 (1667 to 25000 K), within 0.002 of the exact locus.
+    """
+    t = 1e3 / kelvin
+    if kelvin < 4000:
+        x = -0.2661239 * t**3 - 0.2343589 * t**2 + 0.8776956 * t + 0.179910
+    else:
+        x = -3.0258469 * t**3 + 2.1070379 * t**2 + 0.2226347 * t + 0.240390
+    if kelvin < 2222:
+        y = -1.1063814 * x**3 - 1.34811020 * x**2 + 2.18555832 * x - 0.20219683
+    elif kelvin < 4000:
+        y = -0.9549476 * x**3 - 1.37418593 * x**2 + 2.09137015 * x - 0.16748867
+    else:
+        y = 3.0817580 * x**3 - 5.87338670 * x**2 + 3.75112997 * x - 0.37001483
+    xyz = np.array([x / y, 1.0, (1 - x - y) / y])
+    rgb = np.maximum(_SRGB_FROM_XYZ @ xyz, 0.02)
+    return rgb / (_SRGB_FROM_XYZ_LUMINANCE @ rgb)
+
+
+_SRGB_FROM_XYZ = np.array(
+    [[3.2404542, -1.5371385, -0.4985314], [-0.9692660, 1.8760108, 0.0415560], [0.0556434, -0.2040259, 1.0572252]]
+)
+_SRGB_FROM_XYZ_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
