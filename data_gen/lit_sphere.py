@@ -1,0 +1,63 @@
+"""Light as a function of the normal: what a ball shows to the camera, looked up for every other shape.
+
+Sloan et al. 2001, "The lit sphere". The environment is infinitely far and the things are small in the field of view,
+so one direction of view serves for all of them, and a lookup by normal takes the place of two on the sphere.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from data_gen.lighting import Light
+from data_gen.rooms import FilteredEnvironment, sample_filtered, sample_irradiance
+from hybrid.coords import film_centres, sample_bilinear
+
+BALL = 48
+"""Side of the ball's picture in pixels."""
+
+
+@dataclass(frozen=True, eq=False)
+class LitSphere:
+    """Radiance of a white matt ball and of one with a glossy or metal surface, in the light of one scene.
+
+    matt: (n, n, 3) by normal (x, y) in [-1, 1]^2 in camera axes; normals that face away are taken at the outline.
+    gloss: likewise, mirror reflection times Fresnel's factor.
+    """
+
+    matt: Float[np.ndarray, "n n 3"]
+    gloss: Float[np.ndarray, "n n 3"]
+
+    @property
+    def facing(self) -> Float[np.ndarray, "3"]:
+        """Radiance of a white matt surface that faces the camera."""
+        return self.matt[BALL // 2, BALL // 2]
+
+
+def lit_sphere(
+    light: Light, room: FilteredEnvironment, room_from_camera: Float[np.ndarray, "3 3"], roughness: float, f0: float
+) -> LitSphere:
+    """The ball at the place of the film. f0: reflection at normal incidence (0.03 skin, 0.7 steel)."""
+    normals, to_room = ball_normals(), room_from_camera.T
+    facing = -normals[..., 2:]
+    mirror = 2 * facing * normals - [0.0, 0.0, -1.0]
+    fresnel = f0 + (1 - f0) * (1 - facing) ** 5 * (1 - roughness)  # rough surfaces shine less at grazing angles
+    matt = sample_irradiance(room, normals @ to_room) * (light.front / np.pi)
+    if light.light_box:  # the panel fills the half-space behind: its share of the cosine lobe is (1 - cos) / 2
+        matt = matt + 0.5 * light.box_radiance * (1 - facing)
+    gloss = sample_filtered(room, mirror @ to_room, roughness) * light.front * fresnel
+    return LitSphere(matt.astype(np.float32), gloss.astype(np.float32))
+
+
+def ball_normals() -> Float[np.ndarray, "n n 3"]:
+    """Unit normals in camera axes (towards the camera is -z) of the ball's pixels; its outline's beyond it."""
+    xy = (film_centres((BALL, BALL)) - np.array(0.5)) * np.array(2.0)
+    xy = xy / np.maximum(np.linalg.norm(xy, axis=-1, keepdims=True), 1.0)
+    return np.concatenate([xy, -np.sqrt(np.maximum(1 - (xy**2).sum(axis=-1, keepdims=True), 0.0))], axis=-1)
+
+
+def look_up(ball: Float[np.ndarray, "n n 3"], normal_xy: Float[np.ndarray, "h w 2"]) -> Float[np.ndarray, "h w 3"]:
+    """The ball's radiance at normals whose first two camera coordinates are given."""
+    return sample_bilinear(ball, (normal_xy + np.array(1, normal_xy.dtype)) * np.array(BALL / 2, normal_xy.dtype))

@@ -1,0 +1,54 @@
+"""Parts of a photo that something covers: small pictures put over a large one, within their boxes only."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+Box = tuple[slice, slice]
+"""Rows and columns of a photo."""
+
+
+@dataclass(frozen=True, eq=False)
+class Patch:
+    """Something in front of a picture, within ``box``.
+
+    radiance: linear RGB. cover: share of each pixel that it covers, [0, 1]. hides: share over which the print behind
+    can no longer be read; less than ``cover`` for what is seen through. shade: factor on the light of what it leaves
+    free, (0, 1].
+    """
+
+    box: Box
+    radiance: Float[np.ndarray, "h w 3"]
+    cover: Float[np.ndarray, "h w"]
+    hides: Float[np.ndarray, "h w"]
+    shade: Float[np.ndarray, "h w"]
+
+
+def put_over(picture: Float[np.ndarray, "h w 3"], patches: Iterable[Patch]) -> Float[np.ndarray, "h w 3"]:
+    """A copy of ``picture`` with the patches over it, the first one lowest."""
+    out = picture.copy()
+    for patch in patches:
+        free = (patch.shade * (1 - patch.cover))[..., None]
+        out[patch.box] = out[patch.box] * free + patch.radiance * patch.cover[..., None]
+    return out
+
+
+def hidden_share(patches: Iterable[Patch], size: tuple[int, int]) -> Float[np.ndarray, "h w"]:
+    """Share of each pixel of a photo of ``size`` that the patches hide."""
+    out = np.zeros(size, np.float32)
+    for patch in patches:
+        out[patch.box] = np.maximum(out[patch.box], patch.hides)
+    return out
+
+
+def frame_box(points: Float[np.ndarray, "n 2"], size: tuple[int, int], margin: float = 2.0) -> Box | None:
+    """The part of a photo that holds ``points`` (photo frame), with a margin in pixels; None outside the photo."""
+    low = np.clip(np.floor(points.min(axis=0) - margin), 0, size[::-1]).astype(int)
+    high = np.clip(np.ceil(points.max(axis=0) + margin), 0, size[::-1]).astype(int)
+    if (high <= low).any():
+        return None
+    return slice(int(low[1]), int(high[1])), slice(int(low[0]), int(high[0]))
