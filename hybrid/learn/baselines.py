@@ -1,0 +1,93 @@
+"""The baselines from photo to backward map: DewarpNet as published and with its due, FiReNet with its recovery."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import cv2
+import numpy as np
+import torch
+from jaxtyping import Float, UInt8
+from torch import Tensor
+
+from hybrid.backward import BackwardMap
+from hybrid.coords import photo_from_opencv, sample_photo
+from hybrid.learn.dewarpnet import NODES, DewarpNet
+from hybrid.learn.firenet import FiReNet
+from hybrid.learn.uv_recovery import interpolated, joined, points_of_deformation, points_of_uv
+
+# ---------------------------------------------------------------- DewarpNet
+
+
+def dewarpnet_map(network: DewarpNet, photo: UInt8[np.ndarray, "H W 3"], interpolation: int) -> BackwardMap:
+    """The network's backward map in units of the photo's sides; ``interpolation`` (OpenCV's) shrinks the photo."""
+    output = _forward(network, network.config.input_px, photo, interpolation)
+    return BackwardMap(_hwc(output.backward))
+
+
+def corrected(network: DewarpNet, photo: UInt8[np.ndarray, "H W 3"]) -> BackwardMap:
+    """DewarpNet given its due: the photo shrunk without aliasing, its nodes read as nodes (convention 5), in pixels."""
+    return _in_pixels(dewarpnet_map(network, photo, cv2.INTER_AREA), photo)
+
+
+def published_points(backward: BackwardMap, size: tuple[int, int]) -> Float[np.ndarray, "h w 2"]:
+    """Photo points that the published inference reads for every pixel of a film image of the photo's ``size``.
+
+    backward: in units of the photo's sides. The released network predicts values at the centres of a 128 x 128 film
+    image; these are taken from the map first, so that nothing below is the fault of our nodes. Then, as released:
+    a 3 x 3 mean, which mirrors the values at the rim and so pulls the outline inwards; a resize as if the map were an
+    image, which repeats its rim; and a lookup in which 0 and 1 are the centres of the photo's outermost pixels (the
+    meaning of ``grid_sample`` when the code was written), where the training data had them at the photo's sides.
+    """
+    height, width = size
+    blurred = cv2.blur(backward.dense((NODES, NODES)), (3, 3))
+    resized = cv2.resize(blurred, (width, height), interpolation=cv2.INTER_LINEAR)
+    return photo_from_opencv(resized.astype(np.float64) * np.array([width - 1, height - 1]))
+
+
+def as_published(network: DewarpNet, photo: UInt8[np.ndarray, "H W 3"]) -> Float[np.ndarray, "H W 3"]:
+    """DewarpNet's released inference, steps and precision alike: a film image of the photo's size, sRGB in [0, 1].
+
+    256 px image -> 3D map -> 128 x 128 map -> mean -> resize -> bilinear lookup in double precision.
+    """
+    size = (photo.shape[0], photo.shape[1])
+    points = published_points(dewarpnet_map(network, photo, cv2.INTER_LINEAR), size)
+    image = torch.from_numpy(photo).permute(2, 0, 1)[None].double().div_(255)
+    return _hwc(sample_photo(image, torch.from_numpy(points)[None]))
+
+
+# ---------------------------------------------------------------- FiReNet
+
+
+def recovered(network: FiReNet, photo: UInt8[np.ndarray, "H W 3"]) -> BackwardMap:
+    """FiReNet's recovery, in pixels of the photo, on as many nodes as the network's maps have pixels.
+
+    Raises:
+        PhotoError: the network finds no film.
+    """
+    px = network.config.input_px
+    output = _forward(network, px, photo, cv2.INTER_AREA)
+    points = points_of_uv(_hwc(output.uv), torch.sigmoid(output.mask_logit)[0].numpy())
+    if output.deformation is not None:
+        points = joined(points, points_of_deformation(_hwc(output.deformation)))
+    return _in_pixels(BackwardMap(interpolated(points, (px, px))), photo)
+
+
+# ---------------------------------------------------------------- common
+
+
+@torch.inference_mode()
+def _forward(network: torch.nn.Module, px: int, photo: np.ndarray, interpolation: int) -> Any:
+    """The network's output for the whole photo, squeezed into its square input."""
+    small = cv2.resize(photo, (px, px), interpolation=interpolation)
+    return network.eval()(torch.from_numpy(small).permute(2, 0, 1)[None].float().div_(255))
+
+
+def _hwc(maps: Tensor) -> np.ndarray:
+    """The first map of a batch, channels last."""
+    return maps[0].permute(1, 2, 0).numpy()
+
+
+def _in_pixels(backward: BackwardMap, photo: np.ndarray) -> BackwardMap:
+    """A map in units of the photo's sides, in its pixels."""
+    return backward.cropped((0.0, 0.0), (float(photo.shape[1]), float(photo.shape[0])))
