@@ -2,17 +2,28 @@
 
 from __future__ import annotations
 
+import io
 from dataclasses import dataclass
+from functools import lru_cache
 
 import cv2
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Float32, UInt8
+from PIL import Image
 
-from hybrid.coords import film_centres, rgb_from_bgr, srgb_from_linear
+from hybrid.coords import film_centres_1d, srgb_from_linear
 
-_LUT_SIZE = 4096
+_LUT_SIZE = 65536
+"""Entries of a tone curve's table: in the darkest parts of sRGB, where it is steepest, a fifth of a display level."""
+
 _LUT_MAX = 4.0
 """Tone curves are tabulated up to four times the level that a plain sRGB curve clips."""
+
+_NOISE_BLUR = 0.6
+"""Spread, in pixels, of the noise that demosaicking leaves."""
+
+_NOISE_STD = float(np.sqrt((256**2 - 1) / 24))
+"""Standard deviation of the mean of two random bytes."""
 
 REFERENCE_SIDE = 1000.0
 """Photo side, in pixels, to which blur radii refer."""
@@ -59,26 +70,72 @@ def sample_lens(rng: np.random.Generator) -> Lens:
 
 def develop(linear: Float[np.ndarray, "h w 3"], lens: Lens, white: float, rng: np.random.Generator) -> bytes:
     """JPEG bytes of a photo. ``white`` is the radiance that is exposed to the level ``lens.exposure``."""
-    h, w = linear.shape[:2]
-    image = _blurred(linear, lens, max(h, w) / REFERENCE_SIDE, rng)
-    gains = (
-        np.exp2(np.array([lens.temperature / 2, lens.tint, -lens.temperature / 2])) * lens.exposure / max(white, 1e-6)
+    size = linear.shape[:2]
+    exposed = cv2.transform(
+        _blurred(linear, lens, max(size) / REFERENCE_SIDE, rng), np.diag(_gains(lens, white)).astype(np.float32)
     )
-    image = image * gains.astype(np.float32)
-    radius2 = ((film_centres((h, w)) * 2 - 1) ** 2).sum(axis=-1)
-    image *= (1 - lens.vignette * radius2 / 2)[..., None].astype(np.float32)
-    sigma = np.sqrt(lens.noise**2 + lens.noise * 0.3 * np.clip(image, 0, 1))
-    image += sigma * cv2.GaussianBlur(rng.standard_normal(image.shape, dtype=np.float32), (0, 0), 0.6)
-    display = tone(lens.tone)[np.clip(image * (_LUT_SIZE / _LUT_MAX), 0, _LUT_SIZE - 1).astype(np.int32)]
+    exposed = cv2.multiply(exposed, _in_each_channel(_vignette(lens, size)))
+    noise = _noise(size, rng)
+    noise *= cv2.sqrt(np.float32(lens.noise * 0.3) * np.clip(exposed, 0, 1) + np.float32(lens.noise**2))
+    exposed += noise
+    display = _toned(exposed, lens.tone)
     if lens.sharpen > 0:
-        display = display + lens.sharpen * (display - cv2.GaussianBlur(display, (0, 0), 1.2))
-    pixels = np.clip(display * 255 + rng.random(display.shape, dtype=np.float32), 0, 255).astype(np.uint8)
-    ok, encoded = cv2.imencode(".jpg", rgb_from_bgr(pixels), [cv2.IMWRITE_JPEG_QUALITY, lens.jpeg])
-    if not ok:
-        raise RuntimeError("develop: OpenCV could not encode the photo as JPEG")
-    return encoded.tobytes()
+        display = cv2.addWeighted(display, 1 + lens.sharpen, cv2.GaussianBlur(display, (0, 0), 1.2), -lens.sharpen, 0)
+    return _jpeg(cv2.convertScaleAbs(np.maximum(display, 0), alpha=255), lens.jpeg)
 
 
+def displayed(
+    radiance: Float[np.ndarray, "h w 3"], place: Float[np.ndarray, "h w 2"], lens: Lens, white: float
+) -> Float32[np.ndarray, "h w 3"]:
+    """Display values in [0, 1] that the camera gives to radiances at points of the photo, blur and noise left aside.
+
+    place: in units of the photo's sides, 0 to 1.
+    """
+    fall = 1 - lens.vignette / 2 * ((2 * place - 1) ** 2).sum(axis=-1, keepdims=True)
+    return _toned((radiance * _gains(lens, white) * np.maximum(fall, 0)).astype(np.float32), lens.tone)
+
+
+def _gains(lens: Lens, white: float) -> Float[np.ndarray, "3"]:
+    """Exposure and white balance: display-linear level for each unit of radiance."""
+    balance = np.exp2(np.array([lens.temperature / 2, lens.tint, -lens.temperature / 2]))
+    return balance * lens.exposure / max(white, 1e-6)
+
+
+def _vignette(lens: Lens, size: tuple[int, int]) -> Float32[np.ndarray, "h w"]:
+    """Light that reaches each pixel: less towards the corners, where ``lens.vignette`` of it is lost."""
+    down, across = (lens.vignette / 2 * (2 * film_centres_1d(n) - 1) ** 2 for n in size)
+    return (1 - down[:, None]).astype(np.float32) - across.astype(np.float32)
+
+
+def _noise(size: tuple[int, int], rng: np.random.Generator) -> Float32[np.ndarray, "h w 3"]:
+    """Noise of unit variance before a demosaicking blur.
+
+    The blurred mean of two random bytes: as good as Gaussian (excess kurtosis -0.4), at a fifth of its price.
+    """
+    count = 3 * size[0] * size[1]
+    first, second = (np.frombuffer(rng.bytes(count), np.uint8).reshape(*size, 3) for _ in range(2))
+    blurred = cv2.GaussianBlur(cv2.addWeighted(first, 1, second, 1, -255, dtype=cv2.CV_16S), (0, 0), _NOISE_BLUR)
+    return blurred.astype(np.float32) * np.float32(1 / (2 * _NOISE_STD))
+
+
+def _toned(exposed: Float32[np.ndarray, "h w 3"], name: str) -> Float32[np.ndarray, "h w 3"]:
+    """Display values of exposed light."""
+    index = cv2.multiply(exposed, np.full(4, (_LUT_SIZE - 1) / _LUT_MAX), dtype=cv2.CV_16U)  # rounds and clips
+    return cv2.LUT(index, tone(name)[None])
+
+
+def _in_each_channel(values: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w 3"]:
+    return cv2.merge([values, values, values])
+
+
+def _jpeg(pixels: UInt8[np.ndarray, "h w 3"], quality: int) -> bytes:
+    """JPEG bytes by Pillow, which encodes twice as fast as OpenCV."""
+    file = io.BytesIO()
+    Image.fromarray(pixels).save(file, "JPEG", quality=quality)
+    return file.getvalue()
+
+
+@lru_cache
 def tone(name: str) -> Float[np.ndarray, " n"]:
     """Display values for linear light from 0 to 4: 'srgb' clips at 1, 'filmic' rolls off, 'punchy' adds contrast."""
     x = np.linspace(0, _LUT_MAX, _LUT_SIZE)

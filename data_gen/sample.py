@@ -10,15 +10,18 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float
 
-from data_gen.background import background, occluders
-from data_gen.develop import develop
+from data_gen.composite import PrintLevels, at_photo_scale, composite, on_film, print_levels
+from data_gen.develop import develop, displayed
+from data_gen.patches import hidden_share, put_over
 from data_gen.prints import FilmPrint, PrintConfig, make_print
 from data_gen.rooms import prefilter
 from data_gen.scene import Scene, SceneConfig, sample_scene
-from data_gen.shade import film_light, film_radiance
+from data_gen.shade import FilmLight, film_light
 from data_gen.sources import SourceConfig, draw_environment, draw_volume
+from data_gen.surroundings import surroundings
+from data_gen.viewpoint import view_parameters
 from hybrid.backward import BackwardMap
-from hybrid.coords import node_centres_1d, pixel_from_film, sample_bilinear
+from hybrid.coords import film_centres_1d
 from hybrid.mesh.camera import Camera
 from hybrid.mesh.film import FilmMesh, film_mesh
 from hybrid.mesh.raycast import AnnotationMaps, FilmCaster, true_backward_map
@@ -28,17 +31,20 @@ SIMULATION_VERTICES = 26
 """The sheet is subdivided as long as its longer side then has at most this many lattice intervals."""
 
 
+GLARE_LEVELS = 12
+"""Display levels, of 255, between print black and print white below which a pixel counts as glare."""
+
+
 @dataclass(frozen=True)
 class SampleConfig:
     """What samples are made of.
 
-    size: side of the photo in pixels. map_size: side of the maps. supersample: rays per pixel and axis for the photo.
+    size: side of the photo in pixels. map_size: side of the maps.
     photos_per_film: photos taken of one bent film. sources: of CT volumes and of light. The rest: of each stage.
     """
 
     size: int = 256
     map_size: int = 256
-    supersample: int = 2
     photos_per_film: int = 8
     sources: SourceConfig = field(default_factory=SourceConfig)
     prints: PrintConfig = field(default_factory=PrintConfig)
@@ -77,13 +83,14 @@ def film_samples(seed: int, number: int, config: SampleConfig) -> Iterator[Sampl
     film_print = make_print(draw_volume(config.sources, rng), rng, config.prints)
     recipe, frames = bend(_sheet(film_print), rng, config.bend)
     room = prefilter(draw_environment(config.sources, rng))
+    levels = print_levels(film_print.image)
     casters: dict[int, FilmCaster] = {}
     for k in range(config.photos_per_film):
         chosen = int(rng.integers(len(frames)))
         if chosen not in casters:
             casters[chosen] = FilmCaster(frames[chosen].mesh)
         scene = sample_scene(frames[chosen].mesh, (config.size, config.size), rng, config.scene)
-        sample = _photograph(casters[chosen], film_print, scene, room, rng, config)
+        sample = _photograph(casters[chosen], film_print, levels, scene, room, rng, (config.map_size, config.map_size))
         sample.parameters.update(
             seed=seed, film=number, photo=k, recipe=recipe, frame=chosen, room=room.environment.name
         )
@@ -91,31 +98,30 @@ def film_samples(seed: int, number: int, config: SampleConfig) -> Iterator[Sampl
 
 
 def _photograph(
-    caster: FilmCaster, film_print: FilmPrint, scene: Scene, room: Any, rng: np.random.Generator, config: SampleConfig
-) -> Sample:
+    caster: FilmCaster, film_print: FilmPrint, levels: PrintLevels, scene: Scene, room: Any, rng: np.random.Generator,
+    map_size: tuple[int, int],
+) -> Sample:  # fmt: skip
     """One photo of a bent film."""
     film, camera = caster.film, scene.camera
     light = film_light(film, scene, room, rng)
-    image = _print_at_photo_scale(film_print.image, film, camera, config.supersample)
-    linear = _composite(caster, film_radiance(image, light), background(scene, room, rng), camera, config.supersample)
+    backward = true_backward_map(film, camera)
+    base = np.median(light.veil + light.gain * np.median(levels.reflectance[-1]), axis=(0, 1))
+    around = surroundings(scene, film, room, base, rng)
+    reflectance = at_photo_scale(levels.reflectance, backward.mean_film_pixels())
+    linear = put_over(composite(caster.view(camera), reflectance, light, around.behind), around.before)
     white = float(np.percentile(light.gain, 90)) + float(np.percentile(light.veil, 50))
-    cover = np.zeros(camera.size, np.float32)
-    if scene.occluders:
-        rim = camera.photo_from_world(_rim(film))
-        picture, cover = occluders(rim, camera.size, scene.occluders, max(float(light.gain.mean()), 0.05), rng)
-        linear = linear * (1 - cover[..., None]) + picture * cover[..., None]
     photo = develop(linear, scene.lens, white, rng)
 
-    map_size = (config.map_size, config.map_size)
-    covered = cv2.resize(cover, map_size[::-1], interpolation=cv2.INTER_AREA) > 0.02
+    covered = cv2.resize(hidden_share(around.before, camera.size), map_size[::-1], interpolation=cv2.INTER_AREA) > 0.02
     maps = _uncovered(caster.annotate(camera.resized(map_size)), covered)
     grid_world = film.grid_vertices
+    glare = _glare(maps, film, light, scene, white)
     return Sample(
         photo=photo,
         maps=maps,
-        albedo=_lookup(film_print.image, maps, camera.resized(map_size), film),
-        glare=np.zeros_like(maps.mask),  # until the shading says where
-        backward=true_backward_map(film, camera),
+        albedo=_albedo(levels, maps, backward, camera.size),
+        glare=glare,
+        backward=backward,
         grid_world=grid_world,
         grid_camera=camera.camera_points(grid_world),
         grid_photo=camera.photo_from_world(grid_world),
@@ -123,40 +129,46 @@ def _photograph(
         camera=camera,
         size_mm=film_print.size_mm,
         parameters=scene.parameters()
-        | {"print": film_print.parameters, "rows": film_print.rows, "cols": film_print.cols, "style": film_print.style},
+        | {"print": film_print.parameters, "rows": film_print.rows, "cols": film_print.cols, "style": film_print.style}
+        | {"view": view_parameters(film, camera, backward), "film_light": _light_statistics(light, maps, glare)},
     )
 
 
-def _composite(
-    caster: FilmCaster, radiance: np.ndarray, behind: np.ndarray, camera: Camera, supersample: int
-) -> Float[np.ndarray, "h w 3"]:
-    """The film's radiance put before the background, anti-aliased by ``supersample`` rays per pixel and axis."""
-    h, w = camera.size
-    mask, uv = caster.uv_map(camera.resized((h * supersample, w * supersample)))
-    seen = sample_bilinear(radiance, pixel_from_film(np.where(mask[..., None], uv, 0.0), radiance.shape[:2]))
-    alpha = mask.astype(np.float32)
-    seen *= alpha[..., None]
-    seen = cv2.resize(seen, (w, h), interpolation=cv2.INTER_AREA)
-    alpha = cv2.resize(alpha, (w, h), interpolation=cv2.INTER_AREA)
-    return seen + (1 - alpha[..., None]) * cv2.resize(behind, (w, h), interpolation=cv2.INTER_LINEAR)
-
-
-def _print_at_photo_scale(image: np.ndarray, film: FilmMesh, camera: Camera, supersample: int) -> np.ndarray:
-    """The print reduced by area averaging to about the resolution at which the photo samples it."""
-    down, across = true_backward_map(film, camera, (5, 5)).mean_film_pixels()
-    scale = max(down / image.shape[0], across / image.shape[1]) * supersample
-    if scale >= 1:
-        return image
-    size = (max(8, round(image.shape[1] * scale)), max(8, round(image.shape[0] * scale)))
-    return cv2.resize(image, size, interpolation=cv2.INTER_AREA)
-
-
-def _lookup(image: np.ndarray, maps: AnnotationMaps, camera: Camera, film: FilmMesh) -> Float[np.ndarray, "h w"]:
+def _albedo(
+    levels: PrintLevels, maps: AnnotationMaps, backward: BackwardMap, photo_size: tuple[int, int]
+) -> Float[np.ndarray, "h w"]:
     """Display grey of the print seen by each pixel of the maps; NaN where there is no film."""
-    small = _print_at_photo_scale(image, film, camera, 1).astype(np.float32)
-    uv = np.where(maps.mask[..., None], maps.uv, 0.0)
-    seen = sample_bilinear(small, pixel_from_film(uv, (small.shape[0], small.shape[1])))
-    return np.where(maps.mask, seen, np.nan)
+    share = [m / p for m, p in zip(maps.mask.shape, photo_size, strict=True)]
+    down, across = backward.mean_film_pixels()
+    image = at_photo_scale(levels.grey, (down * share[0], across * share[1]))
+    return np.where(maps.mask, on_film(image, np.where(maps.mask[..., None], maps.uv, np.float32(0))), np.nan)
+
+
+def _glare(
+    maps: AnnotationMaps, film: FilmMesh, light: FilmLight, scene: Scene, white: float
+) -> Bool[np.ndarray, "h w"]:
+    """Film pixels that cannot be recovered: print black and print white come out less than ``GLARE_LEVELS`` apart.
+
+    That is where reflections clip both, or veil them so much that tone curve and eight bits leave nothing between.
+    Found in film space from the light's gain and veil, exposure, white balance, vignetting and tone curve; channels
+    count by the one in which black and white differ most. Blur, bloom and noise are left aside.
+    """
+    v, u = (film_centres_1d(n) for n in light.gain.shape[:2])
+    place = scene.camera.photo_from_world(film.surface(u, v)) / np.array(scene.camera.size[::-1])
+    black, bright = (
+        displayed(radiance, place, scene.lens, white) for radiance in (light.veil, light.veil + light.gain)
+    )
+    contrast = on_film((bright - black).max(axis=-1), np.where(maps.mask[..., None], maps.uv, np.float32(0)))
+    return maps.mask & (contrast < GLARE_LEVELS / 255)
+
+
+def _light_statistics(light: FilmLight, maps: AnnotationMaps, glare: Bool[np.ndarray, "h w"]) -> dict[str, float]:
+    """Mean gain and veil over the film, and the share of the film seen that is glare."""
+    return {
+        "mean_gain": float(light.gain.mean()),
+        "mean_veil": float(light.veil.mean()),
+        "glare_share": float(glare.sum() / max(int(maps.mask.sum()), 1)),
+    }
 
 
 def _uncovered(maps: AnnotationMaps, covered: Bool[np.ndarray, "h w"]) -> AnnotationMaps:
@@ -168,13 +180,6 @@ def _uncovered(maps: AnnotationMaps, covered: Bool[np.ndarray, "h w"]) -> Annota
     return AnnotationMaps(
         mask, np.where(kept, maps.uv, np.nan), np.where(kept, maps.xyz, np.nan), np.where(kept, maps.normal, np.nan)
     )
-
-
-def _rim(film: FilmMesh) -> Float[np.ndarray, "n 3"]:
-    """Points of the sheet's outline, in order."""
-    t = node_centres_1d(25)
-    s = film.surface(t, t)
-    return np.concatenate([s[0], s[1:, -1], s[-1, -2::-1], s[-2:0:-1, 0]])
 
 
 def _sheet(film_print: FilmPrint) -> FilmMesh:

@@ -48,7 +48,7 @@ def film_centres(size: tuple[int, int]) -> Float[np.ndarray, "h w 2"]:
 def pixel_from_film(uv: Float[np.ndarray, "*n 2"], size: tuple[int, int]) -> Float[np.ndarray, "*n 2"]:
     """Point (x, y) in the frame of a film image of ``size`` (height, width), for film uv."""
     h, w = size
-    return uv * np.array([w, h], dtype=np.float64)
+    return uv * np.array([w, h], dtype=np.result_type(uv, np.float32))
 
 
 def film_from_pixel(xy: Float[np.ndarray, "*n 2"], size: tuple[int, int]) -> Float[np.ndarray, "*n 2"]:

@@ -36,7 +36,7 @@ class Camera:
     def photo_from_camera(self, xyz_camera: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 2"]:
         """Photo points of points in camera axes (z > 0)."""
         ideal = xyz_camera[..., :2] / xyz_camera[..., 2:]
-        bent = ideal * self._stretch(ideal)
+        bent = ideal * self._stretch(ideal[..., 0] ** 2 + ideal[..., 1] ** 2)[..., None]
         return bent @ self.intrinsics[:2, :2].T + self.intrinsics[:2, 2]
 
     def photo_from_world(self, xyz_world: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 2"]:
@@ -44,16 +44,22 @@ class Camera:
         return self.photo_from_camera(self.camera_points(xyz_world))
 
     def ray_directions(self, photo: Float[np.ndarray, "*n 2"], iterations: int = 4) -> Float[np.ndarray, "*n 3"]:
-        """Directions in camera axes with z = 1 of the rays through photo points.
+        """Directions in camera axes with z = 1 of the rays through photo points, in the precision of the points.
 
-        Distortion is undone by fixed-point iteration; each round shrinks the error by about k1 r^2, a hundredfold.
+        Distortion is undone by fixed-point iteration on the stretch alone, which depends on the distorted radius; each
+        round shrinks the error by about k1 r^2, a hundredfold. In single precision directions are good to 1e-4 px.
         """
-        bent = (photo - self.intrinsics[:2, 2]) @ np.linalg.inv(self.intrinsics[:2, :2]).T
-        rays = np.ones((*bent.shape[:-1], 3))
+        kind = np.result_type(photo, np.float32)
+        inverse = np.linalg.inv(self.intrinsics[:2, :2]).astype(kind)
+        bent = (photo - self.intrinsics[:2, 2].astype(kind)) @ inverse.T
+        rays = np.ones((*bent.shape[:-1], 3), kind)
         rays[..., :2] = bent
         if any(self.distortion):
+            bent_r2 = bent[..., 0] ** 2 + bent[..., 1] ** 2
+            stretch = np.ones_like(bent_r2)
             for _ in range(iterations):
-                rays[..., :2] = bent / self._stretch(rays[..., :2])
+                stretch = self._stretch(bent_r2 / stretch**2)
+            rays[..., :2] /= stretch[..., None]
         return rays
 
     def resized(self, size: tuple[int, int]) -> Camera:
@@ -71,8 +77,8 @@ class Camera:
         intrinsics[:2, 2] -= left_top
         return Camera(intrinsics, self.camera_from_world, self.distortion, size)
 
-    def _stretch(self, ideal: np.ndarray) -> np.ndarray:
-        r2 = (ideal[..., 0] ** 2 + ideal[..., 1] ** 2)[..., None]
+    def _stretch(self, r2: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
+        """How many times further out the lens puts a point at ideal squared radius ``r2``."""
         k1, k2 = self.distortion
         return 1 + r2 * (k1 + r2 * k2)
 

@@ -3,22 +3,46 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
+import cv2
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Float32, Int
 
 from hybrid.backward import BackwardMap
-from hybrid.coords import film_nodes, node_centres_1d
+from hybrid.coords import (
+    film_centres,
+    node_centres_1d,
+    opencv_from_photo,
+    photo_from_opencv,
+    pixel_centres,
+    sample_bilinear,
+)
+from hybrid.errors import SimulationError, describe
 from hybrid.mesh.camera import Camera
 from hybrid.mesh.film import FilmMesh, lattice_triangles
 
 _MISS = 2**32 - 1
 """Open3D's primitive number of a ray that hits nothing."""
 
-RENDER_VERTICES = 97
-"""Vertices along each side of the fine mesh that is cast: its facets are within 0.02 mm of the smooth film at a
-radius of 150 mm."""
+FACET_MM = 0.02
+"""Facets of the mesh that is cast stay within this distance of the smooth film: 0.05 px where a pixel is 0.4 mm."""
+
+_FACET_VERTICES = (17, 257)
+"""Fewest and most vertices along a side of the mesh that is cast."""
+
+_SPACING = 4
+"""Pixels between the rays from which a photo's smooth parts are interpolated."""
+
+_SUPERSAMPLE = 4
+"""Rays along each axis of a pixel that the film's outline or a fold crosses."""
+
+_SMOOTH_PX = 0.03
+"""Largest error, in photo pixels, of a film point interpolated between rays."""
+
+_LINE_BITS = 4
+"""Binary places of the points of OpenCV's lines."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,68 +63,261 @@ class AnnotationMaps:
         return self.xyz[..., 2]
 
 
+@dataclass(frozen=True, eq=False)
+class FilmView:
+    """Which film points the pixels of a photo see: one each where the film is smooth, many where it ends or folds.
+
+    box: rows and columns of the photo outside which there is no film; all fields are of that part.
+    coverage: (h, w) share of each pixel that film covers. uv: (h, w, 2) film point at each pixel's centre, 0 without.
+    rim: (m,) numbers, row by row, of the pixels through which an outline or a fold runs.
+    rim_uv, rim_hit: (m, k, 2), (m, k) what k rays spread evenly over each of those pixels meet.
+    rays: number of rays cast for it.
+    """
+
+    box: tuple[slice, slice]
+    coverage: Float32[np.ndarray, "h w"]
+    uv: Float32[np.ndarray, "h w 2"]
+    rim: Int[np.ndarray, " m"]
+    rim_uv: Float32[np.ndarray, "m k 2"]
+    rim_hit: Bool[np.ndarray, "m k"]
+    rays: int
+
+
 class FilmCaster:
     """A bent film ready for ray casting: built once, then cast from any camera at any resolution."""
 
-    def __init__(self, film: FilmMesh, n: int = RENDER_VERTICES) -> None:
+    def __init__(self, film: FilmMesh, facet_mm: float = FACET_MM) -> None:
         import open3d as o3d
 
-        t = node_centres_1d(n)
         self.film = film
-        self._uv = film_nodes((n, n)).reshape(-1, 2)
-        self._points = film.surface(t, t).reshape(-1, 3)
-        self._normals = film.normals(t, t).reshape(-1, 3)
-        self._triangles = lattice_triangles(n, n)
+        self.shape = facet_shape(film, facet_mm)
+        self._v, self._u = (node_centres_1d(n) for n in self.shape)
+        self._points = film.surface(self._u, self._v)
         self._scene = o3d.t.geometry.RaycastingScene(nthreads=1)
-        self._scene.add_triangles(_tensor(self._points.astype(np.float32)), _tensor(self._triangles.astype(np.uint32)))
+        triangles = lattice_triangles(*self.shape).astype(np.uint32)
+        self._scene.add_triangles(_tensor(self._points.reshape(-1, 3).astype(np.float32)), _tensor(triangles))
+
+    @cached_property
+    def _normals(self) -> Float32[np.ndarray, "nv nu 3"]:
+        """Unit normals of the smooth film at the vertices, world axes."""
+        return self.film.normals(self._u, self._v).astype(np.float32)
 
     def uv_map(self, camera: Camera) -> tuple[Bool[np.ndarray, "h w"], Float[np.ndarray, "h w 2"]]:
-        """Mask and film uv (float32, NaN where the mask is False) of each pixel of the camera's photo."""
-        mask, weights, corners = self._hits(camera)
+        """Mask and film uv (NaN where the mask is False) of each pixel of the camera's photo, one ray for each."""
+        mask = np.zeros(camera.size, dtype=bool)
         uv = np.full((*camera.size, 2), np.nan, dtype=np.float32)
-        uv[mask] = _mix(self._uv, weights, corners)
+        box = self._bounding_box(camera)
+        mask[box], uv[box], _ = self._cast(camera, _cropped(camera, box).pixel_rays())
         return mask, uv
 
     def annotate(self, camera: Camera) -> AnnotationMaps:
-        """All maps of the camera's photo."""
-        mask, weights, corners = self._hits(camera)
-        size = camera.size
-        uv, xyz, normal = (np.full((*size, k), np.nan) for k in (2, 3, 3))
-        uv[mask] = _mix(self._uv, weights, corners)
-        xyz[mask] = camera.camera_points(_mix(self._points, weights, corners))
-        mixed = _mix(self._normals, weights, corners) @ camera.camera_from_world[:3, :3].T
-        normal[mask] = mixed / np.linalg.norm(mixed, axis=-1, keepdims=True)
+        """All maps (float32) of the camera's photo, by one ray through the centre of each pixel."""
+        mask = np.zeros(camera.size, dtype=bool)
+        uv, xyz, normal = (np.full((*camera.size, k), np.nan, dtype=np.float32) for k in (2, 3, 3))
+        box = self._bounding_box(camera)
+        rays = _cropped(camera, box).pixel_rays().astype(np.float32)
+        mask[box], uv[box], depth = self._cast(camera, rays)
+        xyz[box] = rays * depth[..., None]
+        seen = self._normals_at(cv2.patchNaNs(uv[box].copy(), 0.0))
+        seen[~mask[box]] = np.nan
+        normal[box] = seen @ camera.camera_from_world[:3, :3].T.astype(np.float32)
         return AnnotationMaps(mask, uv, xyz, normal)
 
-    def _hits(self, camera: Camera) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Mask of the pixels that see film, and for those the barycentric weights and vertex numbers.
+    def view(self, camera: Camera) -> FilmView:
+        """Film points of a photo's pixels by as few rays as that takes.
 
-        Rays are cast only through the bounding box of the projected film.
+        Within a smooth piece of film uv is interpolated between rays ``_SPACING`` pixels apart wherever its second
+        difference says that this is exact to ``_SMOOTH_PX``. Pieces end at the outline and where the film turns over,
+        and both are edges of the mesh: projected and drawn they mark the pixels (and no sliver of film between the
+        rays is lost) that are cast densely. Whatever is near them, or not smooth, gets a ray for each pixel.
+
+        Raises:
+            SimulationError: film beside or behind the camera, where it has no projection.
         """
-        mask = np.zeros(camera.size, dtype=bool)
-        box = self._bounding_box(camera)
-        part = camera.cropped((box[1].start, box[0].start), mask[box].shape)
-        rays = np.empty((*part.size, 6), dtype=np.float32)
+        projected = self._projected(camera)
+        if projected is None:
+            raise SimulationError(
+                describe(what="view of a film", got="film behind the camera", allowed="z > 1 mm", do="Move the camera.")
+            )
+        box = _box(projected, camera.size)
+        part = _cropped(camera, box)
+        projected = projected - [box[1].start, box[0].start]
+        rim = _drawn(_outline_and_folds(projected), part.size)
+        mask, uv, wanted = self._smooth(part, rim)
+
+        rows, cols = np.nonzero(wanted)
+        centres = pixel_centres((1, 1))[0, 0].astype(np.float32)
+        at = np.stack([cols, rows], axis=-1).astype(np.float32)
+        mask[wanted], uv[wanted], _ = self._cast(camera, part.ray_directions(at + centres))
+        uv = cv2.patchNaNs(np.ascontiguousarray(uv), 0.0)
+
+        rows, cols = np.nonzero(rim)
+        inside = film_centres((_SUPERSAMPLE, _SUPERSAMPLE)).reshape(-1, 2).astype(np.float32)
+        at = np.stack([cols, rows], axis=-1).astype(np.float32)
+        rim_hit, rim_uv, _ = self._cast(camera, part.ray_directions(at[:, None] + inside))
+        rim_uv = cv2.patchNaNs(rim_uv, 0.0)
+        coverage = mask.astype(np.float32)
+        coverage[rim] = np.count_nonzero(rim_hit, axis=1) / np.float32(_SUPERSAMPLE**2)
+        rays = int(np.prod(_coarse(part.size)) + wanted.sum() + rim_hit.size)
+        return FilmView(box, coverage, uv, np.flatnonzero(rim), rim_uv, rim_hit, rays)
+
+    def _smooth(
+        self, part: Camera, rim: Bool[np.ndarray, "h w"]
+    ) -> tuple[Bool[np.ndarray, "h w"], Float32[np.ndarray, "h w 2"], Bool[np.ndarray, "h w"]]:
+        """Mask and uv interpolated between rays through the centres of blocks, and where that is not good enough."""
+        (rows, cols), (h, w) = _coarse(part.size), part.size
+        blocks = part.cropped((-_SPACING, -_SPACING), (rows * _SPACING, cols * _SPACING)).resized((rows, cols))
+        hit, uv, _ = self._cast(part, blocks.pixel_rays())
+        # Enlarged pixel areas keep their centres: between the blocks' centres this is bilinear interpolation, and a
+        # miss (NaN) spreads to all pixels that a missing ray would have had a share in.
+        here = np.s_[_SPACING : _SPACING + h, _SPACING : _SPACING + w]
+        size = (cols * _SPACING, rows * _SPACING)
+        fine = cv2.resize(uv, size, interpolation=cv2.INTER_LINEAR)[here]
+        share = cv2.resize(hit.astype(np.float32), size, interpolation=cv2.INTER_LINEAR)[here]
+        rough = cv2.resize(_rough(uv).astype(np.uint8), size, interpolation=cv2.INTER_NEAREST)[here]
+        mask = ~np.isnan(fine[..., 0])
+        reach = np.ones((_SPACING + 3, _SPACING + 3), np.uint8)  # a block's centre is at most half a block away
+        near = cv2.dilate(rim.astype(np.uint8), reach)
+        wanted = (near.astype(bool) | rough.astype(bool) | ((share > 0) & ~mask)) & ~rim
+        return mask, fine, wanted
+
+    def _cast(
+        self, camera: Camera, directions: Float[np.ndarray, "*n 3"]
+    ) -> tuple[Bool[np.ndarray, "*n"], Float32[np.ndarray, "*n 2"], Float32[np.ndarray, "*n"]]:
+        """Whether rays (camera axes, z = 1) meet film, its uv there and the depth in mm; both NaN where they do not."""
+        rays = np.empty((*directions.shape[:-1], 6), dtype=np.float32)
         rays[..., :3] = camera.centre_world
-        rays[..., 3:] = part.pixel_rays() @ camera.camera_from_world[:3, :3]
+        rays[..., 3:] = directions.astype(np.float32) @ camera.camera_from_world[:3, :3].astype(np.float32)
         answer = self._scene.cast_rays(_tensor(rays))
         primitive = answer["primitive_ids"].numpy()
         hit = primitive != _MISS
-        mask[box] = hit
-        bary = answer["primitive_uvs"].numpy()[hit].astype(np.float64)
-        weights = np.stack([1 - bary[:, 0] - bary[:, 1], bary[:, 0], bary[:, 1]], axis=1)
-        return mask, weights, self._triangles[primitive[hit]]
+        uv = self._film_points(primitive, answer["primitive_uvs"].numpy())
+        uv[~hit] = np.nan
+        depth = np.where(hit, answer["t_hit"].numpy(), np.float32(np.nan))
+        return hit, uv, depth
+
+    def _film_points(self, primitive: np.ndarray, bary: np.ndarray) -> Float32[np.ndarray, "*n 2"]:
+        """Film uv of hits from the order of ``lattice_triangles``: the cells' upper triangles, then the lower ones.
+
+        Upper corners: (row, col), one down, one to the right; lower: one to the right, one down, both.
+        """
+        rows, cols = self.shape[0] - 1, self.shape[1] - 1
+        upper = primitive < rows * cols
+        cell = np.where(upper, primitive, primitive - rows * cols).astype(np.int32)
+        row, col = np.divmod(cell, cols)
+        a, b = bary[..., 0], bary[..., 1]
+        lattice = np.empty((*primitive.shape, 2), np.float32)
+        lattice[..., 0] = col + np.where(upper, b, 1 - a)
+        lattice[..., 1] = row + np.where(upper, a, a + b)
+        lattice /= np.array([cols, rows], np.float32)
+        return lattice
+
+    def _normals_at(self, uv: Float32[np.ndarray, "h w 2"]) -> Float32[np.ndarray, "h w 3"]:
+        """Unit normals (world axes), bilinear between the vertices of the fine lattice."""
+        place = uv * np.array([self.shape[1] - 1, self.shape[0] - 1], np.float32)  # vertices are at whole numbers
+        mixed = sample_bilinear(self._normals, photo_from_opencv(place))
+        return mixed / np.sqrt(np.einsum("hwk,hwk->hw", mixed, mixed))[..., None]
+
+    def _projected(self, camera: Camera) -> Float[np.ndarray, "nv nu 2"] | None:
+        """Photo points of the vertices; None where some are beside or behind the camera."""
+        points = camera.camera_points(self._points)
+        return camera.photo_from_camera(points) if points[..., 2].min() > 1.0 else None
 
     def _bounding_box(self, camera: Camera) -> tuple[slice, slice]:
         """Rows and columns of the photo within which the film is seen; all where part of it is beside the camera."""
-        points = camera.camera_points(self._points)
-        h, w = camera.size
-        if points[:, 2].min() <= 1.0:
-            return slice(0, h), slice(0, w)
-        photo = camera.photo_from_camera(points)
-        left, top = np.clip(np.floor(photo.min(axis=0)).astype(int), 0, [w - 1, h - 1]).tolist()
-        right, bottom = np.clip(np.ceil(photo.max(axis=0)).astype(int), [left + 1, top + 1], [w, h]).tolist()
-        return slice(top, bottom), slice(left, right)
+        projected = self._projected(camera)
+        if projected is None:
+            return slice(0, camera.size[0]), slice(0, camera.size[1])
+        return _box(projected, camera.size)
+
+
+def facet_shape(film: FilmMesh, facet_mm: float) -> tuple[int, int]:
+    """Vertices down and across of the coarsest lattice whose facets keep within ``facet_mm`` of the smooth film.
+
+    Linear interpolation over a cell is off by at most (|S_uu| a^2 + 2 |S_uv| a b + |S_vv| b^2) / 8, a and b being
+    its sides; half of the bound is given to either direction.
+    """
+    n = 33
+    t = node_centres_1d(n)
+    s = film.surface(t, t)
+    uu = np.linalg.norm(np.diff(s, 2, axis=1), axis=-1).max()
+    vv = np.linalg.norm(np.diff(s, 2, axis=0), axis=-1).max()
+    uv = np.linalg.norm(np.diff(np.diff(s, axis=0), axis=1), axis=-1).max()
+    least, most = _FACET_VERTICES
+    across, down = ((n - 1) * np.sqrt((bend + uv) / (4 * facet_mm)) for bend in (uu, vv))
+    return int(np.clip(np.ceil(down) + 1, least, most)), int(np.clip(np.ceil(across) + 1, least, most))
+
+
+def _rough(uv: Float32[np.ndarray, "r c 2"]) -> Bool[np.ndarray, "r c"]:
+    """Blocks around which bilinear interpolation of ``uv`` errs by more than ``_SMOOTH_PX``.
+
+    It errs by an eighth of the second difference; the first difference, over two spacings, turns that into pixels.
+    Where a ray missed both are NaN, and the comparison False.
+    """
+    rough = np.zeros(uv.shape[:2], np.uint8)
+    for axis in (0, 1):
+        before, here, after = (_along(uv, axis, k) for k in range(3))
+        bent, way = np.abs(after - 2 * here + before), np.abs(after - before)
+        bent, way = (np.maximum(x[..., 0], x[..., 1]) for x in (bent, way))  # a reduction over two is ten times slower
+        _along(rough, axis, 1)[bent > 8 * _SMOOTH_PX / (2 * _SPACING) * way] = 1
+    return cv2.dilate(rough, np.ones((3, 3), np.uint8)).astype(bool)
+
+
+def _coarse(size: tuple[int, int]) -> tuple[int, int]:
+    """Blocks of ``_SPACING`` pixels that cover a photo, with one more on either side."""
+    return -(-size[0] // _SPACING) + 2, -(-size[1] // _SPACING) + 2
+
+
+def _along(values: np.ndarray, axis: int, start: int) -> np.ndarray:
+    """A view without two of the values along an axis: those before, between or after the two."""
+    stop = values.shape[axis] - 2 + start
+    return values[start:stop] if axis == 0 else values[:, start:stop]
+
+
+def _cropped(camera: Camera, box: tuple[slice, slice]) -> Camera:
+    rows, cols = box
+    return camera.cropped((cols.start, rows.start), (rows.stop - rows.start, cols.stop - cols.start))
+
+
+def _box(projected: Float[np.ndarray, "nv nu 2"], size: tuple[int, int]) -> tuple[slice, slice]:
+    """Rows and columns of the pixels that points fall on, at least one of each."""
+    (h, w), points = size, projected.reshape(-1, 2)
+    left, top = np.clip(np.floor(points.min(axis=0)).astype(int), 0, [w - 1, h - 1]).tolist()
+    right, bottom = np.clip(np.ceil(points.max(axis=0)).astype(int), [left + 1, top + 1], [w, h]).tolist()
+    return slice(top, bottom), slice(left, right)
+
+
+def _outline_and_folds(projected: Float[np.ndarray, "nv nu 2"]) -> list[Float[np.ndarray, "_ 2"]]:
+    """Lines of a projected lattice at which what is seen may jump: its four sides, and the edges between triangles of
+    which one shows its front and the other its back."""
+    across, down = np.diff(projected, axis=1), np.diff(projected, axis=0)
+    upper = _turn(across[:-1], down[:, :-1]) > 0
+    lower = _turn(across[1:], down[:, 1:]) > 0
+    lines = [projected[0], projected[-1], projected[:, 0], projected[:, -1]]
+    if (upper == lower).all() and upper.all() == upper.any():
+        return lines
+    edges = (
+        (upper != lower, projected[1:, :-1], projected[:-1, 1:]),
+        (upper[:, 1:] != lower[:, :-1], projected[:-1, 1:-1], projected[1:, 1:-1]),
+        (upper[1:] != lower[:-1], projected[1:-1, :-1], projected[1:-1, 1:]),
+    )
+    for turns, start, stop in edges:
+        lines.extend(np.stack([start[turns], stop[turns]], axis=1))
+    return lines
+
+
+def _turn(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Twice the signed area that two sides span."""
+    return first[..., 0] * second[..., 1] - first[..., 1] * second[..., 0]
+
+
+def _drawn(lines: list[Float[np.ndarray, "_ 2"]], size: tuple[int, int]) -> Bool[np.ndarray, "h w"]:
+    """Pixels that the lines run through; a few beside them too."""
+    picture = np.zeros(size, np.uint8)
+    limit = 4.0 * max(size)  # OpenCV's lines take 32-bit numbers; film that far outside does not show
+    points = [np.clip(opencv_from_photo(line), -limit, limit) * 2**_LINE_BITS for line in lines]
+    cv2.polylines(picture, [np.rint(p).astype(np.int32) for p in points], False, 1, 2, cv2.LINE_8, _LINE_BITS)
+    return picture.astype(bool)
 
 
 def _tensor(values: np.ndarray) -> Any:
@@ -108,14 +325,6 @@ def _tensor(values: np.ndarray) -> Any:
     import open3d as o3d
 
     return o3d.core.Tensor.from_numpy(np.ascontiguousarray(values))
-
-
-def _mix(values: np.ndarray, weights: np.ndarray, corners: np.ndarray) -> np.ndarray:
-    """Barycentric mean of vertex values, one for each hit."""
-    mixed = weights[:, :1] * values[corners[:, 0]]
-    mixed += weights[:, 1:2] * values[corners[:, 1]]
-    mixed += weights[:, 2:] * values[corners[:, 2]]
-    return mixed
 
 
 def true_backward_map(film: FilmMesh, camera: Camera, size: tuple[int, int] = (33, 33)) -> BackwardMap:

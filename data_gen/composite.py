@@ -1,0 +1,114 @@
+"""The film put into the photo: print and light looked up at the film points that pixels see, background behind."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from jaxtyping import Float, Float32
+
+from data_gen.shade import FilmLight
+from hybrid.coords import linear_from_srgb, pixel_from_film, sample_bilinear
+from hybrid.mesh.raycast import FilmView
+
+LEAST_SAMPLING = 2.0
+"""Print pixels to a photo pixel, along both axes, that a reduced print keeps at least."""
+
+_LONGEST = 16384
+"""Points looked up at once: OpenCV's remap takes no side longer than 32767."""
+
+_SRGB_LINEAR = linear_from_srgb(np.arange(256) / 255).astype(np.float32)
+
+
+@dataclass(frozen=True, eq=False)
+class PrintLevels:
+    """A print at full resolution, at a half, a quarter and so on, made once for all photos of it.
+
+    Light is averaged where pixels are, so ``reflectance`` is reduced in linear light; ``grey``, the truth about the
+    print, in display grey.
+    """
+
+    reflectance: tuple[Float32[np.ndarray, "_ _"], ...]
+    grey: tuple[Float32[np.ndarray, "_ _"], ...]
+
+
+def print_levels(image: Float[np.ndarray, "h w"]) -> PrintLevels:
+    """The levels of a print (display grey)."""
+    grey = image.astype(np.float32)
+    reflectance = cv2.LUT(cv2.convertScaleAbs(grey, alpha=255), _SRGB_LINEAR[None])
+    return PrintLevels(_halved(reflectance), _halved(grey))
+
+
+def _halved(image: Float32[np.ndarray, "h w"]) -> tuple[Float32[np.ndarray, "_ _"], ...]:
+    """An image and its area averages by powers of two, down to 64 pixels."""
+    levels = [image]
+    while min(levels[-1].shape) >= 128:
+        h, w = levels[-1].shape
+        levels.append(cv2.resize(levels[-1], (w // 2, h // 2), interpolation=cv2.INTER_AREA))
+    return tuple(levels)
+
+
+def at_photo_scale(
+    levels: tuple[Float32[np.ndarray, "_ _"], ...], film_px: tuple[float, float]
+) -> Float32[np.ndarray, "h w"]:
+    """The print as a pixel of the photo sees it: blurred to a photo pixel's mean size, sampled twice as finely.
+
+    film_px: mean height and width of the film in photo pixels. One bilinear lookup of it is then worth the mean over
+    the pixel. Where a film is steeply foreshortened its pixels are larger than the mean and are sampled too sparsely by
+    that ratio, as by a camera with small photosites.
+    """
+    steps = [tuple(n / px for n, px in zip(level.shape, film_px, strict=True)) for level in levels]
+    chosen = max([0, *(k for k, step in enumerate(steps) if min(step) >= LEAST_SAMPLING)])
+    down, across = (_box(step) for step in steps[chosen])
+    return cv2.sepFilter2D(levels[chosen], -1, across, down, borderType=cv2.BORDER_REPLICATE)
+
+
+def _box(width: float) -> Float32[np.ndarray, " n"]:
+    """Weights of the pixels that a box of ``width`` pixels around a pixel's centre covers."""
+    reach = int(np.ceil(max(width - 1, 0) / 2))
+    ends = np.clip(np.arange(2 * reach + 2) * 2 - (2 * reach + 1), -width, width) / 2
+    weights = np.diff(ends)
+    return (weights / weights.sum()).astype(np.float32)
+
+
+def composite(
+    view: FilmView, reflectance: Float[np.ndarray, "a b"], light: FilmLight, behind: Float32[np.ndarray, "h w 3"]
+) -> Float32[np.ndarray, "h w 3"]:
+    """Linear light of the photo: ``behind`` (which is overwritten) with the film put before it.
+
+    reflectance: linear, at the photo's scale (``at_photo_scale``). A pixel that the film covers in part gets the mean
+    colour of the film points seen in it, mixed with what is behind by their share of the pixel.
+    """
+    film = film_radiance_at(view.uv, reflectance, light)
+    if len(view.rim):
+        parts = np.array_split(np.arange(len(view.rim)), -(-len(view.rim) // _LONGEST))
+        means = [_mean(film_radiance_at(view.rim_uv[k], reflectance, light), view.rim_hit[k]) for k in parts]
+        film.reshape(-1, 3)[view.rim] = np.concatenate(means)
+    part = behind[view.box]
+    film -= part
+    film *= cv2.merge([view.coverage] * 3)
+    part += film
+    return behind
+
+
+def film_radiance_at(
+    uv: Float32[np.ndarray, "h w 2"], reflectance: Float[np.ndarray, "a b"], light: FilmLight
+) -> Float32[np.ndarray, "h w 3"]:
+    """Radiance of film points: the light's gain times the print's reflectance, and its veil."""
+    print_ = on_film(reflectance, uv)
+    radiance = on_film(light.gain, uv)
+    radiance *= cv2.merge([print_] * 3)
+    radiance += on_film(light.veil, uv)
+    return radiance
+
+
+def on_film(image: np.ndarray, uv: Float[np.ndarray, "h w 2"]) -> np.ndarray:
+    """Bilinear values of a film image at film points."""
+    return sample_bilinear(image, pixel_from_film(uv, (image.shape[0], image.shape[1])))
+
+
+def _mean(values: Float32[np.ndarray, "m k 3"], counted: np.ndarray) -> Float32[np.ndarray, "m 3"]:
+    """Mean of the values that count; 0 where none does."""
+    total = np.einsum("mkc,mk->mc", values, counted.astype(np.float32))
+    return total / np.maximum(np.count_nonzero(counted, axis=1), 1).astype(np.float32)[:, None]
