@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from data_gen._shapes import Blob, Canvas, Plane, blend, paint_all, random_warp, scan, smooth_noise
+from data_gen._scanner import Scanner, scan
+from data_gen._shapes import Blob, Canvas, Plane, blend, paint_all, random_warp, smooth_noise
 from data_gen.volumes import CtVolume
 from hybrid.coords import centres_1d
 
@@ -48,9 +49,9 @@ def body_phantom(rng: np.random.Generator, size: int = 256, slices: int = 30) ->
     noise_hu = rng.uniform(5.0, 16.0)
     out = np.empty(shape, np.int16)
     for k, z_mm in enumerate(heights):
-        plane = warp.plane(axis, axis, float(z_mm))
+        plane = warp.plane(axis, axis, float(z_mm), texture[k])
         canvas = _draw_slice(trunk, plane, texture[k], fine[k])
-        out[k] = scan(canvas, rng, noise_hu, rng.uniform(0.6, 0.7) * size / 256)
+        out[k] = scan(canvas, rng, Scanner(noise_hu, 0.65 * size / 256, 0.4, 10.0, 5.0))
     spacing = (float(heights[1] - heights[0]) if slices > 1 else 8.0, field_mm / size, field_mm / size)
     return CtVolume(out, spacing, "phantom_body")
 
