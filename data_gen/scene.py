@@ -1,4 +1,4 @@
-"""What a photo is taken of and how: viewpoint, light, material, background and lens, drawn at random."""
+"""What a photo is taken of and how: viewpoint, light, material, surroundings and lens, drawn at random."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 
 from data_gen.develop import Lens, sample_lens
 from data_gen.lighting import Light, Material, sample_light, sample_material
+from data_gen.things import Thing, sample_things
 from data_gen.viewpoint import ViewConfig, sample_camera
 from hybrid.mesh.camera import Camera
 from hybrid.mesh.film import FilmMesh
@@ -18,12 +19,12 @@ from hybrid.mesh.film import FilmMesh
 class SceneConfig:
     """Ranges from which scenes are drawn.
 
-    light_box_share: films on a light box instead of in a room (PAPER: 20 %). occluder_share: photos with fingers or
-    clips over the film's rim. shadow_share: soft shadows on the film. view: of the camera.
+    light_box_share: films on a light box instead of in a room (PAPER: 20 %). thing_share: photos with hands, clips or
+    tape at the film's rim. shadow_share: shadows cast on the film. view: of the camera.
     """
 
     light_box_share: float = 0.2
-    occluder_share: float = 0.2
+    thing_share: float = 0.3
     shadow_share: float = 0.3
     view: ViewConfig = field(default_factory=ViewConfig)
 
@@ -37,12 +38,13 @@ class Scene:
     light: Light
     lens: Lens
     background: str
-    occluders: int
+    things: tuple[Thing, ...]
     shadow: bool
 
     def parameters(self) -> dict[str, Any]:
         """Everything but the camera, JSON-able."""
-        rest = {"background": self.background, "occluders": self.occluders, "shadow": self.shadow}
+        things = [{"thing": type(t).__name__.lower()} | asdict(t) for t in self.things]
+        rest = {"background": self.background, "things": things, "shadow": self.shadow}
         return {k: asdict(getattr(self, k)) for k in ("material", "light", "lens")} | rest
 
 
@@ -54,6 +56,7 @@ def sample_scene(film: FilmMesh, size: tuple[int, int], rng: np.random.Generator
         background = str(rng.choice(["plain", "panel"], p=[0.6, 0.4]))
     else:
         background = str(rng.choice(["room", "table", "plain"], p=[0.5, 0.4, 0.1]))
-    occluders = int(rng.integers(1, 4)) if rng.random() < config.occluder_share else 0
+    lying = background in ("table", "panel")
+    things = sample_things(lying, rng) if rng.random() < config.thing_share else ()
     shadow = bool(rng.random() < config.shadow_share)
-    return Scene(camera, sample_material(rng), light, sample_lens(rng), background, occluders, shadow)
+    return Scene(camera, sample_material(rng), light, sample_lens(rng), background, things, shadow)
