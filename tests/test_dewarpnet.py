@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -11,6 +13,7 @@ from torch.utils.flop_counter import FlopCounterMode
 
 from hybrid.backward import BackwardMap
 from hybrid.coords import film_centres, film_nodes
+from hybrid.errors import ConfigError
 from hybrid.learn.baselines import as_published, corrected, published_points
 from hybrid.learn.dewarpnet import (
     NODES,
@@ -21,6 +24,7 @@ from hybrid.learn.dewarpnet import (
     ShapeNet,
     ShapeOutput,
     coordinate_code,
+    joined,
 )
 from hybrid.learn.paper_losses import (
     backward_net_losses,
@@ -123,6 +127,17 @@ def test_the_backward_net_mixes_no_pixels():
     other[..., ::2, ::2] = code[..., ::2, ::2]
     with torch.no_grad():
         assert torch.equal(network(code).backward, network(other).backward)
+
+
+def test_two_stages_make_one_network():
+    torch.manual_seed(0)
+    stages = ShapeNet(NARROW).eval(), BackwardNet(NARROW).eval()
+    image = torch.rand(1, 3, 64, 64)
+    with torch.no_grad():
+        apart = stages[1](stages[0](image).code).backward
+        assert torch.equal(joined(*stages).eval()(image).backward, apart)
+    with pytest.raises(ConfigError, match="same width"):
+        joined(stages[0], BackwardNet(replace(NARROW, width=0.2)))
 
 
 # ---------------------------------------------------------------- inference

@@ -11,7 +11,7 @@ from torch import nn
 
 from hybrid.coords import film_centres, film_nodes
 from hybrid.errors import PhotoError
-from hybrid.learn.baselines import recovered
+from hybrid.learn.baselines import recover
 from hybrid.learn.firenet import FiReNet, FiReNetConfig, FiReNetOutput
 from hybrid.learn.uv_recovery import (
     MASK_LEVEL,
@@ -112,16 +112,28 @@ class _Knowing(FiReNet):
 
     def __init__(self) -> None:
         nn.Module.__init__(self)
-        self.config = FiReNetConfig(input_px=PX)
+        self.config, self.found = FiReNetConfig(input_px=PX), 9.0
 
     def forward(self, image):
         _, t = flat_case(PX, PX, batch=1)
-        logit = torch.where(t.mask, 9.0, -9.0)
-        return FiReNetOutput(logit, t.xyz, t.uv, t.albedo, t.normal, t.depth, t.deformation)
+        logit = torch.where(t.mask, self.found, -9.0)
+        deformation = t.deformation if self.found > 0 else None
+        return FiReNetOutput(logit, t.xyz, t.uv, t.albedo, t.normal, t.depth, deformation)
 
 
-def test_from_photo_to_backward_map_in_pixels():
+def test_from_photo_to_backward_map_and_film():
     photo = np.zeros((200, 300, 3), dtype=np.uint8)
-    backward = recovered(_Knowing(), photo)
+    recovery = recover(_Knowing(), photo)
     uv = film_centres((9, 7))
-    np.testing.assert_allclose(backward.photo_from_film(uv), photo_from_film(uv) * [300, 200], atol=0.01)
+    np.testing.assert_allclose(recovery.backward.photo_from_film(uv), photo_from_film(uv) * [300, 200], atol=0.01)
+    # The print has 4 x 4 even cells: their centres in the film are what the albedo map shows at their photo points.
+    _, targets = flat_case(PX, PX, batch=1)
+    at = np.floor(photo_from_film(film_centres((4, 4))) * PX).astype(int)
+    np.testing.assert_allclose(recovery.film((4, 4)), targets.albedo[0].numpy()[at[..., 1], at[..., 0]], atol=1e-5)
+
+
+def test_a_photo_without_film_is_refused_with_a_reason():
+    network = _Knowing()
+    network.found = -9.0
+    with pytest.raises(PhotoError, match="span no area"):
+        recover(network, np.zeros((20, 30, 3), dtype=np.uint8))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import cv2
@@ -11,7 +12,7 @@ from jaxtyping import Float, UInt8
 from torch import Tensor
 
 from hybrid.backward import BackwardMap
-from hybrid.coords import photo_from_opencv, sample_photo
+from hybrid.coords import photo_from_opencv, rescale_points, sample_bilinear, sample_photo
 from hybrid.learn.dewarpnet import NODES, DewarpNet
 from hybrid.learn.firenet import FiReNet
 from hybrid.learn.uv_recovery import interpolated, joined, points_of_deformation, points_of_uv
@@ -59,8 +60,26 @@ def as_published(network: DewarpNet, photo: UInt8[np.ndarray, "H W 3"]) -> Float
 # ---------------------------------------------------------------- FiReNet
 
 
-def recovered(network: FiReNet, photo: UInt8[np.ndarray, "H W 3"]) -> BackwardMap:
-    """FiReNet's recovery, in pixels of the photo, on as many nodes as the network's maps have pixels.
+@dataclass(frozen=True, eq=False)
+class Recovery:
+    """What FiReNet makes of a photo.
+
+    backward: in pixels of the photo, on as many nodes as the network's maps have pixels. albedo: the print as the
+    photo shows it, display grey, the photo squeezed into the network's square. photo_size: (height, width).
+    """
+
+    backward: BackwardMap
+    albedo: Float[np.ndarray, "n n"]
+    photo_size: tuple[int, int]
+
+    def film(self, size: tuple[int, int]) -> Float[np.ndarray, "h w"]:
+        """The paper's final output D_ab: the albedo map unwarped, display grey, no finer than the network's maps."""
+        n = self.albedo.shape[0]
+        return sample_bilinear(self.albedo, rescale_points(self.backward.dense(size), self.photo_size, (n, n)))
+
+
+def recover(network: FiReNet, photo: UInt8[np.ndarray, "H W 3"]) -> Recovery:
+    """FiReNet with its recovery.
 
     Raises:
         PhotoError: the network finds no film.
@@ -70,7 +89,8 @@ def recovered(network: FiReNet, photo: UInt8[np.ndarray, "H W 3"]) -> BackwardMa
     points = points_of_uv(_hwc(output.uv), torch.sigmoid(output.mask_logit)[0].numpy())
     if output.deformation is not None:
         points = joined(points, points_of_deformation(_hwc(output.deformation)))
-    return _in_pixels(BackwardMap(interpolated(points, (px, px))), photo)
+    backward = _in_pixels(BackwardMap(interpolated(points, (px, px))), photo)
+    return Recovery(backward, output.albedo[0].numpy(), (photo.shape[0], photo.shape[1]))
 
 
 # ---------------------------------------------------------------- common

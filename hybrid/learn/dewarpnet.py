@@ -15,6 +15,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from hybrid.coords import film_nodes
+from hybrid.errors import ConfigError, describe
 from hybrid.learn.blocks import scaled
 
 CODE_CENTRE = 0.5
@@ -228,3 +229,23 @@ class DewarpNet(nn.Module):
         """Maps of sRGB images in [0, 1] whose sides are multiples of 2 ** halvings."""
         shape = self.shape_net(image)
         return DewarpNetOutput(shape, self.backward_net(shape.code).backward)
+
+
+def joined(shape_net: ShapeNet, backward_net: BackwardNet) -> DewarpNet:
+    """DewarpNet of two stages that were trained apart; it shares their weights.
+
+    Raises:
+        ConfigError: the stages have different configurations.
+    """
+    if shape_net.config != backward_net.config:
+        raise ConfigError(
+            describe(
+                what="DewarpNet's stages",
+                got=f"{shape_net.config} and {backward_net.config}",
+                allowed="one configuration",
+                do="Train both at the same width.",
+            )
+        )
+    network = DewarpNet(shape_net.config)
+    network.shape_net, network.backward_net = shape_net, backward_net
+    return network

@@ -48,7 +48,7 @@ def shape_terms(output: FiReNetOutput, targets: PaperTargets) -> dict[str, Tenso
 
     Without the maps that an ablation leaves out. The background's error is of its probability, on all pixels.
     """
-    background = torch.sigmoid(output.mask_logit) - targets.mask.to(output.mask_logit.dtype)
+    background = torch.sigmoid(output.mask_logit) - targets.mask.to(targets.uv.dtype)
     terms = {
         "xyz": l1_loss(output.xyz - targets.xyz, targets.mask),
         "background": background.abs().mean(),

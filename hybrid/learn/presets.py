@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import torch
@@ -17,6 +17,9 @@ from hybrid.learn.losses import LossWeights, loss_terms
 from hybrid.learn.network import STRIDE, FilmNet, FilmNetConfig
 from hybrid.learn.paper_targets import PaperTargets
 from hybrid.learn.uvbw import NetBw, NetUv, UvBwConfig
+
+PaperConfig = FiReNetConfig | DewarpNetConfig | UvBwConfig
+"""Configurations with a width factor."""
 
 
 def image_input(images: Tensor, targets: Any) -> Tensor:
@@ -56,11 +59,11 @@ class Preset:
     can train, if that is less. batch, learning_rate: as published.
     """
 
-    config: Any
+    config: FilmNetConfig | PaperConfig
     build: Callable[[Any], nn.Module]
     losses: Callable[[Any, Any], dict[str, Tensor]]
     fields: tuple[str, ...]
-    weights: Mapping[str, float]
+    weights: Mapping[str, float] = field(default_factory=dict)
     stride: int = 1
     nodes: Callable[[int], int] = no_nodes
     inputs: Callable[[Tensor, Any], Tensor] = image_input
@@ -78,7 +81,7 @@ class Preset:
         Raises:
             ConfigError: the network has no width factor.
         """
-        if not hasattr(self.config, "width"):
+        if not isinstance(self.config, PaperConfig):
             raise ConfigError(
                 describe(what="width", got=width, allowed="presets of the paper's networks", do="Leave it out.")
             )
@@ -86,57 +89,69 @@ class Preset:
 
 
 _MAPS = ("mask", "uv", "xyz", "albedo")
-_FIRENET: dict[str, Any] = {
-    "build": FiReNet,
-    "losses": paper_losses.firenet_losses,
-    "weights": {},  # alpha and beta stand within the terms; the paper adds the terms up as they are
-    "ship_width": 0.23,
-}
-_READ = DewarpNetConfig(layers="read")
-_DEWARPNET: dict[str, Any] = {"ship_width": 0.5, "batch": 50, "learning_rate": 1e-4}
-_BACKWARD_WEIGHTS = {"backward": 10.0, "reconstruction": 0.5}
-_PAIR: dict[str, Any] = {"inputs": coordinate_input, "ship_width": 0.125, "weights": {}}
+
+_FIRENET = Preset(
+    FiReNetConfig(),
+    FiReNet,
+    paper_losses.firenet_losses,
+    fields=(*_MAPS, "normal", "backward"),
+    nodes=node_per_pixel,
+    ship_width=0.23,
+)
+_DEWARPNET = Preset(
+    DewarpNetConfig(layers="read"),
+    DewarpNet,
+    paper_losses.dewarpnet_losses,
+    fields=("mask", "xyz", "albedo", "backward"),
+    weights={"backward": 10.0, "reconstruction": 0.5},
+    nodes=dewarpnet_nodes,
+    ship_width=0.5,
+    batch=50,
+    learning_rate=1e-4,
+)
+_NET_BW = Preset(
+    UvBwConfig(),
+    NetBw,
+    paper_losses.net_bw_losses,
+    fields=("mask", "xyz", "backward"),
+    nodes=node_per_pixel,
+    inputs=coordinate_input,
+    ship_width=0.125,
+)
 
 PRESETS: dict[str, Preset] = {
     "filmnet": Preset(
         FilmNetConfig(),
         FilmNet,
         loss_terms,
-        _MAPS,
-        asdict(LossWeights()),
+        fields=_MAPS,
+        weights=asdict(LossWeights()),
         stride=STRIDE,
         batch=32,
         learning_rate=2e-3,
     ),
-    "firenet": Preset(FiReNetConfig(), fields=(*_MAPS, "normal", "backward"), nodes=node_per_pixel, **_FIRENET),
-    "firenet_multimap": Preset(MULTI_MAP, fields=(*_MAPS, "normal"), **_FIRENET),
-    "firenet_uv_only": Preset(UV_ONLY, fields=_MAPS, **_FIRENET),
-    "dewarpnet": Preset(
-        _READ,
-        DewarpNet,
-        paper_losses.dewarpnet_losses,
-        ("mask", "xyz", "albedo", "backward"),
-        _BACKWARD_WEIGHTS,
-        nodes=dewarpnet_nodes,
-        **_DEWARPNET,
+    "firenet": _FIRENET,
+    "firenet_multimap": replace(_FIRENET, config=MULTI_MAP, fields=(*_MAPS, "normal"), nodes=no_nodes),
+    "firenet_uv_only": replace(_FIRENET, config=UV_ONLY, fields=_MAPS, nodes=no_nodes),
+    "dewarpnet": _DEWARPNET,
+    "dewarpnet_shape": replace(
+        _DEWARPNET,
+        build=ShapeNet,
+        losses=paper_losses.shape_net_losses,
+        fields=("mask", "xyz"),
+        weights={},
+        nodes=no_nodes,
     ),
-    "dewarpnet_shape": Preset(_READ, ShapeNet, paper_losses.shape_net_losses, ("mask", "xyz"), {}, **_DEWARPNET),
-    "dewarpnet_bw": Preset(
-        _READ,
-        BackwardNet,
-        paper_losses.backward_net_losses,
-        ("mask", "xyz", "albedo", "backward"),
-        _BACKWARD_WEIGHTS,
-        nodes=dewarpnet_nodes,
-        inputs=coordinate_input,
-        **_DEWARPNET,
+    "dewarpnet_bw": replace(
+        _DEWARPNET, build=BackwardNet, losses=paper_losses.backward_net_losses, inputs=coordinate_input
     ),
-    "net_bw": Preset(
-        UvBwConfig(), NetBw, paper_losses.net_bw_losses, ("mask", "xyz", "backward"), nodes=node_per_pixel, **_PAIR
+    "net_bw": _NET_BW,
+    "net_uv": replace(
+        _NET_BW, build=NetUv, losses=paper_losses.net_uv_losses, fields=("mask", "xyz", "uv"), nodes=no_nodes
     ),
-    "net_uv": Preset(UvBwConfig(), NetUv, paper_losses.net_uv_losses, ("mask", "xyz", "uv"), **_PAIR),
 }
-"""DewarpNet's stages are trained apart first (shape from photos, map from true 3D maps), then as one ("dewarpnet")."""
+"""DewarpNet's stages are trained apart first, shape from photos and the map from true 3D maps. ``dewarpnet.joined``
+makes one network of them, which "dewarpnet" trains further."""
 
 
 def preset(name: str) -> Preset:
