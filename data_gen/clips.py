@@ -170,13 +170,12 @@ def _foldback(clip: Clip, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, ...
     """A painted spring-steel prism and a lever of wire that lies on it or stands away from the film."""
     half, reach = clip.width_mm / 2, clip.reach_mm
     body = _slab(x, y, (-0.35 * clip.width_mm, -half, reach, half), 1.2)
-    tip = 0.75 * clip.width_mm + 8
-    loop = 0.3 * half + 0.5 * half * np.clip((x + tip) / tip, 0, 1)
-    wire = (
-        1.1 - np.abs(np.abs(y) - loop) * np.where(x > -tip, 1, 0) - np.maximum(np.maximum(-tip - x, x - reach + 2), 0)
-    )
-    bend = 1.1 - np.abs(x + tip) - np.maximum(np.abs(y) - 0.3 * half, 0)
-    wire = np.maximum(wire, bend)
+    tip, narrow = 0.75 * clip.width_mm + 8, 0.3 * half  # a wire of 1.1 mm: two arms that converge to a short bend
+    loop = narrow + 0.5 * half * np.clip((x + tip) / tip, 0, 1)
+    beyond = np.maximum(np.maximum(-tip - x, x - reach + 2), 0)
+    arms = np.hypot(np.abs(y) - loop, beyond)
+    bend = np.hypot(x + tip, np.maximum(np.abs(y) - narrow, 0))
+    wire = 1.1 - np.minimum(arms, bend)
     edge = np.maximum(body, wire)
     roll = 2.5 * np.exp(-(((x - reach + 1.5) / 1.6) ** 2)) * (body > 0)
     height = np.maximum(_raised(body, 3.0, 1.2) + roll + 0.3 * np.maximum(reach - x, 0) * (body > 0), -20.0)
@@ -187,7 +186,7 @@ def _foldback(clip: Clip, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, ...
 def _peg(clip: Clip, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, ...]:
     """A clothes peg seen from above: a tapering bar with a spring's coil across it."""
     half = clip.width_mm / 2
-    edge = _slab(x, y, (-48, -half, clip.reach_mm, half), 1.5)
+    edge = _slab(x, y, (-48.0, -half, clip.reach_mm, half), 1.5)
     spring = _slab(x, y, (-10, -half - 1.5, -4, half + 1.5), 1.0)
     height = _raised(edge, 5.0, 2.0) + 0.04 * (clip.reach_mm - x) * (edge > 0)
     coil = spring > 0

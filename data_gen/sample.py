@@ -106,7 +106,7 @@ def _photograph(
     light = film_light(film, scene, room, rng)
     backward = true_backward_map(film, camera)
     base = np.median(light.veil + light.gain * np.median(levels.reflectance[-1]), axis=(0, 1))
-    around = surroundings(scene, film, room, base, rng)
+    around = surroundings(scene, film, room, base)
     reflectance = at_photo_scale(levels.reflectance, backward.mean_film_pixels())
     linear = put_over(composite(caster.view(camera), reflectance, light, around.behind), around.before)
     white = float(np.percentile(light.gain, 90)) + float(np.percentile(light.veil, 50))

@@ -7,12 +7,16 @@ from typing import Any
 
 import numpy as np
 
+from data_gen.backdrop import Backdrop, sample_backdrop
 from data_gen.develop import Lens, sample_lens
 from data_gen.lighting import Light, Material, sample_light, sample_material
 from data_gen.things import Thing, sample_things
 from data_gen.viewpoint import ViewConfig, sample_camera
 from hybrid.mesh.camera import Camera
 from hybrid.mesh.film import FilmMesh
+
+REACH_BEHIND_MM = 40.0
+"""A hand needs so much room behind the film."""
 
 
 @dataclass(frozen=True)
@@ -31,32 +35,29 @@ class SceneConfig:
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """One photograph about to be taken. background: 'room', 'table', 'plain' or 'panel'."""
+    """One photograph about to be taken."""
 
     camera: Camera
     material: Material
     light: Light
     lens: Lens
-    background: str
+    backdrop: Backdrop
     things: tuple[Thing, ...]
     shadow: bool
 
     def parameters(self) -> dict[str, Any]:
         """Everything but the camera, JSON-able."""
         things = [{"thing": type(t).__name__.lower()} | asdict(t) for t in self.things]
-        rest = {"background": self.background, "things": things, "shadow": self.shadow}
-        return {k: asdict(getattr(self, k)) for k in ("material", "light", "lens")} | rest
+        rest = {"things": things, "shadow": self.shadow}
+        return {k: asdict(getattr(self, k)) for k in ("material", "light", "lens", "backdrop")} | rest
 
 
 def sample_scene(film: FilmMesh, size: tuple[int, int], rng: np.random.Generator, config: SceneConfig) -> Scene:
     """A random scene for a bent film and a photo of ``size`` (height, width)."""
     camera = sample_camera(film, size, rng, config.view)
     light = sample_light(rng, config.light_box_share)
-    if light.light_box:
-        background = str(rng.choice(["plain", "panel"], p=[0.6, 0.4]))
-    else:
-        background = str(rng.choice(["room", "table", "plain"], p=[0.5, 0.4, 0.1]))
-    lying = background in ("table", "panel")
+    backdrop = sample_backdrop(light, rng)
+    lying = backdrop.kind in ("table", "wall", "panel") and backdrop.gap_mm < REACH_BEHIND_MM
     things = sample_things(lying, rng) if rng.random() < config.thing_share else ()
     shadow = bool(rng.random() < config.shadow_share)
-    return Scene(camera, sample_material(rng), light, sample_lens(rng), background, things, shadow)
+    return Scene(camera, sample_material(rng), light, sample_lens(rng), backdrop, things, shadow)

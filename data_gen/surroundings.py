@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from jaxtyping import Float
 
@@ -31,13 +30,9 @@ class Surroundings:
     before: tuple[Patch, ...]
 
 
-def surroundings(
-    scene: Scene, film: FilmMesh, room: FilteredEnvironment, base: Float[np.ndarray, "3"], rng: np.random.Generator
-) -> Surroundings:
+def surroundings(scene: Scene, film: FilmMesh, room: FilteredEnvironment, base: Float[np.ndarray, "3"]) -> Surroundings:
     """What is around the film. base: radiance of its unprinted rim, which a dark background may equal."""
-    height, width = scene.camera.size
-    behind = background(scene, room, rng)
-    behind = cv2.resize(behind, (width, height), interpolation=cv2.INTER_LINEAR)
+    behind = background(scene, film, room, base)
     if not scene.things:
         return Surroundings(behind, ())
     room_from_camera = room_from_film(scene.light) @ scene.camera.camera_from_world[:3, :3].T

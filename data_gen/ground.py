@@ -1,0 +1,268 @@
+"""The plane behind a film: where it lies, its material, its light, the film's shadow on it, and things upon it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float
+
+from data_gen._clutter import ON_PANEL, ON_TABLE, ON_WALL, VARIANTS, Sprite, sprite
+from data_gen._materials import TILE, tile
+from data_gen.backdrop import Backdrop
+from data_gen.lamps import surface_irradiance, vector_irradiance
+from data_gen.patches import frame_box
+from data_gen.rooms import FilteredEnvironment, sample_filtered, sample_irradiance
+from data_gen.scene import Scene
+from data_gen.shade import room_from_film
+from hybrid.coords import centres_1d, film_centres, node_centres_1d, opencv_from_photo
+from hybrid.mesh.camera import Camera
+from hybrid.mesh.film import FilmMesh
+
+NEAREST_MM = 60.0
+"""What is closer to the camera's plane is not drawn."""
+
+SHADOW_SIDE = 256
+"""Shadows are drawn on pictures of at most this side."""
+
+
+@dataclass(frozen=True, eq=False)
+class Ground:
+    """A plane in the film's world. origin: mm. along, across: its axes, unit. normal: unit, towards the camera."""
+
+    origin: Float[np.ndarray, "3"]
+    along: Float[np.ndarray, "3"]
+    across: Float[np.ndarray, "3"]
+    normal: Float[np.ndarray, "3"]
+
+    def world(self, mm: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n 3"]:
+        """World points of points of the plane."""
+        return self.origin + mm[..., :1] * self.along + mm[..., 1:] * self.across
+
+    def coordinates(self, camera: Camera, shares: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n 2"]:
+        """Points (mm) of the plane seen at places of the photo given in shares of its sides; far where it is missed."""
+        photo = shares * np.array(camera.size[::-1], np.float64)
+        rays = camera.ray_directions(photo) @ camera.camera_from_world[:3, :3]
+        eye = self.origin - camera.centre_world
+        depth = (eye @ self.normal) / np.minimum(rays @ self.normal, -1e-3)
+        relative = rays * depth[..., None] - eye
+        return np.stack([relative @ self.along, relative @ self.across], axis=-1)
+
+    def pixels(
+        self, camera: Camera
+    ) -> tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"], Bool[np.ndarray, "h w"]]:
+        """Plane coordinates (mm, float32) of all pixels, and which of them see the plane; distortion left aside."""
+        k = camera.intrinsics
+        x = ((centres_1d(camera.size[1]) - k[0, 2]) / k[0, 0])[None, :]
+        y = ((centres_1d(camera.size[0]) - k[1, 2]) / k[1, 1])[:, None]
+        rotation = camera.camera_from_world[:3, :3]
+        eye = self.origin - camera.centre_world
+
+        def dot(axis: np.ndarray) -> np.ndarray:
+            a, b, c = rotation @ axis
+            return (a * x + c).astype(np.float32) + (b * y).astype(np.float32)
+
+        facing = dot(self.normal)
+        depth = np.float32(eye @ self.normal) / np.minimum(facing, np.float32(-1e-3))
+        u = dot(self.along) * depth - np.float32(eye @ self.along)
+        v = dot(self.across) * depth - np.float32(eye @ self.across)
+        return u, v, facing < -0.02
+
+    def filled(self, camera: Camera, outline_mm: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "h w"]:
+        """Share of each pixel within an outline on the plane; nothing if part of it is behind the camera."""
+        world = self.world(outline_mm)
+        if camera.camera_points(world)[:, 2].min() < NEAREST_MM:
+            return np.zeros(camera.size, np.float32)
+        return filled(camera.photo_from_world(world), camera.size)
+
+
+def filled(outline: Float[np.ndarray, "n 2"], size: tuple[int, int]) -> Float[np.ndarray, "h w"]:
+    """Share of each pixel of a photo of ``size`` within an outline in the photo frame."""
+    mask = np.zeros(size, np.uint8)
+    fixed = np.clip(opencv_from_photo(outline) * 16, -(2**19), 2**19).round().astype(np.int32)
+    cv2.fillPoly(mask, [fixed], 255, cv2.LINE_AA, 4)
+    return mask * np.float32(1 / 255)
+
+
+def ground_below(film: FilmMesh, camera: Camera, backdrop: Backdrop) -> Ground:
+    """The plane that just touches the film on its far side, moved away by the gap and tilted."""
+    points = film.vertices.reshape(-1, 3)
+    centre = points.mean(axis=0)
+    normal = np.linalg.svd(points - centre, full_matrices=False)[2][2]
+    normal = normal * (1.0 if (camera.centre_world - centre) @ normal > 0 else -1.0)
+    along = np.cross([0.0, 1.0, 0.0], normal) if abs(normal[1]) < 0.9 else np.cross([1.0, 0.0, 0.0], normal)
+    along /= np.linalg.norm(along)
+    across = np.cross(normal, along)
+    normal = normal + backdrop.tilt[0] * along + backdrop.tilt[1] * across
+    normal /= np.linalg.norm(normal)
+    along = along - (along @ normal) * normal
+    along /= np.linalg.norm(along)
+    across = np.cross(normal, along)
+    across, along = (across, along) if across[1] > 0 else (-across, -along)
+    nearest = ((points - centre) @ normal).min()
+    return Ground(centre + normal * (nearest - backdrop.gap_mm), along, across, normal)
+
+
+def ground_material(
+    ground: Ground, camera: Camera, backdrop: Backdrop
+) -> tuple[Float[np.ndarray, "h w 3"], Bool[np.ndarray, "h w"]]:
+    """Reflectance seen by each pixel, and which pixels see the plane."""
+    material = tile(backdrop.material, backdrop.variant)
+    u, v, seen = ground.pixels(camera)
+    middle = tuple(n // 2 for n in camera.size)
+    step = np.hypot(u[middle] - u[middle[0], middle[1] - 1], v[middle] - v[middle[0], middle[1] - 1])
+    level = int(np.clip(np.round(np.log2(max(step * TILE / material.mm, 1e-3))), 0, len(material.levels) - 1))
+    picture = material.levels[level]
+    per_mm = len(picture) / material.mm
+    c, s = (float(f(np.deg2rad(backdrop.turn_deg))) * per_mm for f in (np.cos, np.sin))
+    shift = np.random.default_rng(backdrop.seed).uniform(0, len(picture), 2)
+    x = np.clip(u * np.float32(c) + v * np.float32(s) + np.float32(shift[0]), -30000, 30000)
+    y = np.clip(v * np.float32(c) - u * np.float32(s) + np.float32(shift[1]), -30000, 30000)
+    coded = cv2.remap(picture, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
+    return cv2.LUT(coded, _DECODED) * np.array(backdrop.tint, np.float32), seen
+
+
+_DECODED = ((np.arange(256) / 255) ** 2).astype(np.float32)[None]
+
+
+def ground_light(
+    ground: Ground, camera: Camera, scene: Scene, room: FilteredEnvironment, size: tuple[int, int]
+) -> tuple[Float[np.ndarray, "a b 3"], Float[np.ndarray, "a b 3"]]:
+    """Radiance of white matt ground, and of its gloss, on a coarse lattice over the photo."""
+    light, turn = scene.light, room_from_film(scene.light).T
+    points = ground.world(ground.coordinates(camera, film_centres(size))).astype(np.float32)
+    normals = np.broadcast_to(ground.normal.astype(np.float32), points.shape)
+    matt = np.repeat(sample_irradiance(room, ground.normal[None] @ turn), points[..., 0].size, axis=0)
+    matt = matt.reshape(points.shape) * np.float32(light.front / np.pi)
+    for lamp in light.lamps:
+        received, _ = surface_irradiance(vector_irradiance(lamp.placed(camera.centre_world), points), normals)
+        matt += received[..., None] / np.float32(np.pi) * np.array(lamp.radiance, np.float32)
+    material = tile(scene.backdrop.material, scene.backdrop.variant)
+    view = camera.centre_world - points
+    view /= np.linalg.norm(view, axis=-1, keepdims=True)
+    cosine = np.maximum(view @ ground.normal, 0.02)[..., None]
+    mirror = 2 * cosine * ground.normal - view
+    fresnel = material.f0 + (1 - material.f0) * (1 - cosine) ** 5 * (1 - material.roughness)
+    seen = sample_filtered(room, (mirror @ turn).astype(np.float32), material.roughness)
+    gloss = seen * fresnel * (light.front if material.f0 else 0.0)
+    return matt, gloss.astype(np.float32)
+
+
+def film_shade(
+    ground: Ground, film: FilmMesh, camera: Camera, scene: Scene, room: FilteredEnvironment
+) -> Float[np.ndarray, "h w"]:
+    """Factor on the ground's light beside the film: its shadow by the main light, and the sky that it takes away."""
+    small = camera.resized((min(camera.size[0], SHADOW_SIDE), min(camera.size[1], SHADOW_SIDE)))
+    t = node_centres_1d(12)
+    lattice = film.surface(t, t)
+    rim = np.concatenate([lattice[0], lattice[1:, -1], lattice[-1, -2::-1], lattice[-2:0:-1, 0]])
+    rise = np.maximum((rim - ground.origin) @ ground.normal, 0.0)
+    gap = float(rise.mean())
+    flux, directed = main_light(scene, room, camera)
+    per_mm = float(small.intrinsics[0, 0] / np.maximum(small.camera_points(ground.origin[None])[0, 2], NEAREST_MM))
+    shade = np.ones(small.size, np.float32)
+    steep = float(flux @ ground.normal)
+    casts = [(ground.normal, 1.0, 0.7 * gap + 2.0, 0.75 * (1 - 0.5 * directed) / (1 + (gap / 150) ** 2))]
+    if steep > 0.2:
+        casts.append((flux, steep, 0.5 * gap * (1 - directed) + 0.06 * gap + 1.0, 0.85 * directed))
+    for way, cosine, blur_mm, depth in casts:
+        foot = rim - way * (rise / cosine)[:, None]
+        if small.camera_points(foot)[:, 2].min() < NEAREST_MM or blur_mm * per_mm > 80:
+            continue
+        mask = filled(small.photo_from_world(foot), small.size)
+        shade *= 1 - np.float32(depth) * cv2.GaussianBlur(mask, (0, 0), max(blur_mm * per_mm, 0.4))
+    return cv2.resize(shade, camera.size[::-1], interpolation=cv2.INTER_LINEAR)
+
+
+def main_light(scene: Scene, room: FilteredEnvironment, camera: Camera) -> tuple[Float[np.ndarray, "3"], float]:
+    """Unit direction, in the film's world, from which most light comes, and the share of light that comes from there.
+
+    The difference of the irradiance on the two sides of a surface is the net flux through it, so three pairs of
+    lookups give the environment's flux vector exactly.
+    """
+    axes = np.concatenate([np.eye(3), -np.eye(3)])
+    received = sample_irradiance(room, axes @ room_from_film(scene.light).T).mean(axis=-1) * scene.light.front
+    flux = (received[:3] - received[3:]).astype(np.float64)
+    total = float(received.sum()) / 2
+    for lamp in scene.light.lamps:
+        vector = vector_irradiance(lamp.placed(camera.centre_world), np.zeros((1, 3)))[0] * np.mean(lamp.radiance)
+        flux, total = flux + vector, total + float(np.linalg.norm(vector))
+    size = float(np.linalg.norm(flux))
+    return flux / max(size, 1e-9), float(np.clip(size / max(total, 1e-9), 0.0, 1.0))
+
+
+# ---------------------------------------------------------------- things
+
+
+def place_things(
+    reflectance: Float[np.ndarray, "h w 3"],
+    ground: Ground,
+    camera: Camera,
+    backdrop: Backdrop,
+    rng: np.random.Generator,
+) -> tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w 3"] | float]:
+    """Draws the backdrop's things into ``reflectance``; the factor of their shadows, and what shines by itself."""
+    shade, glow = np.ones(camera.size, np.float32), np.zeros((), np.float32)
+    kinds = {"table": ON_TABLE, "wall": ON_WALL, "panel": ON_PANEL}[backdrop.kind]
+    for _ in range(backdrop.things):
+        thing = sprite(str(rng.choice(kinds)), int(rng.integers(VARIANTS)))
+        upright = backdrop.kind != "table" or rng.random() < 0.25
+        turn = rng.normal(0, 0.04) if upright else rng.uniform(-np.pi, np.pi)
+        at = ground.coordinates(camera, rng.uniform(-0.1, 1.1, (1, 2)))[0]
+        if np.abs(at).max() < 4000:
+            glow = _put(thing, at, turn, reflectance, shade, ground, camera) + glow
+    return shade, glow
+
+
+def _put(
+    thing: Sprite,
+    at: np.ndarray,
+    turn: float,
+    reflectance: np.ndarray,
+    shade: np.ndarray,
+    ground: Ground,
+    camera: Camera,
+) -> np.ndarray:
+    """Draws one thing and its soft shadow in place; what it shines, or 0."""
+    none = np.zeros((), np.float32)
+    half = np.array([thing.size_mm[1], thing.size_mm[0]]) / 2
+    c, s = np.cos(turn), np.sin(turn)
+    corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * half @ np.array([[c, s], [-s, c]]) + at
+    world = ground.world(corners)
+    if camera.camera_points(world)[:, 2].min() < NEAREST_MM:
+        return none
+    photo = camera.photo_from_world(world)
+    per_mm = float(np.linalg.norm(photo[1] - photo[0]) / thing.size_mm[1])
+    spread = min(0.35 * thing.rise_mm * per_mm, 40.0)
+    box = frame_box(photo, camera.size, 2 + 3 * spread)
+    if box is None or per_mm < 0.02:
+        return none
+    picture = _reduced(thing, per_mm)
+    h, w = picture.shape[:2]
+    source = opencv_from_photo(np.array([[0, 0], [w, 0], [w, h], [0, h]], np.float32))
+    target = opencv_from_photo((photo - [box[1].start, box[0].start]).astype(np.float32))
+    size = (box[1].stop - box[1].start, box[0].stop - box[0].start)
+    seen = cv2.warpPerspective(picture, cv2.getPerspectiveTransform(source, target), size, flags=cv2.INTER_LINEAR)
+    cover = seen[..., 3:] * np.float32(1 / 255)
+    if spread > 0.4:
+        soft = cv2.GaussianBlur(cover[..., 0], (0, 0), spread)
+        shade[box] *= 1 - np.float32(0.6) * soft * (1 - cover[..., 0])
+    colour = cv2.LUT(np.ascontiguousarray(seen[..., :3]), _DECODED)
+    part = reflectance[box]
+    if not thing.glow:
+        part += (colour - part) * cover
+        return none
+    part *= 1 - cover
+    glow = np.zeros_like(reflectance)
+    glow[box] = colour * cover * np.float32(thing.glow)
+    return glow
+
+
+def _reduced(thing: Sprite, per_mm: float) -> np.ndarray:
+    """The thing's picture at about the photo's resolution, so that its text does not alias."""
+    high, wide = (max(2, round(mm * per_mm)) for mm in thing.size_mm)
+    h, w = thing.picture.shape[:2]
+    if high * wide >= 0.5 * h * w:
+        return thing.picture
+    return cv2.resize(thing.picture, (min(wide, w), min(high, h)), interpolation=cv2.INTER_AREA)
