@@ -6,167 +6,213 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from data_gen._scanner import Scanner, scan
-from data_gen._shapes import Blob, Canvas, Plane, blend, paint_all, random_warp, smooth_noise
+from data_gen._phantom_trunk import (
+    AIR,
+    FAT,
+    LUNG,
+    MUSCLE,
+    Frame,
+    airways_and_vessels,
+    belly_parts,
+    chest_parts,
+    ribs,
+    shoulders,
+    spine,
+)  # fmt: skip
+from data_gen._scanner import Rest, Scanner, draw_rest, scan
+from data_gen._shapes import (
+    Blob,
+    Canvas,
+    Plane,
+    Solid,
+    blend,
+    both,
+    paint_all,
+    ramp,
+    random_warp,
+    smooth_min,
+    smooth_noise,
+)
 from data_gen.volumes import CtVolume
 from hybrid.coords import centres_1d
 
-Number = float | int
-
-AIR, FAT, MUSCLE, LUNG, BONE = -1000.0, -100.0, 50.0, -850.0, 700.0
+STANDARD_MM = (165.0, 110.0)
+"""Half width and half depth of the trunk that Frame fits to others."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Trunk:
-    """One trunk: half width and depth in mm, exponent of the outline (2 is an ellipse), fat, organs, ribs, table.
+    """One trunk: everything that does not depend on the slice.
 
-    table_mm: its lowest point below the middle and its radius.
+    radii: half width and depth. squareness: exponent of the outline (2 is an ellipse). fat_mm, wall_mm: thickness of
+    fat, and of the muscles and ribs below it. liver_hu: of the liver. mediastinum_mm: half width between the lungs.
+    dome_mm: how far the diaphragm's right dome rises.
     """
 
     radii: tuple[float, float]
     squareness: float
     fat_mm: float
-    lungs: tuple[Blob, ...]
-    chest: tuple[Blob, ...]
-    belly: tuple[Blob, ...]
-    spine: tuple[Blob, ...]
-    rib_slope: float
-    rib_pitch_mm: float
-    table_mm: tuple[float, float]
+    wall_mm: float
+    liver_hu: float
+    mediastinum_mm: float
+    dome_mm: float
+    outline: tuple[Solid, ...]
+    muscles: tuple[Solid, ...]
+    bones: tuple[Solid, ...]
+    lung_vessels: tuple[Solid, ...]
+    chest: tuple[Solid, ...]
+    belly: tuple[Solid, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class _Walls:
+    """Distances in mm, negative inside: to the skin, to the muscles' outside, to the inner wall.
+
+    over: height over the diaphragm.
+    """
+
+    skin: Canvas
+    muscle: Canvas
+    inner: Canvas
+    over: Canvas
 
 
 def body_phantom(rng: np.random.Generator, size: int = 256, slices: int = 30) -> CtVolume:
     """A made-up chest and abdomen on ``slices`` slices of ``size`` x ``size`` pixels, slice 0 lowest."""
     trunk = _random_trunk(rng)
-    field_mm = 2 * trunk.radii[0] * rng.uniform(1.05, 1.3)
-    warp = random_warp(rng, rng.uniform(2.0, 6.0), rng.uniform(180.0, 350.0), 0.03)
-    middle, reach = rng.uniform(-110, 110), rng.uniform(60, 130)
+    field_mm = 2 * trunk.radii[0] * rng.uniform(1.06, 1.3)
+    warp = random_warp(rng, rng.uniform(2.0, 5.0), rng.uniform(180.0, 350.0), 0.03)
+    middle, reach = rng.uniform(-70, 70), rng.uniform(60, 115)
     heights = np.linspace(middle - reach, middle + reach, slices)
     axis = (centres_1d(size) / size - 0.5) * field_mm
     shape = (slices, size, size)
-    texture = smooth_noise(rng, shape, (max(2, slices // 2), 26, 26))
-    fine = smooth_noise(rng, shape, (max(2, slices // 2), 70, 70))
-    noise_hu = rng.uniform(5.0, 16.0)
+    broad = smooth_noise(rng, shape, (max(2, slices // 2), 24, 24))
+    fine = smooth_noise(rng, shape, (max(2, slices), 80, 80))
+    scanner = Scanner(rng.uniform(5.0, 17.0), rng.uniform(0.5, 0.7) * size / 256, rng.uniform(0.1, 0.7),
+                      rng.uniform(2.0, 14.0), rng.uniform(0.0, 12.0))  # fmt: skip
+    curve = rng.uniform(250, 900)
+    rest = Rest(str(rng.choice(["cradle", "flat", "none"], p=[0.75, 0.15, 0.1])), trunk.radii[1] + rng.uniform(3, 18),
+                curve, rng.uniform(180, 230), rng.uniform(1.5, 3.0), rng.uniform(12, 40), -940.0)  # fmt: skip
     out = np.empty(shape, np.int16)
     for k, z_mm in enumerate(heights):
-        plane = warp.plane(axis, axis, float(z_mm), texture[k])
-        canvas = _draw_slice(trunk, plane, texture[k], fine[k])
-        out[k] = scan(canvas, rng, Scanner(noise_hu, 0.65 * size / 256, 0.4, 10.0, 5.0))
+        plane = warp.plane(axis, axis, float(z_mm), broad[k])
+        canvas = _draw_slice(trunk, plane, fine[k])
+        draw_rest(canvas, axis, axis, rest)
+        out[k] = scan(canvas, rng, scanner)
     spacing = (float(heights[1] - heights[0]) if slices > 1 else 8.0, field_mm / size, field_mm / size)
     return CtVolume(out, spacing, "phantom_body")
 
 
 def _random_trunk(rng: np.random.Generator) -> _Trunk:
-    wide = rng.uniform(145, 185)
-    deep = wide * rng.uniform(0.6, 0.8)
-    s, t = wide / 165, deep / 110
-    fat = rng.uniform(6, 28)
-    vessel = rng.choice([45.0, rng.uniform(140, 320)])
-
-    def at(x: Number, y: Number, z: Number, rx: Number, ry: Number, rz: Number, hu: Number, yaw: float = 0.0) -> Blob:
-        return Blob((x * s, y * t, z), (rx * s, ry * t, rz), hu, yaw)
-
-    lungs = (at(-68, 0, 60, 56, 78, 115, LUNG, 0.1), at(70, 4, 60, 54, 76, 112, LUNG, -0.1))
-    chest = (
-        at(0, -18, 60, 34, 66, 160, 20.0),
-        at(24, -26, 30, 52, 42, 46, 45.0, 0.5),
-        at(32, -24, 30, 26, 28, 32, vessel, 0.5),
-        at(0, -30, 92, 16, 16, 34, vessel),
-        at(18, 30, 40, 12, 12, 170, vessel),
-        at(-20, -30, 110, 10, 10, 40, vessel),
-        at(0, 8, 120, 9, 8, 62, AIR),
-        at(-13, 12, 64, 6, 6, 12, AIR),
-        at(13, 12, 64, 6, 6, 12, AIR),
-        at(0, -86, 90, 20, 5, 90, BONE),
+    fat = rng.uniform(5, 26)
+    wide = rng.uniform(138, 162) + 0.9 * fat
+    deep = (wide - fat) * rng.uniform(0.62, 0.76) + fat
+    wall = rng.uniform(13, 19)
+    frame = Frame((wide - fat) / (STANDARD_MM[0] - 15), (deep - fat) / (STANDARD_MM[1] - 15),
+                  float(rng.choice([45.0, rng.uniform(130, 300)])))  # fmt: skip
+    inner = (wide - fat - wall, deep - fat - wall)
+    back = inner[1] - 18.0
+    bulk = rng.uniform(0.85, 1.15)
+    muscles = both(
+        Blob((27, back + 34, 0), (23 * bulk, 15 * bulk, 600), MUSCLE, 0.15, rough_mm=1.5),  # along the spine
+        Blob((inner[0] * 0.45, -inner[1] - 6, 130), (52, 11 * bulk, 60), MUSCLE, -0.25, rough_mm=2.0),
+        Blob((inner[0] * 0.7, inner[1] * 0.62, 130), (38, 16 * bulk, 70), MUSCLE, -0.75, rough_mm=2.5),
     )
-    liver = rng.uniform(50, 65) + (vessel > 100) * 45
-    belly = (
-        at(-58, -14, -40, 78, 74, 66, liver, -0.25),
-        at(-62, 4, -42, 8, 26, 8, liver + 30, 0.4),
-        at(-30, -46, -66, 15, 22, 18, 10.0, 0.5),
-        at(86, 30, -36, 30, 40, 40, liver - 5, 0.4),
-        at(46, -38, -36, 40, 36, 30, 30.0, 0.4),
-        at(44, -56, -34, 26, 14, 20, AIR, 0.2),
-        at(-56, 46, -98, 24, 30, 48, 35 + 0.6 * vessel, 0.5),
-        at(58, 44, -86, 24, 30, 48, 35 + 0.6 * vessel, -0.5),
-        at(-52, 44, -98, 10, 14, 26, FAT, 0.5),
-        at(54, 42, -86, 10, 14, 26, FAT, -0.5),
-        at(8, 26, -80, 11, 11, 140, vessel),
-        at(-16, 24, -80, 12, 9, 140, 0.5 * (vessel + 45)),
-        at(0, -4, -76, 52, 11, 12, 45.0, 0.3),
+    outline = both(
+        Blob((wide - 6, 5, 195), (46, 44, 70), 0.0),
+        Blob((wide * 0.6, 0, 185), (70, 60, 55), 0.0),
+        *([Blob((wide * 0.46, -deep + 8, 70), (60, rng.uniform(20, 44), 50), 0.0)] if rng.random() < 0.45 else []),
     )
-    vertebrae = [
-        blob
-        for z in np.arange(-260, 280, 27.0)
-        for blob in (
-            at(0, 54, z, 21, 17, 14.5, 260.0),
-            at(0, 88, z - 4, 4, 22, 9, BONE),
-            at(24, 74, z, 20, 5, 6, 500.0, 0.3),
-            at(-24, 74, z, 20, 5, 6, 500.0, -0.3),
-        )
-    ]
-    spine = (*vertebrae, at(0, 76, 0, 9, 8, 600, 20.0))
     return _Trunk(
-        (wide, deep), rng.uniform(1.9, 2.5), fat, lungs, chest, belly, spine, rng.uniform(0.5, 1.1),
-        rng.uniform(24, 32), (deep + rng.uniform(4, 16), rng.uniform(250, 900)),
+        radii=(wide, deep), squareness=rng.uniform(2.0, 2.6), fat_mm=fat, wall_mm=wall,
+        liver_hu=rng.uniform(45, 62) + 0.22 * max(frame.blood_hu - 45, 0.0), mediastinum_mm=rng.uniform(23, 34),
+        dome_mm=rng.uniform(45, 70), outline=tuple(outline), muscles=tuple(muscles),
+        bones=(*spine(rng, back), *ribs(rng, inner, back), *shoulders(wide)),
+        lung_vessels=tuple(airways_and_vessels(rng, frame)), chest=tuple(chest_parts(rng, frame)),
+        belly=tuple(belly_parts(rng, frame)),
     )  # fmt: skip
 
 
-def _draw_slice(trunk: _Trunk, plane: Plane, texture: Canvas, fine: Canvas) -> Canvas:
+# ---------------------------------------------------------------- one slice
+
+
+def _draw_slice(trunk: _Trunk, plane: Plane, fine: Canvas) -> Canvas:
     canvas = np.full(plane.x.shape, AIR, np.float32)
-    wide, deep = trunk.radii
-    power = np.float32(trunk.squareness)
-    squircle = (np.abs(plane.x / wide) ** power + np.abs(plane.y / deep) ** power) ** (1 / power)
-    skin = (squircle - 1.0) * np.float32(deep)
-    wall = skin + np.float32(trunk.fat_mm) * (1.0 + 0.5 * np.clip(-plane.y / deep, -0.6, 1.0))
-    blend(canvas, np.clip(0.5 - skin, 0, 1), 0.0)
-    blend(canvas, np.clip(-skin - 1.5, 0, 1), FAT + 6 * texture)
-    blend(canvas, np.clip(-wall, 0, 1) * np.clip(1.3 + 0.5 * texture, 0, 1), MUSCLE + 5 * texture)
-    blend(canvas, np.clip(-wall - 14, 0, 1), FAT + 8 * fine)
-    _draw_bowel(canvas, wall, texture, fine)
-    _draw_lungs(canvas, trunk, plane, fine)
-    diaphragm = np.clip((plane.z - 12 + 0.004 * (plane.x**2 + plane.y**2)) / 3.0, 0.0, 1.0)
-    upper = canvas.copy()
-    paint_all(upper, plane, trunk.chest)
-    lower = canvas
-    blend(lower, np.clip(-wall - 14, 0, 1) * np.clip((plane.z + 60) / 10, 0, 1) * (lower < -300), FAT)
-    paint_all(lower, plane, trunk.belly)
-    canvas = lower + (upper - lower) * diaphragm
-    paint_all(canvas, plane, trunk.spine)
-    _draw_ribs(canvas, trunk, plane, wall)
-    blend(canvas, np.clip(skin / 1.0, 0, 1), AIR)
-    _draw_table(canvas, plane, trunk.table_mm)
+    walls = _walls(trunk, plane)
+    blend(canvas, ramp(0.5 - walls.skin), 10.0)
+    blend(canvas, ramp(-walls.skin - 1.8), FAT + 7 * plane.rough)
+    sheets = ramp(1.25 + 0.9 * plane.rough + 0.5 * fine, 0.6)  # fat lies between the muscles
+    blend(canvas, ramp(-walls.muscle) * sheets, MUSCLE + 4 * plane.rough)
+    paint_all(canvas, plane, trunk.muscles)
+    below = ramp(-walls.inner)
+    blend(canvas, below, FAT + 8 * fine)
+    if walls.over.min() < 1:
+        _draw_belly(canvas, trunk, plane, walls, fine)
+    if walls.over.max() > -1:
+        _draw_chest(canvas, trunk, plane, walls, fine)
+    paint_all(canvas, plane, trunk.bones)
+    blend(canvas, ramp(walls.skin), AIR)
     return canvas
 
 
-def _draw_bowel(canvas: Canvas, wall: Canvas, texture: Canvas, fine: Canvas) -> None:
-    room = np.clip(-wall - 16, 0, 1)
-    blend(canvas, room * np.clip((texture - 0.1) * 4, 0, 1), 35.0 + 8 * fine)
-    blend(canvas, room * np.clip((texture - 1.3) * 5, 0, 1), -700.0)
+def _walls(trunk: _Trunk, plane: Plane) -> _Walls:
+    skin = _rounded(plane, trunk.radii, trunk.squareness)
+    thick = np.float32(trunk.fat_mm) * (1.0 + 0.35 * np.clip(-plane.y / np.float32(trunk.radii[1]), -0.8, 1.0))
+    muscle = skin + thick + plane.rough
+    for solid in trunk.outline:
+        if plane.window(solid, 5.0) is not None:
+            skin = smooth_min(skin, plane.distance(solid) + plane.rough, 16.0)
+            if solid.box[0][2] > 150:  # shoulders are muscle inside, breasts are fat
+                muscle = np.minimum(muscle, skin + np.float32(trunk.fat_mm + 3))
+    apex = 1.0 - 0.62 * max(0.0, (plane.z_mm - 95) / 90) ** 1.4
+    wide, deep = (max(r - trunk.fat_mm - trunk.wall_mm, 20) * max(apex, 0.12) for r in trunk.radii)
+    inner = _rounded(plane, (wide, deep * (0.5 + 0.5 * max(apex, 0.12)) / max(apex, 0.12)), trunk.squareness)
+    spine_room = np.hypot(plane.x, plane.y - np.float32(deep - 18.0 if apex > 0.99 else trunk.radii[1] * 0.6)) - 25.0
+    inner = np.maximum(inner + 0.8 * plane.rough, -spine_room)
+    side = np.sign(plane.x)
+    dome_x = (plane.x - side * np.float32(0.5 * wide)) / np.float32(0.62 * wide)
+    dome = np.float32(trunk.dome_mm) * (1.0 - dome_x**2 - ((plane.y + 12) / np.float32(1.1 * deep)) ** 2)
+    over = plane.z - np.maximum(dome, -75.0) + 30.0 + 7.0 * side + 2.5 * plane.rough
+    return _Walls(skin, muscle, inner, over)
 
 
-def _draw_lungs(canvas: Canvas, trunk: _Trunk, plane: Plane, fine: Canvas) -> None:
-    for lung in trunk.lungs:
-        inside = np.clip(0.5 - plane.distance(lung), 0, 1)
-        blend(canvas, inside, LUNG + 30 * fine)
-        hilum = np.exp(-np.hypot(plane.x - 0.3 * lung.centre[0], plane.y) / np.float32(60.0))
-        blend(canvas, inside * np.clip((fine - 2.1 + 1.5 * hilum) * 3, 0, 1), 30.0)
+def _rounded(plane: Plane, radii: tuple[float, float], power: float) -> Canvas:
+    """About the distance in mm to an upright cylinder over a superellipse: its level over the level's gradient."""
+    a, b = np.abs(plane.x) * np.float32(1 / radii[0]), np.abs(plane.y) * np.float32(1 / radii[1])
+    pa, pb = a ** np.float32(power - 1), b ** np.float32(power - 1)
+    total = np.maximum(pa * a + pb * b, np.float32(1e-6))
+    level = total ** np.float32(1 / power)
+    slope = np.hypot(pa * np.float32(1 / radii[0]), pb * np.float32(1 / radii[1])) * level / total
+    return (level - 1.0) / np.maximum(slope, np.float32(1e-4))
 
 
-def _draw_ribs(canvas: Canvas, trunk: _Trunk, plane: Plane, wall: Canvas) -> None:
-    """Ribs slope down from the spine to the front, so a slice cuts each of them once on each side."""
-    phase = (plane.z + trunk.rib_slope * (plane.y - 60.0)) / np.float32(trunk.rib_pitch_mm)
-    along = np.abs(phase - np.rint(phase)) * np.float32(trunk.rib_pitch_mm)
-    across = np.abs(wall + 7.0)
-    distance = np.hypot(along / 1.1, across) - 5.0
-    cage = np.clip((plane.z + 90.0 - 0.6 * plane.y) / 10, 0, 1)
-    blend(canvas, np.clip(0.5 - distance, 0, 1) * cage, 900.0)
-    blend(canvas, np.clip(-1.5 - distance, 0, 1) * cage, 250.0)
+def _draw_belly(canvas: Canvas, trunk: _Trunk, plane: Plane, walls: _Walls, fine: Canvas) -> None:
+    """What lies under the diaphragm, on a copy that is then shown there."""
+    room = ramp(-walls.inner - 1.0) * ramp(0.5 - walls.over)
+    tissue = canvas.copy()
+    paint_all(tissue, plane, trunk.belly)
+    wide, deep = trunk.radii
+    edge = plane.x + np.float32(0.14 * wide) + 0.55 * (plane.y + 0.1 * np.float32(deep)) * np.sign(plane.y + 10) * 0.5
+    edge += np.float32(0.6) * np.maximum(-plane.z - 35.0, -60.0) + 3.0 * plane.rough
+    low = plane.y - np.float32(0.62 * deep) + 0.3 * np.maximum(-plane.z - 40, 0)
+    liver = ramp(-edge, 2.0) * ramp(-low, 2.0) * ramp(-walls.inner - 3.0) * ramp(plane.z + 128, 6)
+    vessels = ramp(np.abs(fine) - 2.1, 0.4) * 35.0 + ramp(0.12 - np.abs(plane.rough)) * 10.0
+    blend(tissue, liver, trunk.liver_hu + vessels * np.float32(1.0 if trunk.liver_hu > 65 else -0.4))
+    blend(canvas, room, tissue)
 
 
-def _draw_table(canvas: Canvas, plane: Plane, table_mm: tuple[float, float]) -> None:
-    lowest, radius = table_mm
-    depth = np.hypot(plane.x, plane.y - np.float32(lowest - radius)) - np.float32(radius)
-    rest = (np.abs(plane.x) < 200) & (plane.y > 0) & (canvas < -600)
-    blend(canvas, np.clip(1.8 - np.abs(depth), 0, 1) * rest, 80.0)
-    blend(canvas, np.clip(1.5 - np.abs(depth - 16), 0, 1) * rest, 0.0)
+def _draw_chest(canvas: Canvas, trunk: _Trunk, plane: Plane, walls: _Walls, fine: Canvas) -> None:
+    """Lungs with their vessels, and what lies between them, above the diaphragm."""
+    room = ramp(-walls.inner) * ramp(walls.over)
+    tissue = np.full(canvas.shape, FAT + 20, np.float32)
+    heart = 30.0 * np.exp(-(((plane.z - 25) / 45.0) ** 2)) * ramp(15 - plane.y, 60)
+    lean = np.where(plane.x > 0, heart, 0.5 * heart)
+    between = np.abs(plane.x) - np.float32(trunk.mediastinum_mm) - lean - 4 * plane.rough
+    lung = ramp(between, 1.5) * ramp(-walls.inner - 1.5) * ramp(walls.over - 1.0)
+    air = np.float32(LUNG) + 22 * fine + 45 * ramp(plane.y + 20, 100)  # denser at the back, where the patient lies
+    paint_all(tissue, plane, trunk.chest)
+    blend(air, ramp(fine - 1.7, 0.5) * ramp(0.9 + plane.rough), -250.0)  # small vessels cut across
+    paint_all(air, plane, trunk.lung_vessels)
+    organs = ramp(30.0 - np.abs(tissue - 45.0), 10.0) + ramp(tissue - 75.0, 10.0)  # they stand out into the lungs
+    blend(tissue, lung * (1.0 - ramp(organs) * ramp(22.0 - between, 4.0)), air)
+    blend(canvas, room, tissue)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
 
 import cv2
@@ -36,6 +37,7 @@ class Blob:
         x, y, z = self.centre
         return replace(self, centre=(-x, y, z), yaw=-self.yaw)
 
+    @cached_property
     def box(self) -> tuple[Triple, Triple]:
         """Middle and half sides of an upright box around it, walls left out."""
         across = max(self.radii[0], self.radii[1]) if self.yaw else 0.0
@@ -77,6 +79,7 @@ class Tube:
         (ax, ay, az), (bx, by, bz) = self.start, self.end
         return replace(self, start=(-ax, ay, az), end=(-bx, by, bz))
 
+    @cached_property
     def box(self) -> tuple[Triple, Triple]:
         """Middle and half sides of an upright box around it, walls left out."""
         middle = tuple((a + b) / 2 for a, b in zip(self.start, self.end, strict=True))
@@ -127,7 +130,7 @@ class Plane:
 
     def window(self, solid: Solid, margin_mm: float = 1.0) -> Window | None:
         """Rows and columns outside of which the solid cannot be, or None where the slice misses it."""
-        (cx, cy, cz), (rx, ry, rz) = solid.box()
+        (cx, cy, cz), (rx, ry, rz) = solid.box
         slack = self.slack_mm + solid.shell_mm + 3 * solid.rough_mm + margin_mm
         if abs(self.z_mm - cz) > rz + slack + 25.0:  # cheap, and true of nearly all: tilts move less than 25 mm
             return None
@@ -138,9 +141,11 @@ class Plane:
         lean = abs(turn[2, 0]) * rx + abs(turn[2, 1]) * ry  # how much the slice rises over the solid
         if abs(turn[2, 0] * x + turn[2, 1] * y + turn[2, 2] * self.z_mm - cz) > rz + lean + slack:
             return None
+        half_x = (abs(turn[1, 1]) * rx + abs(turn[0, 1]) * ry) / det + slack
+        half_y = (abs(turn[0, 0]) * ry + abs(turn[1, 0]) * rx) / det + slack
         rows, cols = self.axes_mm
-        low_row, high_row = np.searchsorted(rows, (y - ry - slack, y + ry + slack)).tolist()
-        low_col, high_col = np.searchsorted(cols, (x - rx - slack, x + rx + slack)).tolist()
+        low_row, high_row = np.searchsorted(rows, (y - half_y, y + half_y)).tolist()
+        low_col, high_col = np.searchsorted(cols, (x - half_x, x + half_x)).tolist()
         if low_row >= high_row or low_col >= high_col:
             return None
         return slice(low_row, high_row), slice(low_col, high_col)
@@ -215,6 +220,12 @@ def bounds(mask: Bool[np.ndarray, "rows cols"]) -> Window | None:
 def ramp(values: Canvas, width: float | int = 1.0) -> Canvas:
     """0 below 0, 1 above ``width``, a straight line between."""
     return np.clip(values * np.float32(1.0 / width), 0.0, 1.0)
+
+
+def smooth_min(a: Canvas, b: Canvas, width_mm: float) -> Canvas:
+    """The union of two distance fields with a fillet of ``width_mm``."""
+    h = np.clip(0.5 + (0.5 / width_mm) * (b - a), 0.0, 1.0)
+    return b + (a - b) * h - np.float32(width_mm) * h * (1.0 - h)
 
 
 def both(*solids: Solid) -> list[Solid]:

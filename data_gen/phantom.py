@@ -31,6 +31,7 @@ from data_gen._shapes import (
     paint_all,
     ramp,
     random_warp,
+    smooth_min,
     smooth_noise,
 )  # fmt: skip
 from data_gen.volumes import CtVolume
@@ -147,19 +148,13 @@ def _skin_distance(head: _Head, plane: Plane, depth: Canvas) -> Canvas:
     skin = depth - np.float32(head.scalp_mm)
     for solid in head.outline:
         if plane.window(solid, 12.0) is not None:
-            skin = _smooth_min(skin, plane.distance(solid) + 0.5 * plane.rough, 9.0)
+            skin = smooth_min(skin, plane.distance(solid) + 0.5 * plane.rough, 9.0)
     for ear in head.ears:
         window = plane.window(ear)
         if window is not None:
             near = ear.distance(plane.x[window], plane.y[window], plane.z[window]) + 0.8 * plane.rough[window]
             np.minimum(skin[window], near, out=skin[window])
     return skin
-
-
-def _smooth_min(a: Canvas, b: Canvas, width_mm: float) -> Canvas:
-    """The union of two distance fields with a fillet of ``width_mm``."""
-    h = np.clip(0.5 + (0.5 / width_mm) * (b - a), 0.0, 1.0)
-    return b + (a - b) * h - np.float32(width_mm) * h * (1.0 - h)
 
 
 def _draw_soft_tissue(canvas: Canvas, skin: Canvas, plane: Plane, head: _Head, noises: Noises) -> None:
