@@ -37,7 +37,8 @@ _SIZE_MM = {  # height, width and how far it rises above what it lies on
     "scrap": (76, 76, 0.5),
 }
 
-Colour = tuple[float, float, float]
+Rectangle = tuple[float | int, float | int, float | int, float | int]
+"""x0, y0, x1, y1 in shares of a picture's sides."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,10 +59,10 @@ class Sprite:
 def sprite(kind: str, variant: int) -> Sprite:
     """One of the pictures of a kind."""
     rng = np.random.default_rng([variant, *kind.encode()])
-    high, wide, rise = _SIZE_MM[kind]
+    high, wide, rise = (float(mm) for mm in _SIZE_MM[kind])
     scale = rng.uniform(0.85, 1.15, 2)
     size = (high * scale[0], wide * scale[1])
-    picture = np.zeros((max(8, round(size[0] * PX_PER_MM)), max(8, round(size[1] * PX_PER_MM)), 4), np.uint8)
+    picture = np.zeros((max(8, round(float(size[0]) * PX_PER_MM)), max(8, round(size[1] * PX_PER_MM)), 4), np.uint8)
     picture[..., 3] = 255
     _DRAWN[kind](picture, rng)
     glow = {"screen": float(rng.uniform(0.6, 2.0)), "window": float(rng.uniform(1.5, 8.0))}.get(kind, 0.0)
@@ -77,7 +78,7 @@ def _any(rng: np.random.Generator, strength: float = 0.7) -> tuple[int, int, int
     return _code(10 ** rng.uniform(-1.3, -0.2) * np.exp2(rng.normal(0, strength, 3)))
 
 
-def _fill(picture: np.ndarray, box: tuple[float, float, float, float], code: tuple[int, int, int]) -> None:
+def _fill(picture: np.ndarray, box: Rectangle, code: tuple[int, int, int]) -> None:
     """Paints a rectangle x0, y0, x1, y1 given in shares of the picture's sides."""
     h, w = picture.shape[:2]
     x0, y0, x1, y1 = box
@@ -86,7 +87,7 @@ def _fill(picture: np.ndarray, box: tuple[float, float, float, float], code: tup
     ] = code
 
 
-def _text(picture: np.ndarray, box: tuple[float, float, float, float], lines: int, rng: np.random.Generator) -> None:
+def _text(picture: np.ndarray, box: Rectangle, lines: int, rng: np.random.Generator) -> None:
     """Lines of words: dark dashes of random length, the last of a paragraph shorter."""
     x0, y0, x1, y1 = box
     ink = _code(rng.uniform(0.01, 0.12))

@@ -154,7 +154,7 @@ def _finger(
     for k in range(3):
         pitch += flex[k]
         step = np.array([np.cos(pitch) * np.cos(way), np.cos(pitch) * np.sin(way), np.sin(pitch)]) * lengths[k]
-        nail = k == 2 and front and abs(pitch) < 1.0
+        nail = bool(k == 2 and front and abs(pitch) < 1.0)
         bones.append(_Bone(start, start + step, (widths[k], widths[k + 1]), front, nail, (0.0,) if k else ()))
         start = start + step
     return bones

@@ -30,7 +30,7 @@ class Tile:
     mm: its side. roughness, f0: of its surface.
     """
 
-    levels: tuple[UInt8[np.ndarray, "t t 3"], ...]
+    levels: tuple[UInt8[np.ndarray, "_ _ 3"], ...]
     mm: float
     roughness: float
     f0: float

@@ -83,14 +83,15 @@ def _plane(
     ground = ground_below(film, camera, backdrop)
     reflectance, seen = ground_material(ground, camera, backdrop)
     matt, gloss = ground_light(ground, camera, scene, room, (COARSE, COARSE))
-    shade, glow = place_things(reflectance, ground, camera, backdrop, np.random.default_rng(backdrop.seed))
+    shade, glows = place_things(reflectance, ground, camera, backdrop, np.random.default_rng(backdrop.seed))
     shade *= film_shade(ground, film, camera, scene, room)
     size = camera.size[::-1]
     light = cv2.resize(matt, size, interpolation=cv2.INTER_LINEAR)
     light *= shade[..., None]
     picture = reflectance * light
     picture += cv2.resize(gloss, size, interpolation=cv2.INTER_LINEAR)
-    picture += glow
+    for box, radiance in glows:
+        picture[box] += radiance
     if not seen.all():  # above the plane's horizon
         picture = np.where(seen[..., None], picture, _room(scene, camera, film, room, base))
     return picture

@@ -140,7 +140,9 @@ def _model(clip: Clip) -> tuple[UInt8[np.ndarray, "h w 4"], UInt8[np.ndarray, "h
     return shape, coded([*root, 255 * metal]), (before * PX_PER_MM, side * PX_PER_MM)
 
 
-def _slab(x: np.ndarray, y: np.ndarray, box: tuple[float, float, float, float], corner: float) -> np.ndarray:
+def _slab(
+    x: np.ndarray, y: np.ndarray, box: tuple[float | int, float | int, float | int, float | int], corner: float
+) -> np.ndarray:
     """Signed distance (positive inside) to a rectangle x0, y0, x1, y1 with rounded corners."""
     x0, y0, x1, y1 = box
     dx = np.abs(x - (x0 + x1) / 2) - (x1 - x0) / 2 + corner
@@ -157,8 +159,8 @@ def _raised(edge: np.ndarray, thickness: float, bevel: float) -> np.ndarray:
 def _bulldog(clip: Clip, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, ...]:
     """Bent sheet steel: a rolled lip on the film, a sloping body, a handle with a hole."""
     half, reach = clip.width_mm / 2, clip.reach_mm
-    body = _slab(x, y, (-14, -half, reach, half), 2.0)
-    handle = _slab(x, y, (-22, -0.5 * half, -8, 0.5 * half), 5.0)
+    body = _slab(x, y, (-14.0, -half, reach, half), 2.0)
+    handle = _slab(x, y, (-22.0, -0.5 * half, -8.0, 0.5 * half), 5.0)
     hole = np.hypot(x + 16, y) - 2.6
     edge = np.minimum(np.maximum(body, handle), hole)
     roll = 3.5 * np.exp(-(((x - reach + 2) / 2.2) ** 2))
@@ -187,7 +189,7 @@ def _peg(clip: Clip, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, ...]:
     """A clothes peg seen from above: a tapering bar with a spring's coil across it."""
     half = clip.width_mm / 2
     edge = _slab(x, y, (-48.0, -half, clip.reach_mm, half), 1.5)
-    spring = _slab(x, y, (-10, -half - 1.5, -4, half + 1.5), 1.0)
+    spring = _slab(x, y, (-10.0, -half - 1.5, -4.0, half + 1.5), 1.0)
     height = _raised(edge, 5.0, 2.0) + 0.04 * (clip.reach_mm - x) * (edge > 0)
     coil = spring > 0
     height = np.where(coil, 8 + 0.5 * np.cos(2.6 * y) + 0.3 * (9 - (x + 7) ** 2), height)

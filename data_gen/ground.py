@@ -12,7 +12,7 @@ from data_gen._clutter import ON_PANEL, ON_TABLE, ON_WALL, VARIANTS, Sprite, spr
 from data_gen._materials import TILE, tile
 from data_gen.backdrop import Backdrop
 from data_gen.lamps import surface_irradiance, vector_irradiance
-from data_gen.patches import frame_box
+from data_gen.patches import Box, frame_box
 from data_gen.rooms import FilteredEnvironment, sample_filtered, sample_irradiance
 from data_gen.scene import Scene
 from data_gen.shade import room_from_film
@@ -22,6 +22,9 @@ from hybrid.mesh.film import FilmMesh
 
 NEAREST_MM = 60.0
 """What is closer to the camera's plane is not drawn."""
+
+FARTHEST_MM = 4000.0
+"""Things farther from the film are left out."""
 
 SHADOW_SIDE = 256
 """Shadows are drawn on pictures of at most this side."""
@@ -78,7 +81,7 @@ class Ground:
 
 
 def filled(outline: Float[np.ndarray, "n 2"], size: tuple[int, int]) -> Float[np.ndarray, "h w"]:
-    """Share of each pixel of a photo of ``size`` within an outline in the photo frame."""
+    """Share of each pixel of a photo of ``size`` within an outline in the photo frame, its rim half a pixel wider."""
     mask = np.zeros(size, np.uint8)
     fixed = np.clip(opencv_from_photo(outline) * 16, -(2**19), 2**19).round().astype(np.int32)
     cv2.fillPoly(mask, [fixed], 255, cv2.LINE_AA, 4)
@@ -195,68 +198,75 @@ def main_light(scene: Scene, room: FilteredEnvironment, camera: Camera) -> tuple
 # ---------------------------------------------------------------- things
 
 
+Glow = tuple[Box, Float[np.ndarray, "_ _ 3"]]
+"""Radiance of what shines itself, within a part of the photo."""
+
+
 def place_things(
     reflectance: Float[np.ndarray, "h w 3"],
     ground: Ground,
     camera: Camera,
     backdrop: Backdrop,
     rng: np.random.Generator,
-) -> tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w 3"] | float]:
+) -> tuple[Float[np.ndarray, "h w"], list[Glow]]:
     """Draws the backdrop's things into ``reflectance``; the factor of their shadows, and what shines by itself."""
-    shade, glow = np.ones(camera.size, np.float32), np.zeros((), np.float32)
+    shade = np.ones(camera.size, np.float32)
     kinds = {"table": ON_TABLE, "wall": ON_WALL, "panel": ON_PANEL}[backdrop.kind]
+    placed = []
     for _ in range(backdrop.things):
         thing = sprite(str(rng.choice(kinds)), int(rng.integers(VARIANTS)))
         upright = backdrop.kind != "table" or rng.random() < 0.25
-        turn = rng.normal(0, 0.04) if upright else rng.uniform(-np.pi, np.pi)
+        turn = float(rng.normal(0, 0.04) if upright else rng.uniform(-np.pi, np.pi))
         at = ground.coordinates(camera, rng.uniform(-0.1, 1.1, (1, 2)))[0]
-        if np.abs(at).max() < 4000:
-            glow = _put(thing, at, turn, reflectance, shade, ground, camera) + glow
-    return shade, glow
+        if np.abs(at).max() < FARTHEST_MM:
+            placed.append(_placed(thing, at, turn, ground, camera))
+    glows = []
+    for seen in sorted((p for p in placed if p), key=lambda p: p.thing.glow):  # what shines is not covered
+        part, cover = reflectance[seen.box], seen.cover[..., None]
+        if seen.spread > 0.4:
+            soft = cv2.GaussianBlur(seen.cover, (0, 0), seen.spread)
+            shade[seen.box] *= 1 - np.float32(0.6) * soft * (1 - seen.cover)
+        if seen.thing.glow:
+            part *= 1 - cover
+            glows.append((seen.box, seen.colour * cover * np.float32(seen.thing.glow)))
+        else:
+            part += (seen.colour - part) * cover
+    return shade, glows
 
 
-def _put(
-    thing: Sprite,
-    at: np.ndarray,
-    turn: float,
-    reflectance: np.ndarray,
-    shade: np.ndarray,
-    ground: Ground,
-    camera: Camera,
-) -> np.ndarray:
-    """Draws one thing and its soft shadow in place; what it shines, or 0."""
-    none = np.zeros((), np.float32)
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """A thing in the photo: reflectance and coverage within ``box``; its shadow is blurred by ``spread`` pixels."""
+
+    thing: Sprite
+    box: Box
+    colour: Float[np.ndarray, "h w 3"]
+    cover: Float[np.ndarray, "h w"]
+    spread: float
+
+
+def _placed(thing: Sprite, at: np.ndarray, turn: float, ground: Ground, camera: Camera) -> _Seen | None:
+    """The thing lying at a point (mm) of the plane; None outside the photo."""
     half = np.array([thing.size_mm[1], thing.size_mm[0]]) / 2
     c, s = np.cos(turn), np.sin(turn)
     corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * half @ np.array([[c, s], [-s, c]]) + at
     world = ground.world(corners)
     if camera.camera_points(world)[:, 2].min() < NEAREST_MM:
-        return none
+        return None
     photo = camera.photo_from_world(world)
     per_mm = float(np.linalg.norm(photo[1] - photo[0]) / thing.size_mm[1])
     spread = min(0.35 * thing.rise_mm * per_mm, 40.0)
     box = frame_box(photo, camera.size, 2 + 3 * spread)
     if box is None or per_mm < 0.02:
-        return none
+        return None
     picture = _reduced(thing, per_mm)
     h, w = picture.shape[:2]
     source = opencv_from_photo(np.array([[0, 0], [w, 0], [w, h], [0, h]], np.float32))
     target = opencv_from_photo((photo - [box[1].start, box[0].start]).astype(np.float32))
     size = (box[1].stop - box[1].start, box[0].stop - box[0].start)
     seen = cv2.warpPerspective(picture, cv2.getPerspectiveTransform(source, target), size, flags=cv2.INTER_LINEAR)
-    cover = seen[..., 3:] * np.float32(1 / 255)
-    if spread > 0.4:
-        soft = cv2.GaussianBlur(cover[..., 0], (0, 0), spread)
-        shade[box] *= 1 - np.float32(0.6) * soft * (1 - cover[..., 0])
     colour = cv2.LUT(np.ascontiguousarray(seen[..., :3]), _DECODED)
-    part = reflectance[box]
-    if not thing.glow:
-        part += (colour - part) * cover
-        return none
-    part *= 1 - cover
-    glow = np.zeros_like(reflectance)
-    glow[box] = colour * cover * np.float32(thing.glow)
-    return glow
+    return _Seen(thing, box, colour, seen[..., 3] * np.float32(1 / 255), spread)
 
 
 def _reduced(thing: Sprite, per_mm: float) -> np.ndarray:

@@ -1,0 +1,199 @@
+"""Hands and clips: coverage is a share, nothing floats, what is free of them stays as it was, light in proportion."""
+
+import json
+
+import numpy as np
+import pytest
+from surroundings_case import FILM, SIZE, camera, even_room, scene
+
+from data_gen._hand_model import GRIPS, VARIANTS, hand_model
+from data_gen._relief import MIDDLE, coded_shape, decoded_normals
+from data_gen.clips import HIDING_OPACITY, KINDS, Clip, sample_clips
+from data_gen.hands import Hand, sample_hands, skin_reflectance
+from data_gen.lighting import Light
+from data_gen.lit_sphere import ball_normals, lit_sphere, look_up
+from data_gen.patches import Patch, hidden_share, put_over
+from data_gen.rooms import prefilter, procedural_room
+from data_gen.scene import SceneConfig, sample_scene
+from data_gen.surroundings import surroundings
+from data_gen.things import patches_before, patches_behind, rim_place, sample_things
+from hybrid.coords import centres_1d
+
+LIGHT = Light(front=1.0, turn_deg=0.0, lying=False)
+SKIN, CLOTH = (0.4, 0.25, 0.18), (0.1, 0.1, 0.12)
+
+
+def balls(radiance=1.0):
+    room = even_room(radiance)
+    return lit_sphere(LIGHT, room, np.eye(3), 0.4, 0.03), lit_sphere(LIGHT, room, np.eye(3), 0.2, 0.6)
+
+
+def hand(grip, variant=0, edge=2.5, mirrored=False) -> Hand:
+    return Hand(grip, variant, edge, 5.0, mirrored, 1.0, SKIN, CLOTH, None)
+
+
+def clip(kind, opacity=1.0) -> Clip:
+    return Clip(kind, 0.4, 3.0, 30.0, 12.0, (0.3, 0.3, 0.3), 0.5, opacity)
+
+
+THINGS = [hand(g, v, mirrored=bool(v % 2)) for g in GRIPS for v in (0, 1)] + [clip(k) for k in KINDS]
+
+
+@pytest.mark.parametrize("thing", THINGS, ids=lambda t: getattr(t, "grip", None) or t.kind)
+def test_patches_are_shares_within_the_photo(thing):
+    view = camera(tilt=0.2)
+    patches = patches_before((thing,), FILM, view, *balls()) + patches_behind((thing,), FILM, view, balls()[0])
+    assert patches
+    for patch in patches:
+        rows, cols = patch.box
+        assert 0 <= rows.start < rows.stop <= SIZE[0]
+        assert 0 <= cols.start < cols.stop <= SIZE[1]
+        for share in (patch.cover, patch.hides, patch.shade):
+            assert share.shape == (rows.stop - rows.start, cols.stop - cols.start)
+            assert share.min() >= 0
+            assert share.max() <= 1
+        assert (patch.hides <= patch.cover).all()
+        assert patch.shade.min() > 0
+        assert np.isfinite(patch.radiance).all()
+        assert patch.radiance.min() >= 0
+
+
+@pytest.mark.parametrize("grip", GRIPS)
+def test_arms_leave_the_photo(grip):
+    """A hand covers some pixel of the photo's border: nothing ends in mid-air."""
+    view = camera(distance_mm=1100.0)
+    for edge in (0.5, 1.5, 2.5, 3.5):
+        held = hand(grip, 1, edge)
+        patches = patches_behind((held,), FILM, view, balls()[0]) or patches_before((held,), FILM, view, *balls())
+        cover = hidden_share(patches, SIZE)
+        border = np.concatenate([cover[0], cover[-1], cover[:, 0], cover[:, -1]])
+        assert border.max() > 0.9
+
+
+def test_a_finger_is_as_wide_as_a_finger():
+    """14 to 21 mm across the last joint of a pointing finger, measured in the photo with the camera's scale."""
+    view = camera((600, 750), 700.0)
+    place = rim_place(FILM, view, 3.5)
+    patch = patches_before((hand("point"),), FILM, view, *balls())[0]
+    widths = []
+    for seed in range(VARIANTS):
+        patch = patches_before((hand("point", seed, 3.5),), FILM, view, *balls())[0]
+        cover = np.zeros(view.size)
+        cover[patch.box] = patch.cover
+        inside = place.at + 4 * place.px_per_mm * place.inward
+        column = cover[:, round(float(inside[0]))]
+        widths.append(column.sum() / place.px_per_mm)
+    assert 13 < np.median(widths) < 23
+
+
+def test_pixels_without_things_stay_as_they_were():
+    view = camera()
+    picture = np.random.default_rng(0).random((*SIZE, 3)).astype(np.float32)
+    before = picture.copy()
+    patches = patches_before((hand("pinch"), clip("bulldog")), FILM, view, *balls())
+    out = put_over(picture, patches)
+    np.testing.assert_array_equal(picture, before)  # inputs are not modified
+    touched = np.zeros(SIZE, bool)
+    for patch in patches:
+        touched[patch.box] |= (patch.cover > 0) | (patch.shade < 1)
+    np.testing.assert_array_equal(out[~touched], picture[~touched])
+    assert (out[touched] != picture[touched]).any()
+
+
+def test_full_cover_replaces_and_no_cover_keeps():
+    box = (slice(2, 5), slice(3, 7))
+    ones = np.ones((3, 4), np.float32)
+    red = np.broadcast_to(np.array([1.0, 0, 0], np.float32), (3, 4, 3))
+    picture = np.full((8, 9, 3), 0.5, np.float32)
+    assert (put_over(picture, [Patch(box, red, ones, ones, ones)])[box] == red).all()
+    assert (put_over(picture, [Patch(box, red, 0 * ones, 0 * ones, ones)]) == picture).all()
+    assert hidden_share([Patch(box, red, ones, 0 * ones, ones)], (8, 9)).max() == 0
+
+
+def test_thin_tape_leaves_the_print_readable_and_thick_tape_hides_it():
+    view = camera((240, 300))
+    for opacity, hides in ((HIDING_OPACITY - 0.1, False), (HIDING_OPACITY + 0.1, True)):
+        patches = patches_before((clip("tape", opacity),), FILM, view, *balls())
+        assert patches[0].cover.max() == pytest.approx(opacity, abs=1e-6)
+        assert (hidden_share(patches, view.size).max() > HIDING_OPACITY) == hides
+
+
+def test_radiance_of_things_scales_with_the_light():
+    view, things = camera(), (hand("fist"), clip("magnet"))
+    once, thrice = (patches_before(things, FILM, view, *balls(level)) for level in (1.0, 3.0))
+    for a, b in zip(once, thrice, strict=True):
+        np.testing.assert_allclose(3 * a.radiance, b.radiance, rtol=1e-4, atol=1e-5)
+
+
+def test_a_matt_ball_in_even_light_is_as_bright_as_the_light():
+    ball, _ = balls(0.8)
+    np.testing.assert_allclose(ball.matt, 0.8, rtol=1e-3)
+    np.testing.assert_allclose(look_up(ball.matt, np.zeros((2, 2, 2), np.float32)), 0.8, rtol=1e-3)
+    assert ball.gloss.max() <= 0.8 * 1.001  # a mirror is no brighter than what it shows
+
+
+def test_a_lit_ball_is_bright_on_the_side_of_the_light():
+    rng = np.random.default_rng(1)
+    room = prefilter(procedural_room(rng, (64, 128)))
+    turned = lit_sphere(LIGHT, room, np.diag([-1.0, -1.0, 1.0]), 0.4, 0.03)
+    straight = lit_sphere(LIGHT, room, np.eye(3), 0.4, 0.03)
+    inside = np.linalg.norm(ball_normals()[..., :2], axis=-1) < 0.98
+    np.testing.assert_allclose(turned.matt[::-1, ::-1][inside], straight.matt[inside], rtol=1e-4)
+
+
+def test_a_dome_has_the_normals_of_a_sphere():
+    mm = 20.0
+    x, y = np.meshgrid(centres_1d(160) / 4 - mm, centres_1d(160) / 4 - mm)
+    radius = np.hypot(x, y)
+    height = np.sqrt(np.maximum(25.0**2 - radius**2, 0)).astype(np.float32)
+    shape = coded_shape(height, (15 - radius).astype(np.float32), 4.0)
+    normal = decoded_normals(shape, np.array([[1.0, 0, 0], [0, 1.0, 0]]))
+    inside = radius < 14
+    np.testing.assert_allclose(normal[inside], np.stack([x, y], axis=-1)[inside] / 25.0, atol=0.012)
+    assert ((shape[..., 3] > MIDDLE) == (radius < 15))[np.abs(radius - 15) > 0.2].all()
+
+
+def test_models_are_drawn_once_and_alike():
+    first = hand_model("pinch", 2)
+    assert hand_model("pinch", 2) is first
+    again = hand_model.__wrapped__("pinch", 2)
+    np.testing.assert_array_equal(again.shape, first.shape)
+    np.testing.assert_array_equal(again.skin, first.skin)
+
+
+def test_skin_covers_the_human_range_and_reflects_red_most():
+    rng = np.random.default_rng(0)
+    tones = np.array([skin_reflectance(t, rng) for t in np.linspace(0, 1, 30)])
+    assert tones.max() < 0.9
+    assert tones[0].mean() > 6 * tones[-1].mean()
+    assert (tones[:, 0] > 0.9 * tones[:, 2]).all()
+
+
+def test_nobody_reaches_behind_a_film_that_lies_on_something():
+    rng = np.random.default_rng(0)
+    for _ in range(60):
+        assert not any(h.behind for h in sample_hands(2, True, rng))
+
+
+def test_holders_are_of_every_kind():
+    rng = np.random.default_rng(0)
+    assert {c.kind for _ in range(120) for c in sample_clips(2, rng)} == set(KINDS)
+    assert {type(t) for _ in range(30) for t in sample_things(False, rng)} == {Hand, Clip}
+
+
+def test_parameters_of_a_scene_are_json():
+    rng = np.random.default_rng(5)
+    for _ in range(25):
+        drawn = sample_scene(FILM, SIZE, rng, SceneConfig(thing_share=1.0))
+        text = json.dumps(drawn.parameters())
+        assert json.loads(text)["things"]
+
+
+def test_surroundings_are_the_same_twice():
+    room, base = even_room(), np.full(3, 0.02)
+    photographed = scene("wall", 2, held=(hand("pinch"), clip("foldback")), gap_mm=200.0)
+    first, again = (surroundings(photographed, FILM, room, base) for _ in range(2))
+    np.testing.assert_array_equal(first.behind, again.behind)
+    for a, b in zip(first.before, again.before, strict=True):
+        np.testing.assert_array_equal(a.radiance, b.radiance)
+        np.testing.assert_array_equal(a.cover, b.cover)
