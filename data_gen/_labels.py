@@ -3,12 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import numpy as np
 from jaxtyping import Float
 
-from data_gen._typeset import FAMILIES, Font, Sprite, ruler_sprite, stamp, text_sprite
+from data_gen._typeset import (
+    FAMILIES,
+    TEXT_STYLES,
+    Font,
+    Sprite,
+    cross_sprite,
+    ruler_sprite,
+    stamp,
+    stamp_text,
+    text_sprite,
+    wedge_greys,
+)  # fmt: skip
 from data_gen.volumes import CtVolume
 
 CORNERS = ("top left", "top right", "bottom left", "bottom right")
@@ -22,25 +33,56 @@ FIELDS = (
 
 
 @dataclass(frozen=True, eq=False)
+class Marks:
+    """What else stands in every cell, None or 0 for nothing.
+
+    ruler: a scale bar, upright at the right or lying at the bottom. cross: a plus sign in the middle. wedge: greys at
+    the left edge. ticks_px: length of the strokes at the middles of the four edges.
+    """
+
+    ruler: Sprite | None
+    ruler_vertical: bool
+    cross: Sprite | None
+    wedge: Float[np.ndarray, "_ _"] | None
+    ticks_px: int
+
+
+@dataclass(frozen=True, eq=False)
 class Labels:
     """The texts of a print, the same on every cell but for their numbers.
 
     corners: lines for each of CORNERS. values: what stands in for the fields that do not change.
-    letters: for top, right, bottom, left; empty for none. ruler: a scale bar, or None, and where it stands.
-    pad_px: distance from the cell's edge. first_image: number of the first cell.
+    letters: for top, right, bottom, left; empty for none. style: of TEXT_STYLES. pad_px: distance from the cell's edge.
+    first_image: number of the first cell. first_mm: table position of the volume's first slice.
     """
 
     font: Font
     corners: tuple[tuple[str, ...], ...]
     values: dict[str, object]
     letters: tuple[str, ...]
-    ruler: Sprite | None
-    ruler_vertical: bool
+    style: str
+    marks: Marks
     grey: float
     pad_px: int
     leading: float
     first_image: int
     first_mm: float
+
+    def numbers(self, k: int, position_mm: float, window: tuple[float, float]) -> dict[str, object]:
+        """What the fields of the k-th cell stand for."""
+        moving = {"image": self.first_image + k, "position": self.first_mm + position_mm}
+        return {**self.values, **moving, "level": round(window[0]), "width": round(window[1])}
+
+    def parameters(self) -> dict[str, object]:
+        """Everything that was chosen, as plain JSON values."""
+        marks = self.marks
+        return {
+            "font": asdict(self.font), "corners": [list(lines) for lines in self.corners], "values": self.values,
+            "letters": list(self.letters), "style": self.style, "grey": self.grey, "pad_px": self.pad_px,
+            "leading": self.leading, "first_image": self.first_image, "first_mm": self.first_mm,
+            "ruler": marks.ruler is not None, "ruler_vertical": marks.ruler_vertical, "cross": marks.cross is not None,
+            "wedge": marks.wedge is not None, "ticks_px": marks.ticks_px,
+        }  # fmt: skip
 
 
 def random_labels(
@@ -48,7 +90,7 @@ def random_labels(
     volume: CtVolume,
     cell_px: tuple[int, int],
     px_per_mm: float,
-    window: tuple[float, float],
+    marks_share: float,
 ) -> Labels:
     """A random typesetting for cells of ``cell_px`` (height, width), with a scale bar in print pixels per mm."""
     share = float(np.exp(rng.uniform(np.log(0.017), np.log(0.045))))
@@ -58,13 +100,11 @@ def random_labels(
     corners = _random_corners(rng)
     letters = rng.choice(np.array([("A", "L", "P", "R"), ("", "L", "", "R"), ("", "", "", "R"), ("", "", "", "")]),
                          p=[0.15, 0.1, 0.15, 0.6])  # fmt: skip
-    ruler, vertical = _random_ruler(rng, cell_px, px_per_mm)
+    marks = _random_marks(rng, cell_px, px_per_mm, marks_share)
     values: dict[str, object] = {
         "id": "".join(rng.choice(list("ABCDEFGHJKLMNPRSTUVWXYZ0123456789"), int(rng.integers(4, 11)))),
         "series": int(rng.integers(1, 13)),
         "total": int(rng.integers(30, 400)),
-        "width": round(window[1]),
-        "level": round(window[0]),
         "thick": float(volume.spacing_mm[0]),
         "field": volume.spacing_mm[2] * volume.hu.shape[2] / 10,
         "kv": int(rng.choice([80, 100, 120, 140])),
@@ -75,7 +115,8 @@ def random_labels(
         "date": f"{rng.integers(1, 29):02d}-{rng.integers(1, 13):02d}-20{rng.integers(0, 30):02d}",
     }
     return Labels(
-        font, corners, values, tuple(str(c) for c in letters), ruler, vertical, float(rng.uniform(0.5, 1.0)),
+        font, corners, values, tuple(str(c) for c in letters), str(rng.choice(TEXT_STYLES, p=[0.86, 0.1, 0.04])), marks,
+        float(rng.uniform(0.5, 1.0)),
         max(1, int(rng.uniform(0.005, 0.035) * cell_px[1])), float(rng.uniform(1.25, 1.7)),
         int(rng.integers(1, 40)), float(rng.uniform(-900, 300)),
     )  # fmt: skip
@@ -92,6 +133,22 @@ def _random_corners(rng: np.random.Generator) -> tuple[tuple[str, ...], ...]:
     return tuple(corners)
 
 
+def _random_marks(rng: np.random.Generator, cell_px: tuple[int, int], px_per_mm: float, share: float) -> Marks:
+    """A scale bar on half of the prints; wedges, crosses and ticks each on ``share`` of them."""
+    ruler, vertical = _random_ruler(rng, cell_px, px_per_mm)
+    cross, wedge, ticks = rng.random(3) < share
+    height, width = cell_px
+    thick = max(1, round(0.003 * width))
+    steps = int(rng.choice([0, 8, 11, 16]))
+    return Marks(
+        ruler,
+        vertical,
+        cross_sprite(max(2, round(rng.uniform(0.01, 0.03) * width)), thick) if cross else None,
+        wedge_greys(int(rng.uniform(0.25, 0.5) * height), max(3, round(0.02 * width)), steps, 0.95) if wedge else None,
+        max(2, round(rng.uniform(0.01, 0.025) * width)) if ticks else 0,
+    )
+
+
 def _random_ruler(rng: np.random.Generator, cell_px: tuple[int, int], px_per_mm: float) -> tuple[Sprite | None, bool]:
     if rng.random() < 0.45:
         return None, True
@@ -105,24 +162,22 @@ def _random_ruler(rng: np.random.Generator, cell_px: tuple[int, int], px_per_mm:
 
 
 def draw_labels(
-    image: Float[np.ndarray, "h w"], cell: tuple[int, int, int, int], labels: Labels, k: int, position_mm: float
+    image: Float[np.ndarray, "h w"], cell: tuple[int, int, int, int], labels: Labels, numbers: dict[str, object]
 ) -> None:
-    """Writes the texts of the k-th cell (x, y, width, height) onto the image in place."""
+    """Writes the texts of a cell (x, y, width, height) onto the image in place, ``numbers`` in their fields."""
     x, y, width, height = cell
     pad, inside = labels.pad_px, image[y : y + height, x : x + width]
-    moving = {"image": labels.first_image + k, "position": labels.first_mm + position_mm}
+    _draw_marks(inside, labels.marks, labels)
     for corner, lines in zip(CORNERS, labels.corners, strict=True):
-        texts = [line.format(**labels.values, **moving) for line in lines]
-        _draw_corner(inside, [text_sprite(t, labels.font) for t in texts], corner, labels)
+        sprites = [text_sprite(line.format(**numbers), labels.font) for line in lines]
+        _draw_corner(inside, sprites, corner, labels)
     anchors = ((0.5, 0.0), (1.0, 0.5), (0.5, 1.0), (0.0, 0.5))
     for letter, (across, down) in zip(labels.letters, anchors, strict=True):
         if letter:
             sprite = text_sprite(letter, labels.font)
             at_x = pad + across * (width - 2 * pad - sprite.shape[1])
             at_y = pad + down * (height - 2 * pad - sprite.shape[0])
-            stamp(inside, sprite, round(at_x), round(at_y), labels.grey)
-    if labels.ruler is not None:
-        _draw_ruler(inside, labels.ruler, labels)
+            stamp_text(inside, sprite, (round(at_x), round(at_y)), labels.grey, labels.style)
 
 
 def _draw_corner(inside: Float[np.ndarray, "h w"], sprites: Sequence[Sprite], corner: str, labels: Labels) -> None:
@@ -133,12 +188,27 @@ def _draw_corner(inside: Float[np.ndarray, "h w"], sprites: Sequence[Sprite], co
         if corner.startswith("bottom"):
             at_y = height - labels.pad_px - (len(sprites) - i) * line_px
         at_x = width - labels.pad_px - sprite.shape[1] if corner.endswith("right") else labels.pad_px
-        stamp(inside, sprite, at_x, at_y, labels.grey)
+        stamp_text(inside, sprite, (at_x, at_y), labels.grey, labels.style)
 
 
-def _draw_ruler(inside: Float[np.ndarray, "h w"], ruler: Sprite, labels: Labels) -> None:
+def _draw_marks(inside: Float[np.ndarray, "h w"], marks: Marks, labels: Labels) -> None:
     height, width = inside.shape
-    if labels.ruler_vertical:
-        stamp(inside, ruler, width - labels.pad_px - ruler.shape[1], (height - ruler.shape[0]) // 2, labels.grey)
-    else:
-        stamp(inside, ruler, (width - ruler.shape[1]) // 2, height - labels.pad_px - ruler.shape[0], labels.grey)
+    if marks.ruler is not None:
+        tall, wide = marks.ruler.shape
+        at = (width - labels.pad_px - wide, (height - tall) // 2)
+        if not marks.ruler_vertical:
+            at = ((width - wide) // 2, height - labels.pad_px - tall)
+        stamp(inside, marks.ruler, *at, labels.grey)
+    if marks.cross is not None:
+        stamp(
+            inside, marks.cross, (width - marks.cross.shape[1]) // 2, (height - marks.cross.shape[0]) // 2, labels.grey
+        )
+    if marks.wedge is not None:
+        tall, wide = marks.wedge.shape
+        top = (height - tall) // 2
+        place = inside[top : top + tall, labels.pad_px : labels.pad_px + wide]
+        place[:] = marks.wedge[:, : place.shape[1]]
+    if marks.ticks_px:
+        for place in (np.s_[: marks.ticks_px, width // 2], np.s_[-marks.ticks_px :, width // 2],
+                      np.s_[height // 2, : marks.ticks_px], np.s_[height // 2, -marks.ticks_px :]):  # fmt: skip
+            inside[place] = labels.grey

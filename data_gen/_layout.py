@@ -2,19 +2,67 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
 
+from hybrid.errors import ConfigError, describe
+
 GRIDS = (
-    ((4, 4), 0.18), ((6, 4), 0.18), ((5, 4), 0.12), ((4, 5), 0.10), ((3, 4), 0.10), ((3, 3), 0.04), ((6, 5), 0.06),
-    ((5, 5), 0.04), ((4, 3), 0.06), ((5, 3), 0.04), ((4, 6), 0.04), ((8, 5), 0.04),
+    ((4, 4), 0.17), ((6, 4), 0.17), ((5, 4), 0.12), ((4, 5), 0.10), ((3, 4), 0.08), ((3, 3), 0.04), ((6, 5), 0.06),
+    ((5, 5), 0.04), ((4, 3), 0.06), ((5, 3), 0.03), ((3, 5), 0.03), ((4, 6), 0.05), ((5, 6), 0.02), ((8, 5), 0.03),
 )  # fmt: skip
 """(rows, cols) and how often."""
 
-FORMATS_MM = ((430.0, 350.0), (350.0, 280.0), (300.0, 250.0))
+FORMATS_MM = {
+    "35 x 43 cm": ((430.0, 350.0), 0.35), "14 x 17 in": ((431.8, 355.6), 0.3), "11 x 14 in": ((355.6, 279.4), 0.12),
+    "10 x 12 in": ((304.8, 254.0), 0.1), "8 x 10 in": ((254.0, 203.2), 0.08), "28 x 35 cm": ((350.0, 280.0), 0.05),
+}  # fmt: skip
+"""Sides of film formats, the longer first, and how often."""
+
+PLACINGS = ("free", "fitted", "centred")
+"""The sheet as large as its square (or nearly square) cells; a format's, cells stretched to fill it; a format's, cells
+square in its middle."""
+
 STYLES = ("none", "rules", "gutter")
+
+
+@dataclass(frozen=True)
+class PrintConfig:
+    """How prints are made.
+
+    longer_px: the longer side in pixels, before a variation of +- ``longer_spread`` (a share).
+    style_weights: chances of cells with nothing between them, with rules, with gutters.
+    placing_weights: chances of PLACINGS.
+    margin_share, text_share, header_share, empty_share: chances of margins, of texts, of a header strip, and of empty
+        cells at the end.
+    scout_share, windows_share, marks_share: chances of a scout view in the first cell, of several windows on one film,
+        and of wedges and crosses in the cells.
+    """
+
+    longer_px: int = 1792
+    longer_spread: float = 0.14
+    style_weights: tuple[float, float, float] = (0.34, 0.36, 0.30)
+    placing_weights: tuple[float, float, float] = (0.45, 0.33, 0.22)
+    margin_share: float = 0.35
+    text_share: float = 0.94
+    header_share: float = 0.1
+    empty_share: float = 0.12
+    scout_share: float = 0.1
+    windows_share: float = 0.15
+    marks_share: float = 0.2
+
+    def __post_init__(self) -> None:
+        if self.longer_px < 128 or not 0 <= self.longer_spread < 1:
+            got = f"longer_px={self.longer_px}, longer_spread={self.longer_spread}"
+            allowed = "longer_px >= 128, longer_spread in [0, 1)"
+            raise ConfigError(describe(what="PrintConfig", got=got, allowed=allowed, do="Change the print size"))
+        for name in ("style_weights", "placing_weights"):
+            weights = getattr(self, name)
+            if min(weights) < 0 or sum(weights) <= 0:
+                what = f"PrintConfig.{name}"
+                raise ConfigError(describe(what=what, got=weights, allowed=">= 0, not all 0", do="Set one"))
 
 
 @dataclass(frozen=True)
@@ -24,7 +72,7 @@ class Layout:
     pitch_px: (down, across) from cell to cell. gap_px: even, between neighbouring cells, half of it outside the
     outermost. margins_px: (top, right, bottom, left) outside the grid, the header in the top one.
     rule_px: thickness of rules or boxes. boxes: a rule around each cell instead of between them.
-    outer_rules: rules also along the grid's border.
+    outer_rules: rules also along the grid's border. film: name of its format, or free.
     """
 
     rows: int
@@ -37,6 +85,7 @@ class Layout:
     rule_px: int
     boxes: bool
     outer_rules: bool
+    film: str
     size_mm: tuple[float, float]
 
     @property
@@ -77,49 +126,43 @@ def coverage(centre: float, thickness: float | int, length: int) -> tuple[int, F
     return first, np.diff(edges).astype(np.float32)
 
 
-def random_layout(
-    rng: np.random.Generator,
-    longer_px: int,
-    spread: float,
-    style_weights: tuple[float, float, float],
-    margin_share: float,
-    header_share: float,
-) -> Layout:
-    """A random frame whose longer side is about ``longer_px``."""
+def random_layout(rng: np.random.Generator, config: PrintConfig) -> Layout:
+    """A random frame whose longer side is about ``config.longer_px``."""
     weights = np.array([w for _, w in GRIDS])
     rows, cols = GRIDS[rng.choice(len(GRIDS), p=weights / weights.sum())][0]
-    style = STYLES[rng.choice(3, p=np.array(style_weights) / sum(style_weights))]
-    target = longer_px * rng.uniform(1 - spread, 1 + spread)
-    margins = _random_margins(rng, margin_share) * target
-    header = int(rng.uniform(0.02, 0.05) * target) if rng.random() < header_share else 0
+    style = STYLES[rng.choice(3, p=np.array(config.style_weights) / sum(config.style_weights))]
+    target = config.longer_px * rng.uniform(1 - config.longer_spread, 1 + config.longer_spread)
+    header = float(rng.uniform(0.02, 0.05)) if rng.random() < config.header_share else 0.0
+    margins = _random_margins(rng, config.margin_share)
     margins[0] += header
-    aspect = float(np.exp(np.clip(rng.normal(0, 0.1), -0.2, 0.2))) if rng.random() < 0.4 else 1.0
-    long_mm = float(rng.choice([430.0, 430.0, 350.0, 300.0]) * rng.uniform(0.9, 1.0))
-    if rng.random() < 0.3:
-        long_mm, short_mm = FORMATS_MM[rng.integers(len(FORMATS_MM))]
-        aspect = _fitted_aspect(rows, cols, short_mm / long_mm, margins / target)
-    high = rows * aspect + (margins[0] + margins[2]) * max(rows * aspect, cols) / target
-    wide = cols + (margins[1] + margins[3]) * max(rows * aspect, cols) / target
-    pitch_x = target / max(high, wide)
-    pitch = (max(8, round(pitch_x * aspect)), max(8, round(pitch_x)))
-    gap_share = float(np.exp(rng.uniform(np.log(0.003), np.log(0.03)))) if style == "gutter" else 0.0
+    placing = PLACINGS[rng.choice(3, p=np.array(config.placing_weights) / sum(config.placing_weights))]
+    film, (long_mm, short_mm) = _random_format(rng)
+    if placing == "free":
+        aspect = float(np.exp(np.clip(rng.normal(0, 0.1), -0.2, 0.2))) if rng.random() < 0.4 else 1.0
+        film, long_mm = "free", long_mm * rng.uniform(0.9, 1.0)
+        pitch, margins = _square_pitch((rows, cols), (1.0, 1.0), margins, aspect), margins
+    elif placing == "fitted":
+        pitch = _fitted_pitch((rows, cols), short_mm / long_mm, margins)
+    else:
+        pitch, margins = _centred_pitch((rows, cols), short_mm / long_mm, margins)
+    pitch_px = (max(8, round(pitch[0] * target)), max(8, round(pitch[1] * target)))
     boxes = style == "rules" and rng.random() < 0.3
-    gap = 2 * max(1, round(gap_share * pitch[1] / 2)) if style == "gutter" else 0
-    if boxes:
-        gap = 2 * int(rng.integers(0, 5))
+    gap = 2 * int(rng.integers(0, 5)) if boxes else 0
+    if style == "gutter":
+        gap = 2 * max(1, round(float(np.exp(rng.uniform(np.log(0.003), np.log(0.03)))) * pitch_px[1] / 2))
     rule = int(rng.integers(1, 5)) if style == "rules" else 0
     layout = Layout(
-        rows, cols, pitch, gap, tuple(int(m) for m in margins), header, style, rule, bool(boxes),
-        bool(rng.random() < 0.5), (0.0, 0.0),
+        rows, cols, pitch_px, gap, tuple(int(m * target) for m in margins), int(header * target), style, rule,
+        bool(boxes), bool(rng.random() < 0.5), film, (0.0, 0.0),
     )  # fmt: skip
-    return _with_size(layout, long_mm)
+    mm_per_px = long_mm / max(layout.shape)
+    return replace(layout, size_mm=(layout.shape[0] * mm_per_px, layout.shape[1] * mm_per_px))
 
 
-def _with_size(layout: Layout, long_mm: float) -> Layout:
-    height, width = layout.shape
-    mm_per_px = long_mm / max(height, width)
-    fields = {**vars(layout), "size_mm": (height * mm_per_px, width * mm_per_px)}
-    return Layout(**fields)
+def _random_format(rng: np.random.Generator) -> tuple[str, tuple[float, float]]:
+    weights = np.array([weight for _, weight in FORMATS_MM.values()])
+    name = list(FORMATS_MM)[rng.choice(len(weights), p=weights / weights.sum())]
+    return name, FORMATS_MM[name][0]
 
 
 def _random_margins(rng: np.random.Generator, share: float) -> Float[np.ndarray, " 4"]:
@@ -131,9 +174,34 @@ def _random_margins(rng: np.random.Generator, share: float) -> Float[np.ndarray,
     return rng.uniform(0.0, 0.05, 4)
 
 
-def _fitted_aspect(rows: int, cols: int, short: float, margins: Float[np.ndarray, " 4"]) -> float:
-    """Height by width of a cell so that the grid fills a film of ``short`` to 1, turned whichever way is squarer."""
-    across, down = margins[1] + margins[3], margins[0] + margins[2]
-    portrait = (1.0 - down) / rows / ((short - across) / cols)
-    landscape = (short - down) / rows / ((1.0 - across) / cols)
-    return float(min(portrait, landscape, key=lambda aspect: abs(np.log(aspect))))
+# Below, lengths are shares of the sheet's longer side; a sheet is (height, width), a pitch (down, across).
+
+
+def _square_pitch(
+    grid: tuple[int, int], sheet: tuple[float, float], margins: Float[np.ndarray, " 4"], aspect: float
+) -> tuple[float, float]:
+    """The largest cells of height by width ``aspect`` that the sheet takes."""
+    down, across = sheet[0] - margins[0] - margins[2], sheet[1] - margins[1] - margins[3]
+    pitch = float(min(down / (grid[0] * aspect), across / grid[1]))
+    return aspect * pitch, pitch
+
+
+def _fitted_pitch(grid: tuple[int, int], short: float, margins: Float[np.ndarray, " 4"]) -> tuple[float, float]:
+    """Cells that fill a sheet of ``short`` to 1, turned whichever way makes them squarer."""
+    pitches = []
+    for sheet in ((1.0, short), (short, 1.0)):
+        down, across = sheet[0] - margins[0] - margins[2], sheet[1] - margins[1] - margins[3]
+        pitches.append((float(down / grid[0]), float(across / grid[1])))
+    return min(pitches, key=lambda pitch: abs(np.log(pitch[0] / pitch[1])))
+
+
+def _centred_pitch(
+    grid: tuple[int, int], short: float, margins: Float[np.ndarray, " 4"]
+) -> tuple[tuple[float, float], Float[np.ndarray, " 4"]]:
+    """Square cells in the middle of a sheet turned whichever way makes them larger, and the margins that are left."""
+    sheets = ((1.0, short), (short, 1.0))
+    sheet = max(sheets, key=lambda sheet: _square_pitch(grid, sheet, margins, 1.0)[0])
+    pitch = _square_pitch(grid, sheet, margins, 1.0)
+    spare = np.array([sheet[0] - grid[0] * pitch[0] - margins[0] - margins[2],
+                      sheet[1] - grid[1] * pitch[1] - margins[1] - margins[3]])  # fmt: skip
+    return pitch, margins + 0.5 * spare[[0, 1, 0, 1]]

@@ -19,7 +19,11 @@ HERSHEY = {
     "complex": cv2.FONT_HERSHEY_COMPLEX,
     "italic": cv2.FONT_HERSHEY_SIMPLEX | cv2.FONT_ITALIC,
 }
-FAMILIES = (*HERSHEY, "pillow", "bitmap")
+OUTLINES = {"sans": ("sans", 400), "sans_bold": ("sans", 700), "sans_light": ("sans", 250), "slanted": ("italic", 400)}
+"""OpenCV's embedded outline fonts: name and weight."""
+
+FAMILIES = (*HERSHEY, *OUTLINES, "pillow", "bitmap")
+TEXT_STYLES = ("plain", "boxed", "inverted")
 
 
 @dataclass(frozen=True)
@@ -36,11 +40,13 @@ class Font:
 def text_sprite(text: str, font: Font) -> Sprite:
     """Coverage (0 to 255) of one line of text, cut to its ink; read-only because it is shared."""
     if font.family == "pillow":
-        ink = _pillow_ink(text, ImageFont.load_default(size=font.height_px * 1.4), 2 * font.height_px)
+        ink = _pillow_ink(text, _pillow_font(font.height_px), 2 * font.height_px)
     elif font.family == "bitmap":
         small = _pillow_ink(text, ImageFont.load_default_imagefont(), 16)
         factor = max(1, round(font.height_px / 8))
         ink = np.repeat(np.repeat(small, factor, axis=0), factor, axis=1)
+    elif font.family in OUTLINES:
+        ink = _outline_ink(text, font)
     else:
         ink = _opencv_ink(text, font)
     if font.stretch != 1.0 and ink.shape[1] > 3:
@@ -58,6 +64,24 @@ def _opencv_ink(text: str, font: Font) -> Sprite:
     canvas = np.zeros((height + below + 8, width + 12), np.uint8)
     cv2.putText(canvas, text, (4, height + 3), face, scale, 255, thickness, cv2.LINE_AA)
     return _trim(canvas)
+
+
+@lru_cache(maxsize=8)
+def _outline_face(name: str) -> cv2.FontFace:
+    return cv2.FontFace(name)
+
+
+def _outline_ink(text: str, font: Font) -> Sprite:
+    name, weight = OUTLINES[font.family]
+    size = round(font.height_px * 1.35)
+    canvas = np.zeros((2 * size + 4, size * (len(text) + 1)), np.uint8)
+    cv2.putText(canvas, text, (2, size + 2), (255,), _outline_face(name), size, weight + (200 if font.bold else 0))
+    return _trim(canvas)
+
+
+@lru_cache(maxsize=64)
+def _pillow_font(height_px: int) -> ImageFont.ImageFont | ImageFont.FreeTypeFont:
+    return ImageFont.load_default(size=height_px * 1.4)
 
 
 def _pillow_ink(text: str, font: ImageFont.ImageFont | ImageFont.FreeTypeFont, height: int) -> Sprite:
@@ -84,6 +108,34 @@ def stamp(image: Float[np.ndarray, "H W"], sprite: Sprite, x: int, y: int, grey:
     share = sprite[y0 - y : y1 - y, x0 - x : x1 - x] * np.float32(1 / 255)
     region = image[y0:y1, x0:x1]
     region += share * (np.float32(grey) - region)
+
+
+def stamp_text(image: Float[np.ndarray, "H W"], sprite: Sprite, at: tuple[int, int], grey: float, style: str) -> None:
+    """Puts a line of text at (x, y): plain, on a black box, or black on a box of ``grey``."""
+    x, y = at
+    if style != "plain":
+        pad = max(1, sprite.shape[0] // 6)
+        box = image[
+            max(y - pad, 0) : max(y + sprite.shape[0] + pad, 0), max(x - pad, 0) : max(x + sprite.shape[1] + pad, 0)
+        ]
+        box[:] = grey if style == "inverted" else 0.0
+    stamp(image, sprite, x, y, 0.0 if style == "inverted" else grey)
+
+
+def cross_sprite(arm_px: int, thick_px: int) -> Sprite:
+    """A plus sign of two strokes."""
+    canvas = np.zeros((2 * arm_px + thick_px, 2 * arm_px + thick_px), np.uint8)
+    canvas[arm_px : arm_px + thick_px] = 255
+    canvas[:, arm_px : arm_px + thick_px] = 255
+    return canvas
+
+
+def wedge_greys(height_px: int, width_px: int, steps: int, white: float) -> Float[np.ndarray, "h w"]:
+    """A grey wedge, white at the top; of ``steps`` equal steps, or smooth where 0."""
+    ramp = np.linspace(1.0, 0.0, height_px, dtype=np.float32)
+    if steps > 1:
+        ramp = np.minimum(np.floor(ramp * steps), steps - 1) / np.float32(steps - 1)
+    return np.repeat(np.float32(white) * ramp[:, None], width_px, axis=1)
 
 
 def ruler_sprite(length_px: float, ticks: int, tick_px: int, thick_px: int, vertical: bool) -> Sprite:

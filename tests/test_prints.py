@@ -15,7 +15,7 @@ from hybrid.coords import centres_1d, pixel_from_film
 from hybrid.errors import ConfigError
 
 SMALL = PrintConfig(longer_px=420)
-BARE = {"text_share": 0.0, "header_share": 0.0, "empty_share": 0.0}
+BARE = {"text_share": 0.0, "header_share": 0.0, "empty_share": 0.0, "scout_share": 0.0, "windows_share": 0.0}
 
 
 @pytest.fixture(scope="module")
@@ -121,7 +121,7 @@ def test_empty_cells_stand_at_the_end(head: CtVolume):
 
 
 def test_all_grids_and_styles_come_up():
-    layouts = [random_layout(np.random.default_rng(s), 1792, 0.1, (1.0, 1.0, 1.0), 0.4, 0.1) for s in range(250)]
+    layouts = [random_layout(np.random.default_rng(s), PrintConfig(style_weights=(1.0, 1.0, 1.0))) for s in range(400)]
     assert {(x.rows, x.cols) for x in layouts} == {grid for grid, _ in GRIDS}
     assert {x.style for x in layouts} == set(STYLES)
     aspects = np.array([x.pitch_px[0] / x.pitch_px[1] for x in layouts])
