@@ -148,7 +148,7 @@ def compare(case: Case, rooms: Sequence[Environment], options: Options) -> tuple
         camera=camera.resized((1024, 1024)),
         material=case.material,
         light=case.light,
-        shadow=False,
+        shadows=(),
     )
     model, inside = shaded(film, scene, room, camera, case.grey)
     scene = replace(scene, camera=camera)
@@ -177,7 +177,7 @@ def shaded(
     film: FilmMesh, scene: Scene, room: Environment, camera: Camera, grey: float
 ) -> tuple[Float[np.ndarray, "h w 3"], Bool[np.ndarray, "h w"]]:
     """The model's radiance averaged over each pixel, and the pixels that are film two pixels around."""
-    light = film_light(film, scene, prefilter(room), np.random.default_rng(0))
+    light = film_light(film, scene, prefilter(room))
     fine = camera.resized((camera.size[0] * SUPERSAMPLE, camera.size[1] * SUPERSAMPLE))
     mask, uv = FilmCaster(film).uv_map(fine)
     values = light.gain * np.float32(grey) + light.veil

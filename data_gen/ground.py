@@ -12,7 +12,7 @@ from data_gen._clutter import ON_PANEL, ON_TABLE, ON_WALL, VARIANTS, Sprite, spr
 from data_gen._materials import TILE, tile
 from data_gen.backdrop import Backdrop
 from data_gen.lamps import surface_irradiance, vector_irradiance
-from data_gen.patches import Box, frame_box
+from data_gen.patches import Box, filled, frame_box
 from data_gen.rooms import FilteredEnvironment, sample_filtered, sample_irradiance
 from data_gen.scene import Scene
 from data_gen.shade import room_from_film
@@ -78,14 +78,6 @@ class Ground:
         if camera.camera_points(world)[:, 2].min() < NEAREST_MM:
             return np.zeros(camera.size, np.float32)
         return filled(camera.photo_from_world(world), camera.size)
-
-
-def filled(outline: Float[np.ndarray, "n 2"], size: tuple[int, int]) -> Float[np.ndarray, "h w"]:
-    """Share of each pixel of a photo of ``size`` within an outline in the photo frame, its rim half a pixel wider."""
-    mask = np.zeros(size, np.uint8)
-    fixed = np.clip(opencv_from_photo(outline) * 16, -(2**19), 2**19).round().astype(np.int32)
-    cv2.fillPoly(mask, [fixed], 255, cv2.LINE_AA, 4)
-    return mask * np.float32(1 / 255)
 
 
 def ground_below(film: FilmMesh, camera: Camera, backdrop: Backdrop) -> Ground:

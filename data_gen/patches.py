@@ -5,8 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from jaxtyping import Float
+
+from hybrid.coords import opencv_from_photo
 
 Box = tuple[slice, slice]
 """Rows and columns of a photo."""
@@ -52,3 +55,11 @@ def frame_box(points: Float[np.ndarray, "n 2"], size: tuple[int, int], margin: f
     if (high <= low).any():
         return None
     return slice(int(low[1]), int(high[1])), slice(int(low[0]), int(high[0]))
+
+
+def filled(outline: Float[np.ndarray, "n 2"], size: tuple[int, int]) -> Float[np.ndarray, "h w"]:
+    """Share of each pixel of a photo of ``size`` within an outline in the photo frame, its rim up to a pixel wider."""
+    mask = np.zeros(size, np.uint8)
+    fixed = np.clip(opencv_from_photo(outline) * 16, -(2**19), 2**19).round().astype(np.int32)
+    cv2.fillPoly(mask, [fixed], 255, cv2.LINE_AA, 4)
+    return mask * np.float32(1 / 255)

@@ -103,7 +103,7 @@ def _photograph(
 ) -> Sample:  # fmt: skip
     """One photo of a bent film."""
     film, camera = caster.film, scene.camera
-    light = film_light(film, scene, room, rng)
+    light = film_light(film, scene, room)
     backward = true_backward_map(film, camera)
     base = np.median(light.veil + light.gain * np.median(levels.reflectance[-1]), axis=(0, 1))
     around = surroundings(scene, film, room, base)

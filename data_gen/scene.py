@@ -10,6 +10,7 @@ import numpy as np
 from data_gen.backdrop import Backdrop, sample_backdrop
 from data_gen.develop import Lens, sample_lens
 from data_gen.lighting import Light, Material, sample_light, sample_material
+from data_gen.shadows import Shadow, sample_shadows
 from data_gen.things import Thing, sample_things
 from data_gen.viewpoint import ViewConfig, sample_camera
 from hybrid.mesh.camera import Camera
@@ -43,12 +44,12 @@ class Scene:
     lens: Lens
     backdrop: Backdrop
     things: tuple[Thing, ...]
-    shadow: bool
+    shadows: tuple[Shadow, ...]
 
     def parameters(self) -> dict[str, Any]:
         """Everything but the camera, JSON-able."""
         things = [{"thing": type(t).__name__.lower()} | asdict(t) for t in self.things]
-        rest = {"things": things, "shadow": self.shadow}
+        rest = {"things": things, "shadows": [asdict(s) for s in self.shadows]}
         return {k: asdict(getattr(self, k)) for k in ("material", "light", "lens", "backdrop")} | rest
 
 
@@ -59,5 +60,5 @@ def sample_scene(film: FilmMesh, size: tuple[int, int], rng: np.random.Generator
     backdrop = sample_backdrop(light, rng)
     lying = backdrop.kind in ("table", "wall", "panel") and backdrop.gap_mm < REACH_BEHIND_MM
     things = sample_things(lying, rng) if rng.random() < config.thing_share else ()
-    shadow = bool(rng.random() < config.shadow_share)
-    return Scene(camera, sample_material(rng), light, sample_lens(rng), backdrop, things, shadow)
+    shadows = sample_shadows(rng) if rng.random() < config.shadow_share else ()
+    return Scene(camera, sample_material(rng), light, sample_lens(rng), backdrop, things, shadows)

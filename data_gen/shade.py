@@ -34,11 +34,15 @@ from data_gen.lamps import Lamp, highlight, lamp_seen, surface_irradiance, vecto
 from data_gen.lighting import Light, LightBox, Material
 from data_gen.rooms import FilteredEnvironment, sample_environment, sample_filtered, sample_irradiance
 from data_gen.scene import Scene
+from data_gen.shadows import film_shadow
 from hybrid.coords import film_centres_1d, linear_from_srgb
 from hybrid.mesh.film import FilmMesh
 
 SMOOTH_LATTICE = 48
 """Film points along each side at which matt light is evaluated: 9 mm on a 35 x 43 cm film."""
+
+SHADOW_LATTICE = 160
+"""Likewise where something casts a shadow: 3 mm, as wide as the penumbra of the sun a metre away is at the least."""
 
 _SRGB_LINEAR = linear_from_srgb(np.arange(256) / 255).astype(np.float32)
 
@@ -106,7 +110,7 @@ def room_from_film(light: Light) -> Float[np.ndarray, "3 3"]:
     return azimuth @ (lying if light.lying else upright)
 
 
-def film_light(film: FilmMesh, scene: Scene, room: FilteredEnvironment, rng: np.random.Generator) -> FilmLight:
+def film_light(film: FilmMesh, scene: Scene, room: FilteredEnvironment) -> FilmLight:
     """Gain and veil over the film for one scene."""
     material, light, camera_mm = scene.material, scene.light, scene.camera.centre_world
     surface = gloss(material.roughness, material.ior, material.surfaces)
@@ -114,15 +118,15 @@ def film_light(film: FilmMesh, scene: Scene, room: FilteredEnvironment, rng: np.
     smooth = seen_film(film, camera_mm, SMOOTH_LATTICE)
     panel = light_box_lamp(light.box, film, camera_mm) if light.box else None
     front, back = matt_light(smooth, light, room, surface, (lamps, panel))
-    if scene.shadow:
-        shadow = soft_shadow(SMOOTH_LATTICE, rng)[..., None]
-        front, back = front * shadow, back * shadow
     inside = 1 - surface.reflected(smooth.cosine)
     gain = inside * (material.diffuse * front + material.transmission * back)
     veil = inside * (material.haze * (front + back))
-    n = glossy_lattice(material, scene.camera.size)
+    n = max(glossy_lattice(material, scene.camera.size), SHADOW_LATTICE if scene.shadows else 0)
     fine = seen_film(film, camera_mm, n)
     gain, veil = (cv2.resize(x.astype(np.float32), (n, n), interpolation=cv2.INTER_LINEAR) for x in (gain, veil))
+    if scene.shadows:
+        shadow = film_shadow(scene.shadows, film.size_mm, n)[..., None]
+        gain, veil = gain * shadow, veil * shadow
     if material.clear:
         gain += material.clear * (1 - surface.reflected(fine.cosine)) * light_behind(fine, light, room, (lamps, panel))
     veil += reflection(fine, light, room, surface)
@@ -216,17 +220,6 @@ def _panel_uv(lamp: Lamp, points: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray
     """Where on the panel, (0, 0) to (1, 1), points lie that are moved onto it along its normal."""
     offset = (points - np.array(lamp.centre_mm))[..., :2] / np.array(lamp.half_mm)
     return np.clip((1 + offset) / 2, 0, 1)
-
-
-def soft_shadow(n: int, rng: np.random.Generator) -> Float[np.ndarray, "n n"]:
-    """Factor on the light over the film where a hand or the phone stands in it: soft-edged, 0.3 to 0.95 deep."""
-    mask = np.zeros((n, n), np.float32)
-    for _ in range(int(rng.integers(1, 4))):
-        centre = tuple(int(c) for c in rng.uniform(-0.2, 1.2, 2) * n)
-        axes = tuple(int(a) for a in rng.uniform(0.08, 0.6, 2) * n)
-        cv2.ellipse(mask, centre, axes, float(rng.uniform(0, 180)), 0, 360, 1.0, -1)
-    soft = cv2.GaussianBlur(mask, (0, 0), float(rng.uniform(0.01, 0.12)) * n)
-    return 1 - np.float32(rng.uniform(0.05, 0.7)) * soft
 
 
 # ---------------------------------------------------------------- reflections

@@ -34,4 +34,4 @@ def scene(kind="table", seed=0, light=None, held=(), **changes) -> Scene:
     rng = np.random.default_rng(seed)
     light = light or Light(front=1.0, turn_deg=30.0, lying=kind == "table")
     backdrop = replace(sample_backdrop(light, rng), kind=kind, **changes)
-    return Scene(camera(tilt=0.3), sample_material(rng), light, sample_lens(rng), backdrop, held, False)
+    return Scene(camera(tilt=0.3), sample_material(rng), light, sample_lens(rng), backdrop, held, ())

@@ -8,8 +8,9 @@ from data_gen._clutter import _SIZE_MM, sprite
 from data_gen._materials import _PAINTED, TILE, tile
 from data_gen.backdrop import KINDS, sample_backdrop
 from data_gen.background import background
-from data_gen.ground import filled, film_shade, ground_below, ground_light
+from data_gen.ground import film_shade, ground_below, ground_light
 from data_gen.lighting import Light, LightBox, sample_light
+from data_gen.patches import filled
 from data_gen.rooms import prefilter, procedural_room
 from hybrid.coords import film_centres, pixel_centres
 

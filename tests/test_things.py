@@ -15,6 +15,8 @@ from data_gen.lit_sphere import ball_normals, lit_sphere, look_up
 from data_gen.patches import Patch, hidden_share, put_over
 from data_gen.rooms import prefilter, procedural_room
 from data_gen.scene import SceneConfig, sample_scene
+from data_gen.shadows import KINDS as SHADOWS
+from data_gen.shadows import Shadow, film_shadow, sample_shadows
 from data_gen.surroundings import surroundings
 from data_gen.things import patches_before, patches_behind, rim_place, sample_things
 from hybrid.coords import centres_1d
@@ -197,3 +199,53 @@ def test_surroundings_are_the_same_twice():
     for a, b in zip(first.before, again.before, strict=True):
         np.testing.assert_array_equal(a.radiance, b.radiance)
         np.testing.assert_array_equal(a.cover, b.cover)
+
+
+# ---------------------------------------------------------------- shadows
+
+
+def shadow(kind="hand", penumbra_mm=2.0, depth=0.6) -> Shadow:
+    return Shadow(kind, (0.5, 0.5), -80.0, 1.1, penumbra_mm, depth, 1)
+
+
+@pytest.mark.parametrize("kind", SHADOWS)
+def test_shadows_only_take_light_and_never_all(kind):
+    factor = film_shadow((shadow(kind),), (430.0, 350.0), 64)
+    assert factor.shape == (64, 64)
+    assert factor.min() == pytest.approx(1 - 0.6, abs=0.05)
+    assert factor.max() <= 1
+
+
+def test_no_shadow_takes_no_light():
+    assert (film_shadow((), (430.0, 350.0), 16) == 1).all()
+
+
+def test_two_shadows_take_light_one_after_the_other():
+    one, other = shadow("hand"), shadow("edge")
+    size = (430.0, 350.0)
+    both = film_shadow((one, other), size, 48)
+    np.testing.assert_allclose(both, film_shadow((one,), size, 48) * film_shadow((other,), size, 48), rtol=1e-6)
+
+
+def test_the_penumbra_widens_the_rim_and_keeps_the_middle():
+    """Across an edge the factor is that of a blurred step: half the depth on the line, 16 % one sigma beyond it.
+
+    Within what one step of the lattice changes.
+    """
+    for penumbra in (20.0, 40.0):
+        edge = Shadow("edge", (0.5, 0.5), 0.0, 1.0, penumbra, 0.8, 0)
+        column = film_shadow((edge,), (400.0, 400.0), 200)[:, 100]
+        mm = 400 * (centres_1d(200) / 200 - np.array(1 / 2))
+        for at, share in ((0.0, 0.5), (penumbra, 0.1587), (-penumbra, 0.8413)):
+            assert np.interp(at, mm, column) == pytest.approx(1 - 0.8 * share, abs=0.04)
+
+
+def test_a_shadow_of_life_size_is_as_large_as_the_phone():
+    factor = film_shadow((Shadow("phone", (0.2, 0.5), 0.0, 1.0, 0.5, 0.5, 0),), (400.0, 400.0), 200)
+    dark = factor[:, round(0.5 * 200)] < 0.75
+    assert dark.sum() * 2 == pytest.approx(76, abs=8)
+
+
+def test_drawn_shadows_repeat_with_their_seed():
+    first, again = (sample_shadows(np.random.default_rng(7)) for _ in range(2))
+    assert first == again
