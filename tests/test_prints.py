@@ -2,12 +2,14 @@
 
 import json
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from data_gen._layout import GRIDS, STYLES, coverage, random_layout
-from data_gen._typeset import FAMILIES, Font, stamp, text_sprite
+from data_gen._layout import FORMATS_MM, GRIDS, STYLES, coverage, random_layout
+from data_gen._slices import deal_slices
+from data_gen._typeset import FAMILIES, TEXT_STYLES, Font, stamp, stamp_text, text_sprite, wedge_greys
 from data_gen.phantom import body_phantom, head_phantom
 from data_gen.prints import FilmPrint, PrintConfig, choose_slices, make_print
 from data_gen.volumes import CtVolume
@@ -188,3 +190,112 @@ def test_a_full_size_print_is_quick():
         make_print(volume, np.random.default_rng(seed))
         seconds.append(time.perf_counter() - start)
     assert min(seconds) < 0.5  # 0.02 s where nothing else runs and shapes are not checked
+
+
+# ---------------------------------------------------------------- film formats, windows, scouts, marks
+
+
+def test_sheets_have_the_sides_of_their_format():
+    seen = set()
+    for seed in range(120):
+        layout = random_layout(np.random.default_rng(seed), PrintConfig(placing_weights=(0.0, 1.0, 1.0)))
+        longer, shorter = FORMATS_MM[layout.film][0]
+        assert np.isclose(max(layout.size_mm), longer)
+        assert np.isclose(min(layout.size_mm), shorter, rtol=0.01)  # cells and margins are whole pixels
+        seen.add((layout.film, layout.size_mm[0] > layout.size_mm[1]))
+    assert {film for film, _ in seen} == set(FORMATS_MM)
+    assert {portrait for _, portrait in seen} == {True, False}
+
+
+def test_centred_grids_have_square_cells_and_even_margins():
+    for seed in range(30):
+        config = PrintConfig(placing_weights=(0.0, 0.0, 1.0), margin_share=0.0, header_share=0.0)
+        layout = random_layout(np.random.default_rng(seed), config)
+        top, right, bottom, left = layout.margins_px
+        assert layout.pitch_px[0] == layout.pitch_px[1]
+        assert top == bottom
+        assert left == right
+
+
+@pytest.mark.parametrize("deal", ["halves", "pairs"])
+def test_two_windows_show_the_same_slices(deal: str):
+    got = deal_slices(np.random.default_rng(1), 60, 12, deal)
+    first, second = (got.positions[np.array(got.windows) == i] for i in (0, 1))
+    assert np.array_equal(first, second)
+    odd = deal_slices(np.random.default_rng(1), 60, 11, deal)
+    assert len(odd.positions) == len(odd.windows) == 11
+
+
+def test_a_scout_takes_the_first_cell_and_marks_the_slices(head: CtVolume):
+    options = {**BARE, "scout_share": 1.0, "style_weights": (1.0, 0.0, 0.0), "margin_share": 0.0}
+    film = make(head, 4, **options)
+    height, width = film.image.shape
+    first = film.image[: height // film.rows, : width // film.cols]
+    assert len(film.parameters["slices"]) == film.rows * film.cols - 1
+    line = 0.5 * (film.parameters["base"] + film.parameters["white"])
+    rows = np.isclose(first, line).sum(axis=1)
+    assert (rows > 0.3 * first.shape[1]).sum() >= min(len(film.parameters["slices"]), 5)
+
+
+def test_greys_stay_between_base_and_white(head: CtVolume):
+    """Also where cubic interpolation overshoots."""
+    for seed in range(8):
+        film = make(head, seed, margin_share=0.0, style_weights=(1.0, 0.0, 0.0), **BARE)
+        assert film.image.min() >= np.float32(film.parameters["base"]) - 1e-6
+        assert film.image.max() <= np.float32(film.parameters["white"]) + 1e-6
+
+
+@pytest.mark.parametrize("style", TEXT_STYLES)
+def test_text_is_seen_on_black_and_on_white(style: str):
+    sprite = text_sprite("WL 40", Font("sans", 14))
+    for ground in (0.0, 1.0):
+        image = np.full((60, 120), ground, np.float32)
+        stamp_text(image, sprite, (20, 20), 0.9, style)
+        inked = image[20 : 20 + sprite.shape[0], 20 : 20 + sprite.shape[1]]
+        if (style, ground) != ("plain", 1.0):  # white on white: lost, on films too
+            assert np.ptp(inked) > 0.5
+
+
+@pytest.mark.parametrize("steps", [0, 8])
+def test_wedges_fall_from_white_to_black_in_equal_steps(steps: int):
+    greys = wedge_greys(80, 5, steps, 0.9)
+    assert greys[0, 0] == np.float32(0.9)
+    assert greys[-1, 0] == 0.0
+    assert np.all(np.diff(greys[:, 0]) <= 0)
+    assert len(np.unique(greys.round(6))) == (steps or 80)
+
+
+MARKERS = {"DA": "19110919", "TM": "191109", "DT": "19110919191109", "AS": "091Y", "UI": "1.9.1191.919", "CS": "ZQXJ"}
+TEXT_KINDS = {"AE", "LO", "LT", "PN", "SH", "ST", "UC", "UR", "UT", *MARKERS}
+NEEDED = {"Modality", "ImageType", "SOPClassUID", "SOPInstanceUID", "PhotometricInterpretation", "RescaleType",
+          "SpecificCharacterSet", "SeriesInstanceUID", "PixelPresentation", "FrameType"}  # fmt: skip
+"""What the reader goes by stays as it is."""
+
+
+def test_nothing_of_the_patient_is_printed_or_recorded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """Every text-like element of the files that may hold it carries a marker; none of it comes out anywhere."""
+    pytest.importorskip("pydicom", reason="pydicom is not installed")
+    from pydicom._dicom_dict import DicomDictionary
+    from test_dicom import anatomy, write
+
+    from data_gen import _labels, prints
+    from data_gen.dicom import read_all
+
+    names = {}
+    for tag, (kind, _, _, _, keyword) in DicomDictionary.items():
+        if keyword and kind in TEXT_KINDS and keyword not in NEEDED and 0x0008 <= tag >> 16 < 0x7FE0:
+            names[keyword] = MARKERS.get(kind, "ZQXJ")
+    assert len(names) > 1000
+    for z in range(6):
+        write(tmp_path / f"{z}.dcm", anatomy(z) + 1024, 4.0 * z, SeriesInstanceUID=MARKERS["UI"], **names)
+    reading = read_all(tmp_path)
+    written: list[str] = []
+    for module in (_labels, prints):
+        monkeypatch.setattr(module, "text_sprite", lambda text, font: written.append(text) or text_sprite(text, font))
+    said = [str(reading.notes), *(refusal.reason for refusal in reading.refusals)]
+    for seed in range(12):
+        config = PrintConfig(longer_px=300, text_share=1.0, header_share=1.0)
+        said.append(json.dumps(make_print(reading.volumes[0], np.random.default_rng(seed), config).parameters))
+    assert len(written) > 500
+    for marker in ("ZQXJ", *MARKERS.values()):
+        assert not any(marker in text for text in (*said, *written))
