@@ -3,23 +3,26 @@
 from __future__ import annotations
 
 import json
-import multiprocessing
 import os
-import shutil
+import sys
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field, replace
-from functools import partial
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
 import tyro
 from tqdm import tqdm
 
-from data_gen.sample import Sample, SampleConfig, film_samples
-from data_gen.shards import ShardWriter
+from data_gen.card import write_card
+from data_gen.manifest import describe_dataset, finished_shards, shard_name, sole_writer, write_manifest, write_shard
+from data_gen.sample import SampleConfig
 from data_gen.sources import SourceConfig
+from data_gen.work import film_bytes, source_names, workers
+from hybrid import __version__
 from hybrid.coords import CONVENTIONS_VERSION
-from hybrid.errors import ConfigError, HybridError, describe
+from hybrid.errors import ConfigError, DataError, HybridError, describe
+from hybrid.learn.shards import FORMAT
 
 MAX_MAP_SIZE = 448
 """Maps are stored at the photo's size up to this (the published data set's)."""
@@ -29,11 +32,12 @@ MAX_MAP_SIZE = 448
 class GenerateConfig:
     """Make photos of bent CT films with all their maps.
 
-    count: photos to make. out: folder for the data set; finished shards in it are kept, so a run that was cut off
-        goes on. seed: the same seed gives the same photos.
+    count: photos to make; a larger count on the same folder extends its data set. out: folder for the data set;
+        finished shards in it are kept, so a run that was cut off goes on. seed: the same seed gives the same bytes.
     size: side of the photos in pixels. map_size: side of the maps (photo size, at most 448).
-    sources: of CT volumes and of light. workers: processes (all cores).
-    shard_size: photos in a shard. sample: everything else.
+    workers: processes (all cores); 0 makes everything in this one. scheduler: address of a Dask scheduler whose
+        workers do the work instead; they need this package and the folders of --ct and --hdri at the same paths.
+    shard_size: photos in a shard. sources: of CT volumes and of light. sample: everything else.
     """
 
     count: int
@@ -43,102 +47,99 @@ class GenerateConfig:
     map_size: int | None = None
     sources: tyro.conf.OmitArgPrefixes[SourceConfig] = field(default_factory=SourceConfig)
     workers: int = field(default_factory=lambda: os.cpu_count() or 1)
+    scheduler: str | None = None
     shard_size: int = 512
     sample: tyro.conf.Suppress[SampleConfig] = field(default_factory=SampleConfig)
 
+    def __post_init__(self) -> None:
+        per_film = self.sample.photos_per_film
+        if self.count < 1 or self.size < 32 or self.workers < 0 or not 16 <= self.maps <= self.size:
+            got = f"count {self.count}, size {self.size}, map size {self.maps}, workers {self.workers}"
+            allowed = "count >= 1, size >= 32, map size from 16 to size, workers >= 0"
+        elif self.shard_size < 1 or self.shard_size % per_film:
+            got, allowed = f"shard size {self.shard_size}", f"multiples of the {per_film} photos of a film"
+        else:
+            return
+        raise ConfigError(describe(what="generate", got=got, allowed=allowed, do="Change the option."))
+
+    @property
+    def maps(self) -> int:
+        """Side of the maps."""
+        return self.map_size or min(self.size, MAX_MAP_SIZE)
+
+    def sample_config(self) -> SampleConfig:
+        """The samples' configuration with the command's options in it; paths absolute, as other machines need them."""
+        ct, hdri = (folder and folder.absolute() for folder in (self.sources.ct, self.sources.hdri))
+        sources = replace(self.sources, ct=ct, hdri=hdri)
+        return replace(self.sample, size=self.size, map_size=self.maps, sources=sources)
+
 
 def generate(config: GenerateConfig) -> None:
-    """Write the data set; a progress bar shows rate and time left.
+    """Write the data set and its card; a progress bar shows rate and time left.
 
     Raises:
-        ConfigError: a count, size or folder that cannot be; a folder that holds a data set made otherwise.
+        ConfigError: a folder that holds a data set made otherwise or that another run writes to; no such cluster.
+        DataError: sources that cannot be read; a disk that is full or fails. What is finished is kept in each case.
     """
-    sample_config = _sample_config(config)
-    config.out.mkdir(parents=True, exist_ok=True)
-    _describe_dataset(config, sample_config)
-    per_film = sample_config.photos_per_film
-    with tqdm(total=config.count, unit="photo", smoothing=0.05) as bar:
-        for shard in range(-(-config.count // config.shard_size)):
-            folder = config.out / f"shard_{shard:05d}"
-            first = shard * config.shard_size
-            count = min(config.shard_size, config.count - first)
-            if folder.exists():
-                bar.update(count)
-                continue
-            shutil.rmtree(folder.with_name(folder.name + ".part"), ignore_errors=True)
-            writer = ShardWriter(folder, count, sample_config.map_size)
-            films = range(first // per_film, -(-(first + count) // per_film))
-            for sample in _samples(films, config, sample_config):
-                if writer.written < count:
-                    writer.add(sample)
-                    bar.update()
+    try:
+        with sole_writer(config.out):
+            _make_shards(config)
+            write_card(config.out)
+    except OSError as error:
+        do = "Mend that (free space, permissions) and run the same command again: finished shards are kept."
+        raise DataError(describe(what="data set", where=config.out, got=error.strerror or error, do=do)) from error
 
 
-def _samples(films: range, config: GenerateConfig, sample_config: SampleConfig) -> Iterator[Sample]:
-    """The films' photos in order, made by the workers."""
-    make = partial(_film, config.seed, sample_config)
-    if config.workers <= 1:
-        for number in films:
-            yield from make(number)
-        return
-    for photos in _pool(config.workers).imap(make, films):
-        yield from photos
+def _make_shards(config: GenerateConfig) -> None:
+    """Make the shards that are not there yet."""
+    sample, size = config.sample_config(), config.shard_size
+    with workers(config.workers, config.scheduler) as those:
+        options = _options(config, next(those.in_order(source_names, [(sample.sources,)])))
+        entries = finished_shards(config.out, size)
+        there = sum(entry.count for entry in entries.values())
+        describe_dataset(config.out, options, max(config.count, there))
+        write_manifest(config.out, entries.values())
+        counts = {k: min(size, config.count - k * size) for k in range(-(-config.count // size))}
+        missing = {k: n for k, n in counts.items() if k not in entries or entries[k].count < n}
+        films = those.in_order(film_bytes, _tasks(config, sample, missing))
+        with tqdm(total=sum(missing.values()), unit="photo", smoothing=0.05) as bar:
+            for number, count in missing.items():
+                photos = _photos(films, -(-count // sample.photos_per_film), bar)
+                path = config.out / shard_name(number)
+                entries[number] = write_shard(path, number * size, islice(photos, count))
+                write_manifest(config.out, entries.values())
 
 
-_POOLS: dict[int, Any] = {}
+def _tasks(config: GenerateConfig, sample: SampleConfig, missing: dict[int, int]) -> Iterator[tuple[Any, ...]]:
+    """The arguments of ``film_bytes`` for all films of the missing shards (number: count of photos), in order."""
+    for shard, count in missing.items():
+        first = shard * config.shard_size // sample.photos_per_film
+        for film in range(first, first - (-count // sample.photos_per_film)):
+            yield config.seed, film, sample
 
 
-def _pool(workers: int) -> Any:
-    """Worker processes, started once: what they load (volumes, phantoms, environments) serves all shards."""
-    if workers not in _POOLS:
-        for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
-            os.environ.setdefault(name, "1")  # the workers are the parallelism
-        _POOLS[workers] = multiprocessing.get_context("spawn").Pool(workers, initializer=_one_thread)
-    return _POOLS[workers]
+def _photos(films: Iterator[list[bytes]], count: int, bar: Any) -> Iterator[bytes]:
+    """The photos of the next ``count`` films."""
+    for film in islice(films, count):
+        for photo in film:
+            bar.update()
+            yield photo
 
 
-def _one_thread() -> None:
-    import cv2
-
-    cv2.setNumThreads(1)
-
-
-def _film(seed: int, config: SampleConfig, number: int) -> list[Sample]:
-    return list(film_samples(seed, number, config))
-
-
-def _sample_config(config: GenerateConfig) -> SampleConfig:
-    """The samples' configuration with the command's options in it, checked."""
-    if config.count < 1 or config.size < 32 or config.workers < 1 or config.shard_size < config.sample.photos_per_film:
-        raise ConfigError(
-            describe(
-                what="generate",
-                got=[config.count, config.size, config.workers, config.shard_size],
-                allowed=f"count >= 1, size >= 32, workers >= 1, shard_size >= {config.sample.photos_per_film}",
-                do="Change the option.",
-            )
-        )
-    for name in ("ct", "hdri"):
-        folder = getattr(config.sources, name)
-        if folder is not None and not folder.is_dir():
-            raise ConfigError(
-                describe(what=f"--{name}", where=folder, do="Name a folder that exists, or leave it out.")
-            )
-    map_size = config.map_size or min(config.size, MAX_MAP_SIZE)
-    return replace(config.sample, size=config.size, map_size=map_size, sources=config.sources)
-
-
-def _describe_dataset(config: GenerateConfig, sample_config: SampleConfig) -> None:
-    """Write dataset.json, or check that the one there belongs to the same data set."""
-    path = config.out / "dataset.json"
-    options = json.loads(json.dumps(asdict(sample_config), default=str))
-    options["sources"] |= {name: getattr(config.sources, name) is not None for name in ("ct", "hdri")}
-    made = {"seed": config.seed, "shard_size": config.shard_size, "conventions": CONVENTIONS_VERSION, "sample": options}
-    if path.exists() and json.loads(path.read_text()) != made:
-        raise ConfigError(
-            describe(what="generate", where=path, got="a data set made with other options", do="Choose another --out.")
-        )
-    path.write_text(json.dumps(made, indent=1))
+def _options(config: GenerateConfig, names: dict[str, list[str]]) -> dict[str, Any]:
+    """What dataset.json says besides the count: all that decides the bytes, and no path of this machine."""
+    sample = asdict(config.sample_config())
+    sources = sample.pop("sources")
+    options = {
+        "format": FORMAT,
+        "conventions": CONVENTIONS_VERSION,
+        "hybrid": __version__,
+        "seed": config.seed,
+        "shard_size": config.shard_size,
+        "sources": {name: value for name, value in sources.items() if name not in ("ct", "hdri")} | names,
+        "sample": sample,
+    }
+    return json.loads(json.dumps(options))  # tuples as lists, as they come back from the file
 
 
 def main() -> None:
@@ -147,6 +148,9 @@ def main() -> None:
         generate(tyro.cli(GenerateConfig, prog="python -m data_gen.generate"))
     except HybridError as error:
         raise SystemExit(f"error: {error}") from None
+    except KeyboardInterrupt:
+        print("stopped; finished shards are kept, and the same command goes on", file=sys.stderr)
+        raise SystemExit(130) from None
 
 
 if __name__ == "__main__":

@@ -1,78 +1,60 @@
-"""Shards: folders of JPEG photos and memory-mappable maps, written once and read without decoding what is not needed.
+"""Shards: tar files in the WebDataset layout, in which the members of a sample share a key.
 
-DIR/dataset.json                      what made it: seed, configuration, conventions version
-DIR/shard_00000/photos/000000.jpg     the photos
-DIR/shard_00000/mask.npy ...          one array for each map, samples first (FIELDS)
-DIR/shard_00000/samples.jsonl         one line for each sample: camera, grid, every parameter
+000000012.photo.jpg     the photo
+000000012.mask.npy ...  the maps as plain arrays, coded as hybrid/learn/coding.py says, and the backward map's nodes
+000000012.json          camera, grid, coding, every parameter
+
+The key is the sample's number in the data set. Nothing is compressed, so a reader maps the file into memory and looks
+at the arrays in place. The headers hold no time and no owner: the same sample is the same bytes everywhere.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
-from pathlib import Path
+import tarfile
+from functools import lru_cache
+from io import BytesIO
 from typing import Any
 
 import numpy as np
 
 from data_gen.sample import Sample
-from hybrid.learn.shards import UV_LEVELS
+from hybrid.learn.coding import encode_albedo, encode_normal, encode_uv, encode_xyz
+from hybrid.learn.shards import key_of
+
+END_OF_TAR = bytes(2 * tarfile.BLOCKSIZE)
+
+GRID_DECIMALS = {"film": 7, "world": 4, "camera": 4, "photo": 4}
+"""Digits kept of the grid vertices in film units, mm, mm and pixels."""
 
 
-def _zero_filled(values: np.ndarray, scale: int, dtype: type) -> np.ndarray:
-    return np.rint(np.nan_to_num(values) * scale).astype(dtype)
+def sample_bytes(sample: Sample, number: int) -> bytes:
+    """The part of a tar file that holds sample ``number``: a header and the padded content of each member."""
+    key = key_of(number)
+    return b"".join(_member(f"{key}.{suffix}", content) for suffix, content in members(sample).items())
 
 
-FIELDS: dict[str, tuple[type, tuple[int, ...], Callable[[Sample], np.ndarray]]] = {
-    "mask": (np.bool_, (), lambda s: s.maps.mask),
-    "uv": (np.uint16, (2,), lambda s: _zero_filled(s.maps.uv, UV_LEVELS, np.uint16)),
-    "xyz": (np.float32, (3,), lambda s: s.maps.xyz.astype(np.float32)),
-    "normal": (np.int8, (3,), lambda s: _zero_filled(s.maps.normal, 127, np.int8)),
-    "albedo": (np.uint8, (), lambda s: _zero_filled(s.albedo, 255, np.uint8)),
-}
-"""Name: (type, trailing shape, stored values of a sample). Integers are 0 and floats NaN where the mask is False;
-depth is xyz[..., 2]."""
-
-
-class ShardWriter:
-    """Writes the samples of one shard; the shard appears under its name only when it is whole."""
-
-    def __init__(self, folder: Path, count: int, map_size: int) -> None:
-        self.folder, self.count, self.written = folder, count, 0
-        self._part = folder.with_name(folder.name + ".part")
-        (self._part / "photos").mkdir(parents=True, exist_ok=True)
-        self._arrays = {
-            name: np.lib.format.open_memmap(
-                self._part / f"{name}.npy", mode="w+", dtype=dtype, shape=(count, map_size, map_size, *trailing)
-            )
-            for name, (dtype, trailing, _) in FIELDS.items()
-        }
-        self._nodes: list[np.ndarray] = []
-        self._lines: list[str] = []
-
-    def add(self, sample: Sample) -> None:
-        """Store one more sample; the last one completes the shard."""
-        k = self.written
-        (self._part / "photos" / f"{k:06d}.jpg").write_bytes(sample.photo)
-        for name, (_, _, stored) in FIELDS.items():
-            self._arrays[name][k] = stored(sample)
-        self._nodes.append(sample.backward.nodes.astype(np.float32))
-        self._lines.append(json.dumps(_record(sample)))
-        self.written += 1
-        if self.written == self.count:
-            self._finish()
-
-    def _finish(self) -> None:
-        for array in self._arrays.values():
-            array.flush()
-        np.save(self._part / "backward.npy", np.stack(self._nodes))
-        (self._part / "samples.jsonl").write_text("\n".join(self._lines) + "\n")
-        self._part.rename(self.folder)
+def members(sample: Sample) -> dict[str, bytes]:
+    """The files of a sample by the part of their names that follows the key."""
+    mask = sample.maps.mask
+    xyz, xyz_coding = encode_xyz(sample.maps.xyz, mask)
+    arrays = {
+        "mask": mask,
+        "uv": encode_uv(sample.maps.uv, mask),
+        "xyz": xyz,
+        "normal": encode_normal(sample.maps.normal, mask),
+        "albedo": encode_albedo(sample.albedo, mask),
+        "glare": sample.glare,
+        "backward": sample.backward.nodes.astype(np.float32),
+    }
+    record = _record(sample) | {"coding": {"xyz": xyz_coding}}
+    maps = {f"{name}.npy": _npy(array) for name, array in arrays.items()}
+    return {"photo.jpg": sample.photo} | maps | {"json": json.dumps(record).encode()}
 
 
 def _record(sample: Sample) -> dict[str, Any]:
-    """The JSON line of a sample."""
-    camera = sample.camera
+    """What is said of a sample in its JSON member."""
+    camera, mask = sample.camera, sample.maps.mask
     return {
         "size_mm": list(sample.size_mm),
         "camera": {
@@ -82,10 +64,28 @@ def _record(sample: Sample) -> dict[str, Any]:
             "size": list(camera.size),
         },
         "grid": {
-            "film": sample.grid_film.tolist(),
-            "world": sample.grid_world.tolist(),
-            "camera": sample.grid_camera.tolist(),
-            "photo": sample.grid_photo.tolist(),
+            name: np.round(getattr(sample, f"grid_{name}"), digits).tolist() for name, digits in GRID_DECIMALS.items()
         },
+        "coverage": float(mask.mean()),
+        "glare_share": float(sample.glare[mask].mean()) if mask.any() else 0.0,
         **sample.parameters,
     }
+
+
+def _npy(array: np.ndarray) -> bytes:
+    """An array as a .npy file."""
+    array = np.ascontiguousarray(array)
+    return _npy_header(array.dtype.str, array.shape) + array.tobytes()
+
+
+@lru_cache(maxsize=64)
+def _npy_header(dtype: str, shape: tuple[int, ...]) -> bytes:
+    file = BytesIO()
+    np.lib.format.write_array_header_1_0(file, {"descr": dtype, "fortran_order": False, "shape": shape})
+    return file.getvalue()
+
+
+def _member(name: str, content: bytes) -> bytes:
+    info = tarfile.TarInfo(name)
+    info.size, info.mode = len(content), 0o644
+    return info.tobuf(tarfile.USTAR_FORMAT) + content + bytes(-len(content) % tarfile.BLOCKSIZE)

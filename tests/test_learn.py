@@ -25,7 +25,7 @@ TINY = FilmNetConfig(widths=(4, 8, 8, 8), blocks=(1, 1, 1), input_px=64)
 def dataset(tmp_path_factory):
     out = tmp_path_factory.mktemp("data")
     sample = SampleConfig(photos_per_film=4)
-    generate(GenerateConfig(count=12, out=out, seed=7, size=96, map_size=64, workers=1, shard_size=8, sample=sample))
+    generate(GenerateConfig(count=12, out=out, seed=7, size=96, map_size=64, workers=0, shard_size=8, sample=sample))
     return out
 
 
@@ -116,7 +116,7 @@ def test_an_undisturbed_view_is_the_sample(dataset):
     view = training_view(shard, 2, 96, np.random.default_rng(0), None)
     assert view.image.shape == (96, 96, 3)
     assert (view.mask == (view.uv != 0).any(axis=-1))[view.mask].all()
-    nodes = np.asarray(shard.backward[2])
+    nodes = shard.stored("backward", 2)
     from hybrid.backward import BackwardMap
 
     at = BackwardMap(nodes).photo_from_film(view.uv[view.mask].astype(np.float64))

@@ -11,9 +11,10 @@ from jaxtyping import Float, UInt8
 
 from hybrid.coords import opencv_from_photo, pixel_centres, rescale_points, rgb_from_bgr
 from hybrid.errors import DataError, describe
+from hybrid.learn.coding import ALBEDO_LEVELS, UV_LEVELS, xyz_from_stored
 from hybrid.learn.losses import Targets
 from hybrid.learn.network import STRIDE
-from hybrid.learn.shards import UV_LEVELS, Shard
+from hybrid.learn.shards import Shard
 
 
 @dataclass(frozen=True)
@@ -46,7 +47,7 @@ def training_view(shard: Shard, index: int, px: int, rng: np.random.Generator, c
     """Sample ``index`` seen in a random view of ``px`` pixels; with no ``config``, as it is and undisturbed."""
     photo = _decoded(shard, index)
     side = photo.shape[0]
-    mask = np.asarray(shard.maps["mask"][index])
+    mask, record = shard.stored("mask", index), shard.record(index)
     map_size = (mask.shape[0], mask.shape[1])
     photo_from_view, turn = _view(mask, side, px, rng, config)
     image = _warped(photo, photo_from_view, px)
@@ -57,7 +58,7 @@ def training_view(shard: Shard, index: int, px: int, rng: np.random.Generator, c
     in_photo = centres @ photo_from_view[:, :2].T + photo_from_view[:, 2]
     in_map = opencv_from_photo(rescale_points(in_photo, (side, side), map_size))
     seen, uv, xyz, albedo = _sampled(shard, index, mask, in_map)
-    return View(image, seen, uv, _relative(xyz, seen, shard.samples[index], turn), albedo)
+    return View(image, seen, uv, _relative(xyz_from_stored(xyz, record["coding"]["xyz"]), seen, record, turn), albedo)
 
 
 def batch_of(views: list[View]) -> tuple[torch.Tensor, Targets]:
@@ -74,11 +75,9 @@ def batch_of(views: list[View]) -> tuple[torch.Tensor, Targets]:
 
 def _decoded(shard: Shard, index: int) -> UInt8[np.ndarray, "n n 3"]:
     """The photo of a sample, RGB."""
-    photo = cv2.imdecode(np.frombuffer(shard.photos[index], np.uint8), cv2.IMREAD_COLOR)
+    photo = cv2.imdecode(shard.member("photo.jpg", index), cv2.IMREAD_COLOR)
     if photo is None:
-        raise DataError(
-            describe(what="shard", where=shard.folder, got=f"photo {index} unreadable", do="Make it again.")
-        )
+        raise DataError(describe(what="shard", where=shard.path, got=f"photo {index} unreadable", do="Make it again."))
     return rgb_from_bgr(photo)
 
 
@@ -122,7 +121,7 @@ def _warped(photo: np.ndarray, photo_from_view: np.ndarray, px: int) -> np.ndarr
 def _sampled(
     shard: Shard, index: int, mask: np.ndarray, in_map: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Mask, uv, xyz and albedo at OpenCV coordinates of the maps: bilinear, of film pixels only, else 0.
+    """Mask, uv, xyz (as stored) and albedo at OpenCV coordinates of the maps: bilinear, of film pixels only, else 0.
 
     Only the four neighbours of each point are read: the maps stay on disk where nothing looks at them.
     """
@@ -131,7 +130,7 @@ def _sampled(
     part = (in_map - corner).astype(np.float32)
     inside = np.zeros(in_map.shape[:2], np.float32)
     sums = [np.zeros((*in_map.shape[:2], k), np.float32) for k in (2, 3, 1)]
-    names = ("uv", "xyz", "albedo")
+    maps = [shard.stored(name, index) for name in ("uv", "xyz", "albedo")]
     for dy in (0, 1):
         for dx in (0, 1):
             x, y = corner[..., 0] + dx, corner[..., 1] + dy
@@ -140,12 +139,12 @@ def _sampled(
             film = within & mask[y, x]
             share = (part[..., 0] if dx else 1 - part[..., 0]) * (part[..., 1] if dy else 1 - part[..., 1]) * film
             inside += share
-            for total, name in zip(sums, names, strict=True):
-                values = shard.maps[name][index][y, x].reshape(*film.shape, -1)
+            for total, stored in zip(sums, maps, strict=True):
+                values = stored[y, x].reshape(*film.shape, -1)
                 total += share[..., None] * np.where(film[..., None], values, 0)
     seen = inside > 0.5
     uv, xyz, albedo = (np.where(seen[..., None], t / np.maximum(inside, 0.5)[..., None], 0) for t in sums)
-    return seen, (uv / UV_LEVELS).astype(np.float32), xyz.astype(np.float32), (albedo[..., 0] / 255).astype(np.float32)
+    return seen, (uv / UV_LEVELS).astype(np.float32), xyz, (albedo[..., 0] / ALBEDO_LEVELS).astype(np.float32)
 
 
 def _relative(xyz: np.ndarray, seen: np.ndarray, record: dict, turn: float) -> np.ndarray:

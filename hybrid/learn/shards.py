@@ -1,10 +1,20 @@
-"""Reading shards: folders of JPEG photos and memory-mapped maps (written by data_gen, see data_gen/shards.py)."""
+"""Reading a data set: tar shards mapped into memory, their arrays looked at in place (written by data_gen).
+
+DIR/dataset.json      what made it: seed, count, every option, format and conventions version
+DIR/manifest.json     each finished shard: name, count of samples, bytes, sha256
+DIR/shard_00000.tar   samples in the WebDataset layout (data_gen/shards.py), coded as hybrid/learn/coding.py says
+"""
 
 from __future__ import annotations
 
+import hashlib
 import json
+import mmap
+import os
+from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -12,72 +22,222 @@ import numpy as np
 
 from hybrid.coords import CONVENTIONS_VERSION
 from hybrid.errors import DataError, describe
+from hybrid.learn.coding import decode_albedo, decode_normal, decode_uv, decode_xyz
 
-UV_LEVELS = 65535
-"""uv in [0, 1] is stored in 16 bits: steps of 1.5e-5, far below a hundredth of a pixel."""
+FORMAT = 2
+"""Of the data set's files; raised with each change after which old files cannot be read."""
 
-MAP_NAMES = ("mask", "uv", "xyz", "normal", "albedo")
+TAR_BLOCK = 512
+
+OPEN_SHARDS = 256
+"""Shards kept mapped at a time: each holds a file open, of which a process may commonly have 1024."""
+
+
+@dataclass(frozen=True)
+class ShardEntry:
+    """A shard's line in the manifest. first, count: numbers of its samples in the data set. bytes: of the file."""
+
+    name: str
+    first: int
+    count: int
+    bytes: int
+    sha256: str
 
 
 @dataclass(frozen=True, eq=False)
 class Shard:
-    """One shard, opened without reading its maps.
+    """One shard; its file is opened when something in it is first asked for. Samples are counted from 0 here."""
 
-    photos: JPEG bytes. maps: memory-mapped arrays by name, samples first. backward: (n, gh, gw, 2) nodes.
-    samples: the JSON records.
-    """
-
-    folder: Path
-    maps: dict[str, np.ndarray]
-    backward: np.ndarray
-    samples: list[dict[str, Any]]
-
-    @cached_property
-    def photos(self) -> list[bytes]:
-        return [path.read_bytes() for path in sorted((self.folder / "photos").glob("*.jpg"))]
+    path: Path
+    entry: ShardEntry
 
     def __len__(self) -> int:
-        return len(self.samples)
+        return self.entry.count
+
+    def photo(self, k: int) -> bytes:
+        """The photo of a sample as JPEG."""
+        return self.member("photo.jpg", k).tobytes()
+
+    def record(self, k: int) -> dict[str, Any]:
+        """All that is said of a sample: size_mm, camera, grid, coding, the parameters that were drawn."""
+        return json.loads(self.member("json", k).tobytes())
+
+    def stored(self, name: str, k: int) -> np.ndarray:
+        """A map (mask, uv, xyz, normal, albedo, glare or backward) as it is stored, read-only and without a copy."""
+        raw = self.member(f"{name}.npy", k)
+        start = 10 + int.from_bytes(raw[8:10], "little")
+        dtype, shape = _npy_layout(raw[:start].tobytes())
+        return raw[start:].view(dtype).reshape(shape)
+
+    def field(self, name: str, k: int) -> np.ndarray:
+        """A map as the conventions have it: float32, NaN where the mask is False; mask and glare are boolean.
+
+        uv (h, w, 2), xyz (h, w, 3) mm in camera axes, normal (h, w, 3) unit, albedo (h, w), depth (h, w) mm,
+        backward (gh, gw, 2) nodes in pixels of the photo.
+        """
+        if name in ("mask", "glare", "backward"):
+            return self.stored(name, k)
+        if name == "depth":
+            return self.field("xyz", k)[..., 2]
+        mask = self.stored("mask", k)
+        if name == "xyz":
+            return decode_xyz(self.stored("xyz", k), mask, self.record(k)["coding"]["xyz"])
+        return {"uv": decode_uv, "normal": decode_normal, "albedo": decode_albedo}[name](self.stored(name, k), mask)
+
+    def member(self, suffix: str, k: int) -> np.ndarray:
+        """The bytes of a sample's file KEY.suffix, in place."""
+        offset, size = self._index[suffix][k]
+        return _mapped(self.path, self.entry.sha256)[offset : offset + size]
+
+    @cached_property
+    def _index(self) -> dict[str, np.ndarray]:
+        """Offset and size of each sample's files, (count, 2), by suffix."""
+        try:
+            index = read_index(self.path)
+        except (OSError, ValueError) as error:
+            raise DataError(describe(what="shard", where=self.path, got=error, do=_AGAIN)) from error
+        if index.first != self.entry.first or index.count != self.entry.count:
+            got = f"samples {index.first} to {index.first + index.count - 1}"
+            allowed = f"{self.entry.first} to {self.entry.first + self.entry.count - 1}"
+            raise DataError(describe(what="shard", where=self.path, got=got, allowed=allowed, do=_AGAIN))
+        return index.places
 
 
-def open_shard(folder: Path) -> Shard:
-    """Open one shard folder.
+_AGAIN = "Delete it and run python -m data_gen.generate with the options of its data set again."
+
+
+@dataclass(frozen=True, eq=False)
+class TarIndex:
+    """Where everything in a shard is. first: number of its first sample. places: (count, 2) offset, size by suffix."""
+
+    first: int
+    count: int
+    places: dict[str, np.ndarray]
+
+
+def read_index(path: Path) -> TarIndex:
+    """One pass over a shard's headers.
 
     Raises:
-        DataError: a file of the shard is missing.
+        OSError, ValueError: not a whole tar file of samples that follow each other and have the same members.
     """
+    by_key: dict[str, dict[str, tuple[int, int]]] = {}
+    for name, offset, size in _tar_members(path):
+        key, _, suffix = name.partition(".")
+        by_key.setdefault(key, {})[suffix] = (offset, size)
+    if not by_key:
+        raise ValueError("no samples in it")
+    first = int(next(iter(by_key)))
+    suffixes = next(iter(by_key.values())).keys()
+    if list(by_key) != [key_of(first + k) for k in range(len(by_key))]:
+        raise ValueError("samples do not follow each other")
+    if any(files.keys() != suffixes for files in by_key.values()):
+        raise ValueError("samples lack members")
+    places = {suffix: np.array([files[suffix] for files in by_key.values()]) for suffix in suffixes}
+    return TarIndex(first, len(by_key), places)
+
+
+def _tar_members(path: Path) -> Iterator[tuple[str, int, int]]:
+    """Name, offset and size of each file in an uncompressed USTAR tar."""
+    file = os.open(path, os.O_RDONLY)  # plain reads: touching mapped pages would read what is around them as well
     try:
-        maps = {name: np.load(folder / f"{name}.npy", mmap_mode="r") for name in MAP_NAMES}
-        backward = np.load(folder / "backward.npy", mmap_mode="r")
-        samples = [json.loads(line) for line in (folder / "samples.jsonl").read_text().splitlines()]
-    except (OSError, ValueError) as error:
-        raise DataError(describe(what="shard", where=folder, got=error, do="Make the data set again.")) from error
-    return Shard(folder, maps, backward, samples)
+        at = 0
+        while (header := os.pread(file, TAR_BLOCK, at))[:1] != b"\0":
+            if len(header) < TAR_BLOCK or header[257:262] != b"ustar":
+                raise ValueError(f"cut off or damaged at byte {at}")
+            size = int(header[124:135], 8)
+            yield header[: header.index(0)].decode("ascii"), at + TAR_BLOCK, size
+            at += TAR_BLOCK + size + -size % TAR_BLOCK
+    finally:
+        os.close(file)
 
 
-def open_dataset(folder: Path) -> list[Shard]:
-    """All shards of a data set folder, in order.
+@lru_cache(maxsize=OPEN_SHARDS)
+def _mapped(path: Path, sha256: str) -> np.ndarray:
+    """The bytes of a shard. The hash keeps a shard apart from one that replaced it under the same name."""
+    with path.open("rb") as file:
+        return np.frombuffer(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ), np.uint8)
+
+
+@lru_cache(maxsize=64)
+def _npy_layout(header: bytes) -> tuple[np.dtype, tuple[int, ...]]:
+    file = BytesIO(header)
+    np.lib.format.read_magic(file)
+    shape, _, dtype = np.lib.format.read_array_header_1_0(file)
+    return dtype, shape
+
+
+def key_of(number: int) -> str:
+    """The key of a sample, from its number in the data set."""
+    return f"{number:09d}"
+
+
+def sha256_of(path: Path) -> str:
+    """The hash of a file, in hexadecimal digits."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+# ---------------------------------------------------------------- data sets
+
+
+def read_description(folder: Path) -> dict[str, Any]:
+    """dataset.json of a data set of this format and these conventions.
 
     Raises:
-        DataError: no data set there, none of its shards is finished, or it follows other conventions.
+        DataError: no data set there, or one of another version.
     """
-    described = folder / "dataset.json"
-    shards = sorted(path for path in folder.glob("shard_*") if path.suffix != ".part")
-    if not described.exists() or not shards:
+    path = folder / "dataset.json"
+    try:
+        described = json.loads(path.read_text())
+        version = (described.get("format"), described["conventions"])
+    except (OSError, ValueError, KeyError) as error:
+        got = "no data set" if isinstance(error, FileNotFoundError) else error
         raise DataError(
-            describe(
-                what="data set", where=folder, got="no finished shard", do="Make one: python -m data_gen.generate."
-            )
-        )
-    version = json.loads(described.read_text())["conventions"]
-    if version != CONVENTIONS_VERSION:
+            describe(what="data set", where=folder, got=got, do="Make one: python -m data_gen.generate.")
+        ) from error
+    if version != (FORMAT, CONVENTIONS_VERSION):
+        got, allowed = ("format {}, conventions {}".format(*v) for v in (version, (FORMAT, CONVENTIONS_VERSION)))
         raise DataError(
-            describe(
-                what="data set",
-                where=folder,
-                got=f"conventions {version}",
-                allowed=CONVENTIONS_VERSION,
-                do="Make it again.",
-            )
+            describe(what="data set", where=folder, got=got, allowed=allowed, do="Make it again in another folder.")
         )
-    return [open_shard(path) for path in shards]
+    return described
+
+
+def read_manifest(folder: Path) -> list[ShardEntry]:
+    """The finished shards of a data set, in order; none where there is no manifest yet.
+
+    Raises:
+        DataError: a manifest that is not one.
+    """
+    path = folder / "manifest.json"
+    if not path.exists():
+        return []
+    try:
+        return [ShardEntry(**entry) for entry in json.loads(path.read_text())["shards"]]
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        do = "Delete it; python -m data_gen.generate makes it anew."
+        raise DataError(describe(what="manifest", where=path, got=error, do=do)) from error
+
+
+def open_dataset(folder: Path, verify: bool = False) -> list[Shard]:
+    """The finished shards of a data set folder, in order, none of them opened yet.
+
+    Raises:
+        DataError: no data set there or none of its shards is finished; another version; a shard that is missing or
+            of another size than the manifest says or, with ``verify``, of another sha256.
+    """
+    read_description(folder)
+    shards = [Shard(folder / entry.name, entry) for entry in read_manifest(folder)]
+    if not shards:
+        do = "Run python -m data_gen.generate again."
+        raise DataError(describe(what="data set", where=folder, got="no finished shard", do=do))
+    for shard in shards:
+        size = shard.path.stat().st_size if shard.path.exists() else 0
+        if size != shard.entry.bytes:
+            raise DataError(
+                describe(what="shard", where=shard.path, got=f"{size} bytes", allowed=shard.entry.bytes, do=_AGAIN)
+            )
+        if verify and sha256_of(shard.path) != shard.entry.sha256:
+            raise DataError(describe(what="shard", where=shard.path, got="another sha256 than listed", do=_AGAIN))
+    return shards

@@ -1,0 +1,168 @@
+"""What is finished of a data set: shards under their names, the manifest, the description; a kill leaves them whole."""
+
+from __future__ import annotations
+
+import fcntl
+import hashlib
+import json
+import os
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from data_gen.shards import END_OF_TAR
+from hybrid.errors import ConfigError, DataError, describe
+from hybrid.learn.shards import ShardEntry, read_description, read_index, read_manifest, sha256_of
+
+PART = ".part"
+
+
+def shard_name(number: int) -> str:
+    """The file name of a shard."""
+    return f"shard_{number:05d}.tar"
+
+
+@contextmanager
+def sole_writer(folder: Path) -> Iterator[None]:
+    """Make the folder and hold it: two runs that write into one data set would destroy it.
+
+    Raises:
+        ConfigError: another run holds it.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)  # the system lets go of it however this process ends
+        except BlockingIOError as error:
+            do = "Wait for it to end, or choose another --out."
+            raise ConfigError(describe(what="--out", where=folder, got="another run writes there", do=do)) from error
+        yield
+    finally:
+        os.close(handle)
+
+
+def write_shard(path: Path, first: int, samples: Iterable[bytes]) -> ShardEntry:
+    """Write a shard from the parts of its samples; it has its name only when all of it is on the disk.
+
+    Raises:
+        OSError: a disk that is full or fails; nothing is left then.
+    """
+    part = path.with_name(path.name + PART)
+    digest, count = hashlib.sha256(), 0
+    try:
+        with part.open("wb") as file:
+            for sample in samples:
+                file.write(sample)
+                digest.update(sample)
+                count += 1
+            file.write(END_OF_TAR)
+            digest.update(END_OF_TAR)
+            file.flush()
+            os.fsync(file.fileno())
+        entry = ShardEntry(path.name, first, count, part.stat().st_size, digest.hexdigest())
+        part.replace(path)
+    except BaseException:
+        part.unlink(missing_ok=True)
+        raise
+    _flush_folder(path.parent)
+    return entry
+
+
+def write_file(path: Path, content: bytes) -> None:
+    """Replace a file as a whole."""
+    part = path.with_name(path.name + PART)
+    try:
+        with part.open("wb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        part.replace(path)
+    except BaseException:
+        part.unlink(missing_ok=True)
+        raise
+    _flush_folder(path.parent)
+
+
+def _flush_folder(folder: Path) -> None:
+    """Put renamed files on the disk under their new names."""
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def write_manifest(folder: Path, entries: Iterable[ShardEntry]) -> None:
+    """List the finished shards."""
+    listed = sorted(entries, key=lambda entry: entry.first)
+    text = {"count": sum(entry.count for entry in listed), "shards": [asdict(entry) for entry in listed]}
+    write_file(folder / "manifest.json", _json(text))
+
+
+def finished_shards(folder: Path, shard_size: int) -> dict[int, ShardEntry]:
+    """The shards under their names, by number; leftovers of a run that was cut off are removed.
+
+    A shard that the manifest does not list (the run was cut off between the two) is read and hashed.
+
+    Raises:
+        DataError: a shard that is damaged, or whose samples do not belong under its name.
+    """
+    for part in folder.glob("*" + PART):
+        part.unlink()
+    listed = {entry.name: entry for entry in read_manifest(folder)}
+    found = {}
+    for path in sorted(folder.glob("shard_*.tar")):
+        number = int(path.stem.removeprefix("shard_"))
+        entry = listed.get(path.name)
+        if entry is None or entry.bytes != path.stat().st_size:
+            entry = _entry_of(path)
+        if entry.first != number * shard_size or entry.count > shard_size:
+            got = f"samples {entry.first} to {entry.first + entry.count - 1}"
+            raise DataError(describe(what="shard", where=path, got=got, do="Delete it and run the command again."))
+        found[number] = entry
+    return found
+
+
+def _entry_of(path: Path) -> ShardEntry:
+    try:
+        index = read_index(path)
+    except ValueError as error:
+        raise DataError(
+            describe(what="shard", where=path, got=error, do="Delete it and run the command again.")
+        ) from error
+    return ShardEntry(path.name, index.first, index.count, path.stat().st_size, sha256_of(path))
+
+
+def describe_dataset(folder: Path, options: dict[str, Any], count: int) -> None:
+    """Write dataset.json, or check that the one there belongs to the same data set and set its count.
+
+    Raises:
+        ConfigError: a data set made with other options, or shards without description. DataError: of another version.
+    """
+    path = folder / "dataset.json"
+    if path.exists():
+        there = read_description(folder)
+        wrong = sorted(
+            name for name in options.keys() | there.keys() - {"count"} if there.get(name) != options.get(name)
+        )
+        if wrong:
+            raise ConfigError(
+                describe(
+                    what="--out",
+                    where=folder,
+                    got=f"a data set made with another {', '.join(wrong)}",
+                    do="Give the options in its dataset.json to go on with it, or choose another --out.",
+                )
+            )
+    elif any(folder.glob("shard_*")):
+        raise ConfigError(
+            describe(what="--out", where=folder, got="shards without dataset.json", do="Choose another --out.")
+        )
+    write_file(path, _json(options | {"count": count}))
+
+
+def _json(values: dict[str, Any]) -> bytes:
+    return (json.dumps(values, indent=1) + "\n").encode()

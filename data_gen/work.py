@@ -1,0 +1,199 @@
+"""The work: each film is a task, done by processes of this machine or by the workers of a Dask cluster."""
+
+from __future__ import annotations
+
+import asyncio
+import multiprocessing
+import os
+import signal
+import socket
+import threading
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import cv2
+from threadpoolctl import threadpool_limits
+
+from data_gen.sample import SampleConfig, film_samples
+from data_gen.shards import sample_bytes
+from data_gen.sources import SourceConfig, loaded
+from hybrid.errors import ConfigError, DataError, HybridError, describe
+
+THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+CLUSTER_AHEAD = 16
+"""At least so many films are sent to a cluster at a time, for clusters that add workers when work is waiting."""
+
+CLUSTER_PATIENCE = "20s"
+"""How long a scheduler may take to answer."""
+
+_AGAIN = "Run the same command again: finished shards are kept."
+
+
+# ---------------------------------------------------------------- tasks
+
+
+def film_bytes(seed: int, number: int, config: SampleConfig) -> list[bytes]:
+    """The photos of film ``number`` with all their maps, each as its part of a shard.
+
+    Raises:
+        DataError: a source that cannot be read.
+    """
+    _one_thread()
+    first = number * config.photos_per_film
+    return [sample_bytes(sample, first + k) for k, sample in enumerate(film_samples(seed, number, config))]
+
+
+def source_names(config: SourceConfig) -> dict[str, list[str]]:
+    """Names of the volumes and the environments that samples are made from, besides embedded ones."""
+    volumes, environments = loaded(config)
+    return {"volumes": [v.name for v in volumes], "environments": [e.name for e in environments]}
+
+
+@lru_cache(maxsize=1)
+def _one_thread() -> None:
+    """One thread in this process from now on: the tasks are the parallelism, and sums keep their order."""
+    cv2.setNumThreads(1)
+    threadpool_limits(1)
+
+
+# ---------------------------------------------------------------- who does them
+
+
+@dataclass(frozen=True)
+class Workers:
+    """Those who do tasks. submit: as of an executor. ahead: how many tasks to have with them at a time."""
+
+    submit: Callable[..., Any]
+    ahead: Callable[[], int]
+
+    def in_order(self, task: Callable[..., Any], each: Iterable[tuple[Any, ...]]) -> Iterator[Any]:
+        """``task(*arguments)`` for each arguments in turn; only ``ahead`` tasks are under way, so memory stays flat."""
+        under_way: deque[Any] = deque()
+        for arguments in each:
+            under_way.append(self.submit(task, *arguments))
+            while len(under_way) >= self.ahead():
+                yield under_way.popleft().result()
+        while under_way:
+            yield under_way.popleft().result()
+
+
+@contextmanager
+def workers(count: int, scheduler: str | None) -> Iterator[Workers]:
+    """The workers of the Dask cluster at ``scheduler``, ``count`` processes, or for 0 this process itself.
+
+    Raises:
+        ConfigError: no such cluster. HybridError: workers that were lost.
+    """
+    if scheduler is not None:
+        with _cluster(scheduler) as those:
+            yield those
+    elif count == 0:
+        yield Workers(_done_here, lambda: 1)
+    else:
+        with _processes(count) as those:
+            yield those
+
+
+def _done_here(task: Callable[..., Any], *arguments: Any) -> Future[Any]:
+    future: Future[Any] = Future()
+    future.set_result(task(*arguments))
+    return future
+
+
+@contextmanager
+def _processes(count: int) -> Iterator[Workers]:
+    others = set(multiprocessing.active_children())
+    executor = ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), initializer=_leave_with_parent)
+    try:
+        with _starting_processes():
+            executor.submit(_one_thread)  # the first task starts them all
+        yield Workers(executor.submit, lambda: 2 * count + 1)
+    except BrokenProcessPool as error:
+        do = f"Take fewer --workers if memory is short. {_AGAIN}"
+        raise HybridError(describe(what="workers", got="a process that died", do=do)) from error
+    except BaseException:
+        for process in set(multiprocessing.active_children()) - others:
+            process.terminate()  # what they are at will not be used
+        raise
+    finally:
+        executor.shutdown(cancel_futures=True)
+
+
+@contextmanager
+def _starting_processes() -> Iterator[None]:
+    """What processes inherit that are started within: one thread in each library, and no ear for Ctrl-C.
+
+    The parent hears it and ends them; else each of them would print a stack trace.
+    """
+    before = {name: os.environ.get(name) for name in THREAD_VARIABLES}
+    os.environ.update(dict.fromkeys(THREAD_VARIABLES, "1"))
+    main = threading.current_thread() is threading.main_thread()  # others may not set signal handlers
+    handler = signal.signal(signal.SIGINT, signal.SIG_IGN) if main else None
+    try:
+        yield
+    finally:
+        if main:
+            signal.signal(signal.SIGINT, handler)
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+
+
+def _leave_with_parent() -> None:
+    """End this process when its parent is gone, killed perhaps: else it would wait for tasks for ever."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+
+        def watch() -> None:
+            parent.join()
+            os._exit(1)
+
+        threading.Thread(target=watch, daemon=True).start()
+
+
+@contextmanager
+def _cluster(address: str) -> Iterator[Workers]:
+    try:
+        from distributed import Client
+        from distributed.comm.core import CommClosedError
+        from distributed.scheduler import KilledWorker
+    except ModuleNotFoundError as error:
+        do = "Install it: pip install 'hybrid[cluster]'."
+        raise ConfigError(describe(what="--scheduler", got=error, do=do)) from error
+    try:
+        client = Client(address, timeout=CLUSTER_PATIENCE, set_as_default=False)
+    except (OSError, ValueError) as error:
+        do = "Give the address that the Dask scheduler shows, such as tcp://host:8786."
+        raise ConfigError(describe(what="--scheduler", where=address, got=error, do=do)) from error
+
+    def submit(task: Callable[..., Any], *arguments: Any) -> Any:
+        return client.submit(_on_cluster, task, *arguments, pure=False)
+
+    def ahead() -> int:
+        threads: Any = client.nthreads()
+        return max(CLUSTER_AHEAD, 2 * sum(threads.values()))
+
+    try:
+        with client:
+            yield Workers(submit, ahead)
+    except (CommClosedError, KilledWorker, asyncio.CancelledError) as error:
+        got = f"work that was lost ({type(error).__name__})"
+        raise HybridError(describe(what="cluster", where=address, got=got, do=_AGAIN)) from error
+
+
+def _on_cluster(task: Callable[..., Any], *arguments: Any) -> Any:
+    """A task whose errors say where they arose."""
+    try:
+        return task(*arguments)
+    except HybridError as error:
+        do = "Every worker needs the folders of --ct and --hdri at the same paths."
+        raise DataError(describe(what="Dask worker", where=socket.gethostname(), got=error, do=do)) from error
