@@ -67,7 +67,7 @@ def smith(cosine: np.ndarray, alpha: float) -> np.ndarray:
 
 
 def visible_half(
-    cosine: np.ndarray, alpha: float, across: np.ndarray | float, aside: np.ndarray | float
+    cosine: np.ndarray, alpha: float, across: np.ndarray | np.floating | float, aside: np.ndarray | np.floating | float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Components (towards the eye's foot, aside, normal) of the half vector for a point of the unit disc.
 

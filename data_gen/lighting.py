@@ -172,8 +172,8 @@ def _ceiling_lamp(rng: np.random.Generator, up: Float[np.ndarray, "3"]) -> Lamp:
         ("sphere", (radius / 3, radius / 3)),
     ]
     kind, half = shapes[int(rng.integers(4))]
-    lamp = Lamp(kind, _vector(centre), _vector(-up), _vector(_aside(rng, up)), half, (1, 1, 1))
-    return _bright(rng, lamp, (2700, 6500))
+    lamp = Lamp(kind, _vector(centre), _vector(-up), _vector(_aside(rng, up)), half, (1.0, 1.0, 1.0))
+    return _bright(rng, lamp, (2700.0, 6500.0))
 
 
 def _desk_lamp(rng: np.random.Generator, up: Float[np.ndarray, "3"]) -> Lamp:
@@ -186,8 +186,8 @@ def _desk_lamp(rng: np.random.Generator, up: Float[np.ndarray, "3"]) -> Lamp:
     kind, radius = (
         ("sphere", float(rng.uniform(20, 50))) if rng.random() < 0.5 else ("disc", float(rng.uniform(30, 90)))
     )
-    lamp = Lamp(kind, _vector(centre), _vector(axis), _vector(_aside(rng, axis)), (radius, radius), (1, 1, 1))
-    return _bright(rng, lamp, (2700, 6500))
+    lamp = Lamp(kind, _vector(centre), _vector(axis), _vector(_aside(rng, axis)), (radius, radius), (1.0, 1.0, 1.0))
+    return _bright(rng, lamp, (2700.0, 6500.0))
 
 
 def _window(rng: np.random.Generator, up: Float[np.ndarray, "3"]) -> Lamp:
@@ -195,8 +195,8 @@ def _window(rng: np.random.Generator, up: Float[np.ndarray, "3"]) -> Lamp:
     towards = _aside(rng, up)
     centre = towards * rng.uniform(900, 3500) + up * rng.uniform(-200, 700)
     half = (float(rng.uniform(350, 900)), float(rng.uniform(450, 1000)))
-    lamp = Lamp("rectangle", _vector(centre), _vector(-towards), _vector(np.cross(up, towards)), half, (1, 1, 1))
-    return _bright(rng, lamp, (5000, 10200))
+    lamp = Lamp("rectangle", _vector(centre), _vector(-towards), _vector(np.cross(up, towards)), half, (1.0, 1.0, 1.0))
+    return _bright(rng, lamp, (5000.0, 10200.0))
 
 
 def _flash(rng: np.random.Generator) -> Lamp:
@@ -204,7 +204,9 @@ def _flash(rng: np.random.Generator) -> Lamp:
     centre, radius = np.append(rng.normal(0, 10, 2), 0.0), float(rng.uniform(1.5, 3.0))
     strength = float(np.exp(rng.uniform(np.log(0.3), np.log(3.0)))) * _FLASH_AT_MM**2 / radius**2
     colour = planckian(float(rng.uniform(5000, 6500)))
-    return Lamp("sphere", _vector(centre), (0, 0, 1), (1, 0, 0), (radius, radius), _vector(colour * strength), True)
+    return Lamp(
+        "sphere", _vector(centre), (0.0, 0.0, 1.0), (1.0, 0.0, 0.0), (radius, radius), _vector(colour * strength), True
+    )
 
 
 def _bright(rng: np.random.Generator, lamp: Lamp, kelvin: tuple[float, float]) -> Lamp:
