@@ -80,8 +80,8 @@ def _draw_cerebellum(tissue: Canvas, rim: Canvas, plane: Plane, noises: Noises) 
     body = Blob((0, 42, -46), (52, 37, 34), 0.0)
     distance = plane.distance(body) + noises.broad
     inside = ramp(0.5 - distance)
-    leaves = np.sin(1.1 * np.hypot(plane.x, plane.y - 18) + 1.5 * noises.folds + 0.6 * plane.z)
-    blend(tissue, inside, 34.0 + 3.0 * leaves * ramp(distance + 14, 10))
+    leaves = np.sin(1.1 * np.hypot(plane.x, plane.y - 18) + 2.5 * noises.folds + 3.0 * noises.broad + 0.6 * plane.z)
+    blend(tissue, inside, 34.0 + 1.8 * leaves * ramp(distance + 14, 10))
     tent = ramp(1.4 - np.abs(distance - 1.5)) * ramp(-rim) * ramp(plane.z + 45, 15)
     blend(tissue, tent * 0.8, 30.0 - 14.0 * ramp(noises.folds, 0.5))
 

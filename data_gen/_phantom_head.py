@@ -119,8 +119,8 @@ def teeth(rng: np.random.Generator) -> tuple[Tube, ...]:
     )
 
 
-def cavities(rng: np.random.Generator) -> tuple[Solid, ...]:
-    """Orbits with eyes, sinuses, nose and throat. What has a wall is drawn with it."""
+def cavities(rng: np.random.Generator, front_mm: float) -> tuple[Solid, ...]:
+    """Orbits with eyes, sinuses, nose and throat; the forehead lies at y = -``front_mm``."""
     a = rng.uniform(0.85, 1.15, 6)
     lens = rng.uniform(70, 110)
     eyes = both(
@@ -144,7 +144,7 @@ def cavities(rng: np.random.Generator) -> tuple[Solid, ...]:
             Blob((5.0, -56, -66), (1.9, 17, 4.5), 40.0, 0.1, rough_mm=0.8),
             Blob((4.6, -54, -55), (1.5, 14, 3.5), 40.0, 0.1, rough_mm=0.8),
             Blob((7 * a[3], -28, -44), (7.5 * a[3], 10, 9), AIR, 0.2, 600.0, 1.2, 0.9),
-            Blob((9, -78, -14), (9 * a[4], 4.0, 12 * a[4]), AIR, 0.35, CORTEX, 1.4, 1.2),
+            Blob((9, 10 - front_mm, -16), (9 * a[4], 4.0, 12 * a[4]), AIR, 0.35, CORTEX, 1.4, 1.2),
         ),
     ]
     throat = [

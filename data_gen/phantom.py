@@ -110,7 +110,7 @@ def _random_head(rng: np.random.Generator) -> _Head:
     skull = Skull((wide, long, tall), rng.uniform(0.05, 0.13), rng.uniform(4.5, 8.0), CORTEX + rng.uniform(-150, 250))
     return _Head(
         skull=skull, brain=random_brain(rng), scalp_mm=rng.uniform(3.5, 8.0), outline=outline, ears=tuple(ears),
-        soft=soft_parts(rng), bones=face_bones(rng), cavities=cavities(rng), teeth=bite, metal=metal,
+        soft=soft_parts(rng), bones=face_bones(rng), cavities=cavities(rng, long), teeth=bite, metal=metal,
     )  # fmt: skip
 
 
