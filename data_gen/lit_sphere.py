@@ -6,17 +6,23 @@ so one direction of view serves for all of them, and a lookup by normal takes th
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
 
+from data_gen.lamps import Lamp, surface_irradiance, vector_irradiance
 from data_gen.lighting import Light
 from data_gen.rooms import FilteredEnvironment, sample_filtered, sample_irradiance
 from hybrid.coords import film_centres, sample_bilinear
 
 BALL = 48
 """Side of the ball's picture in pixels."""
+
+
+PANEL_SHARE = 0.1
+"""Of the half-space behind a hand that a light box shines from: the film and the hand itself hide most of it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,10 +51,21 @@ def lit_sphere(
     mirror = 2 * facing * normals - [0.0, 0.0, -1.0]
     fresnel = f0 + (1 - f0) * (1 - facing) ** 5 * (1 - roughness)  # rough surfaces shine less at grazing angles
     matt = sample_irradiance(room, normals @ to_room) * (light.front / np.pi)
-    if light.light_box:  # the panel fills the half-space behind: its share of the cosine lobe is (1 - cos) / 2
-        matt = matt + 0.5 * light.box_radiance * (1 - facing)
+    if light.light_box:  # were the panel all that is behind, its share of the cosine lobe would be (1 - cos) / 2
+        matt = matt + PANEL_SHARE * 0.5 * light.box_radiance * (1 - facing)
     gloss = sample_filtered(room, mirror @ to_room, roughness) * light.front * fresnel
     return LitSphere(matt.astype(np.float32), gloss.astype(np.float32))
+
+
+def with_lamps(ball: LitSphere, lamps: Iterable[Lamp], world_from_camera: Float[np.ndarray, "3 3"]) -> LitSphere:
+    """The ball in the light of ``lamps`` besides, which are placed in the film's world; its gloss stays as it is."""
+    normals = (ball_normals() @ world_from_camera.T).astype(np.float32)
+    matt = ball.matt
+    for lamp in lamps:
+        vector = np.broadcast_to(vector_irradiance(lamp, np.zeros((1, 1, 3))), normals.shape)
+        received, _ = surface_irradiance(vector, normals)
+        matt = matt + received[..., None] / np.float32(np.pi) * np.array(lamp.radiance, np.float32)
+    return LitSphere(matt, ball.gloss)
 
 
 def ball_normals() -> Float[np.ndarray, "n n 3"]:

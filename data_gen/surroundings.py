@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from data_gen.background import background
-from data_gen.lit_sphere import lit_sphere
+from data_gen.lit_sphere import lit_sphere, with_lamps
 from data_gen.patches import Patch, put_over
 from data_gen.rooms import FilteredEnvironment
 from data_gen.scene import Scene
@@ -37,5 +37,7 @@ def surroundings(scene: Scene, film: FilmMesh, room: FilteredEnvironment, base: 
         return Surroundings(behind, ())
     room_from_camera = room_from_film(scene.light) @ scene.camera.camera_from_world[:3, :3].T
     ball, steel = (lit_sphere(scene.light, room, room_from_camera, *surface) for surface in (SKIN, STEEL))
+    lamps = [lamp.placed(scene.camera.centre_world) for lamp in scene.light.lamps]
+    ball = with_lamps(ball, lamps, scene.camera.camera_from_world[:3, :3].T)
     behind = put_over(behind, patches_behind(scene.things, film, scene.camera, ball))
     return Surroundings(behind, tuple(patches_before(scene.things, film, scene.camera, ball, steel)))

@@ -10,8 +10,9 @@ from data_gen._hand_model import GRIPS, VARIANTS, hand_model
 from data_gen._relief import MIDDLE, coded_shape, decoded_normals
 from data_gen.clips import HIDING_OPACITY, KINDS, Clip, sample_clips
 from data_gen.hands import Hand, sample_hands, skin_reflectance
+from data_gen.lamps import Lamp
 from data_gen.lighting import Light
-from data_gen.lit_sphere import ball_normals, lit_sphere, look_up
+from data_gen.lit_sphere import ball_normals, lit_sphere, look_up, with_lamps
 from data_gen.patches import Patch, hidden_share, put_over
 from data_gen.rooms import prefilter, procedural_room
 from data_gen.scene import SceneConfig, sample_scene
@@ -141,6 +142,15 @@ def test_a_lit_ball_is_bright_on_the_side_of_the_light():
     straight = lit_sphere(LIGHT, room, np.eye(3), 0.4, 0.03)
     inside = np.linalg.norm(ball_normals()[..., :2], axis=-1) < 0.98
     np.testing.assert_allclose(turned.matt[::-1, ::-1][inside], straight.matt[inside], rtol=1e-4)
+
+
+def test_a_small_lamp_lights_the_ball_by_the_cosine():
+    """Lambert: irradiance of a far sphere is pi sin^2 times the cosine; nothing on the side turned away."""
+    lamp = Lamp("sphere", (0.0, -3000.0, 0.0), (0.0, 1.0, 0.0), (1.0, 0.0, 0.0), (30.0, 30.0), (1e4, 1e4, 1e4))
+    dark, _ = balls(1e-6)
+    lit = with_lamps(dark, [lamp], np.eye(3)).matt[..., 1]
+    expected = 1e4 * (30 / 3000) ** 2 * np.maximum(-ball_normals()[..., 1], 0)
+    np.testing.assert_allclose(lit, expected, atol=0.012)
 
 
 def test_a_dome_has_the_normals_of_a_sphere():
