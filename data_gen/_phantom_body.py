@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 
 from data_gen._phantom_trunk import (
@@ -179,9 +180,9 @@ def _walls(trunk: _Trunk, plane: Plane) -> _Walls:
 def _rounded(plane: Plane, radii: tuple[float, float], power: float) -> Canvas:
     """About the distance in mm to an upright cylinder over a superellipse: its level over the level's gradient."""
     a, b = np.abs(plane.x) * np.float32(1 / radii[0]), np.abs(plane.y) * np.float32(1 / radii[1])
-    pa, pb = a ** np.float32(power - 1), b ** np.float32(power - 1)
+    pa, pb = cv2.pow(a, power - 1.0), cv2.pow(b, power - 1.0)  # several times faster than NumPy's
     total = np.maximum(pa * a + pb * b, np.float32(1e-6))
-    level = total ** np.float32(1 / power)
+    level = cv2.pow(total, 1.0 / power)
     slope = np.hypot(pa * np.float32(1 / radii[0]), pb * np.float32(1 / radii[1])) * level / total
     return (level - 1.0) / np.maximum(slope, np.float32(1e-4))
 
