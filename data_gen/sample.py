@@ -35,6 +35,10 @@ GLARE_LEVELS = 12
 """Display levels, of 255, between print black and print white below which a pixel counts as glare."""
 
 
+PLACES = (32, 32)
+"""Film points whose place in the photo, and so their vignetting, is looked up; it varies slowly."""
+
+
 @dataclass(frozen=True)
 class SampleConfig:
     """What samples are made of.
@@ -153,12 +157,12 @@ def _glare(
     Found in film space from the light's gain and veil, exposure, white balance, vignetting and tone curve; channels
     count by the one in which black and white differ most. Blur, bloom and noise are left aside.
     """
-    v, u = (film_centres_1d(n) for n in light.gain.shape[:2])
+    v, u = (film_centres_1d(n) for n in PLACES)
     place = scene.camera.photo_from_world(film.surface(u, v)) / np.array(scene.camera.size[::-1])
-    black, bright = (
-        displayed(radiance, place, scene.lens, white) for radiance in (light.veil, light.veil + light.gain)
-    )
-    contrast = on_film((bright - black).max(axis=-1), np.where(maps.mask[..., None], maps.uv, np.float32(0)))
+    place = cv2.resize(place, light.gain.shape[1::-1], interpolation=cv2.INTER_LINEAR)
+    black, bright = (displayed(x, place, scene.lens, white) for x in (light.veil, light.veil + light.gain))
+    red, green, blue = cv2.split(cv2.subtract(bright, black))
+    contrast = on_film(cv2.max(cv2.max(red, green), blue), np.where(maps.mask[..., None], maps.uv, np.float32(0)))
     return maps.mask & (contrast < GLARE_LEVELS / 255)
 
 
