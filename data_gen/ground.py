@@ -12,7 +12,7 @@ from data_gen._clutter import ON_PANEL, ON_TABLE, ON_WALL, VARIANTS, Sprite, spr
 from data_gen._materials import TILE, tile
 from data_gen.backdrop import Backdrop
 from data_gen.lamps import surface_irradiance, vector_irradiance
-from data_gen.patches import Box, filled, frame_box
+from data_gen.patches import Box, blurred, filled, frame_box
 from data_gen.rooms import FilteredEnvironment, sample_filtered, sample_irradiance
 from data_gen.scene import Scene
 from data_gen.shade import room_from_film
@@ -115,7 +115,7 @@ def ground_material(
     x = np.clip(u * np.float32(c) + v * np.float32(s) + np.float32(shift[0]), -30000, 30000)
     y = np.clip(v * np.float32(c) - u * np.float32(s) + np.float32(shift[1]), -30000, 30000)
     coded = cv2.remap(picture, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
-    return cv2.LUT(coded, _DECODED) * np.array(backdrop.tint, np.float32), seen
+    return cv2.LUT(coded, _DECODED[..., None] * np.array(backdrop.tint, np.float32)), seen
 
 
 _DECODED = ((np.arange(256) / 255) ** 2).astype(np.float32)[None]
@@ -166,7 +166,7 @@ def film_shade(
         if small.camera_points(foot)[:, 2].min() < NEAREST_MM or blur_mm * per_mm > 80:
             continue
         mask = filled(small.photo_from_world(foot), small.size)
-        shade *= 1 - np.float32(depth) * cv2.GaussianBlur(mask, (0, 0), max(blur_mm * per_mm, 0.4))
+        shade *= 1 - np.float32(depth) * blurred(mask, max(blur_mm * per_mm, 0.4))
     return cv2.resize(shade, camera.size[::-1], interpolation=cv2.INTER_LINEAR)
 
 
@@ -216,7 +216,7 @@ def place_things(
     for seen in sorted((p for p in placed if p), key=lambda p: p.thing.glow):  # what shines is not covered
         part, cover = reflectance[seen.box], seen.cover[..., None]
         if seen.spread > 0.4:
-            soft = cv2.GaussianBlur(seen.cover, (0, 0), seen.spread)
+            soft = blurred(seen.cover, seen.spread)
             shade[seen.box] *= 1 - np.float32(0.6) * soft * (1 - seen.cover)
         if seen.thing.glow:
             part *= 1 - cover

@@ -63,3 +63,13 @@ def filled(outline: Float[np.ndarray, "n 2"], size: tuple[int, int]) -> Float[np
     fixed = np.clip(opencv_from_photo(outline) * 16, -(2**19), 2**19).round().astype(np.int32)
     cv2.fillPoly(mask, [fixed], 255, cv2.LINE_AA, 4)
     return mask * np.float32(1 / 255)
+
+
+def blurred(picture: Float[np.ndarray, "h w"], sigma: float) -> Float[np.ndarray, "h w"]:
+    """Gaussian blur; a wide one is done on a smaller picture, which it leaves nothing finer to show."""
+    step = sigma / 3
+    if step < 1.5 or min(picture.shape) < 4 * step:
+        return cv2.GaussianBlur(picture, (0, 0), sigma)
+    h, w = picture.shape
+    small = cv2.resize(picture, (max(2, round(w / step)), max(2, round(h / step))), interpolation=cv2.INTER_AREA)
+    return cv2.resize(cv2.GaussianBlur(small, (0, 0), 3.0), (w, h), interpolation=cv2.INTER_LINEAR)

@@ -2,6 +2,7 @@
 
 import json
 
+import cv2
 import numpy as np
 import pytest
 from surroundings_case import FILM, SIZE, camera, even_room, scene
@@ -13,7 +14,7 @@ from data_gen.hands import Hand, sample_hands, skin_reflectance
 from data_gen.lamps import Lamp
 from data_gen.lighting import Light
 from data_gen.lit_sphere import ball_normals, lit_sphere, look_up, with_lamps
-from data_gen.patches import Patch, hidden_share, put_over
+from data_gen.patches import Patch, blurred, hidden_share, put_over
 from data_gen.rooms import prefilter, procedural_room
 from data_gen.scene import SceneConfig, sample_scene
 from data_gen.shadows import KINDS as SHADOWS
@@ -111,6 +112,12 @@ def test_full_cover_replaces_and_no_cover_keeps():
     assert (put_over(picture, [Patch(box, red, ones, ones, ones)])[box] == red).all()
     assert (put_over(picture, [Patch(box, red, 0 * ones, 0 * ones, ones)]) == picture).all()
     assert hidden_share([Patch(box, red, ones, 0 * ones, ones)], (8, 9)).max() == 0
+
+
+def test_a_wide_blur_is_that_of_the_full_picture():
+    mask = np.zeros((160, 200), np.float32)
+    mask[40:110, 50:140] = 1
+    np.testing.assert_allclose(blurred(mask, 15.0), cv2.GaussianBlur(mask, (0, 0), 15.0), atol=0.03)
 
 
 def test_thin_tape_leaves_the_print_readable_and_thick_tape_hides_it():
