@@ -23,6 +23,9 @@ Shape = Literal["sphere", "disc", "rectangle"]
 DISC_SIDES = 10
 """Sides of the polygon of equal area that stands for a disc."""
 
+PATCH_SIZE = 0.27
+"""Half side of a patch over its lamp's distance."""
+
 _TINY = 1e-20
 
 
@@ -50,6 +53,25 @@ class Lamp:
             return self
         centre = tuple((np.array(self.centre_mm) + camera_mm).tolist())
         return replace(self, centre_mm=centre, at_camera=False)
+
+    def patches(self) -> tuple[Lamp, ...]:
+        """A rectangle cut into pieces small against their distance from the world's origin, the film's place.
+
+        The closed forms take masking, Fresnel term and horizon at one point of a lamp; the others are left whole.
+        """
+        if self.kind != "rectangle":
+            return (self,)
+        reach = PATCH_SIZE * float(np.linalg.norm(self.centre_mm))
+        columns, rows = (max(1, int(np.ceil(half / reach))) for half in self.half_mm)
+        across = np.array(self.across)
+        along = np.cross(self.axis, across)
+        half = (self.half_mm[0] / columns, self.half_mm[1] / rows)
+        centres = [
+            self.centre_mm + (2 * i + 1 - columns) * half[0] * across + (2 * j + 1 - rows) * half[1] * along
+            for i in range(columns)
+            for j in range(rows)
+        ]
+        return tuple(replace(self, centre_mm=tuple(centre.tolist()), half_mm=half) for centre in centres)
 
     @property
     def corners(self) -> Float[np.ndarray, "m 3"]:

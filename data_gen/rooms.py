@@ -25,7 +25,7 @@ ENVIRONMENT_SIZE = (256, 512)
 HDRI_SIZE = (512, 1024)
 """Of environments from files: sharp enough for a mirror-like film at 1080 px."""
 
-ROUGHNESS_LEVELS = (0.14, 0.2, 0.3, 0.45, 0.65, 1.0)
+ROUGHNESS_LEVELS = (0.14, 0.2, 0.28, 0.4)
 
 MAX_RELATIVE_RADIANCE = 3000.0
 """The sun of an HDR file is cut here (times the mean): brighter points only add noise to a blurred reflection."""
@@ -70,6 +70,7 @@ class FilteredEnvironment:
         lobe, the finer the image.
     irradiance: (h, w, 3) integral of radiance times c, the cosine to a normal, over the hemisphere around it.
     grazing: (h, w, 3) integral of radiance times c (1 - c)^5: what a smooth surface keeps from entering.
+    coarse: (rows, columns, 3) the radiance itself, in few pixels.
     """
 
     environment: Environment
@@ -77,6 +78,7 @@ class FilteredEnvironment:
     stack: tuple[Float[np.ndarray, "_ _ 3"], ...]
     irradiance: Float[np.ndarray, "h w 3"]
     grazing: Float[np.ndarray, "h w 3"]
+    coarse: Float[np.ndarray, "rows columns 3"]
 
 
 def mean_luminance(radiance: Float[np.ndarray, "H W 3"]) -> float:
@@ -177,11 +179,16 @@ def prefilter(env: Environment, roughness_levels: tuple[float, ...] = ROUGHNESS_
         spectra[size] = np.fft.rfft(small, axis=1).astype(np.complex64)
     stack = tuple(_convolve(_ggx_spectrum(r, _filtered_size(r)), spectra[_filtered_size(r)]) for r in levels)
     matt, grazing = (_convolve(_cosine_spectrum(power, MATT_SIZE), spectra[MATT_SIZE]) for power in (0, 5))
-    return FilteredEnvironment(env, levels, stack, np.float32(np.pi) * matt, np.float32(np.pi * GRAZING_MEAN) * grazing)
+    matt, grazing = np.float32(np.pi) * matt, np.float32(np.pi * GRAZING_MEAN) * grazing
+    return FilteredEnvironment(env, levels, stack, matt, grazing, resize_environment(env.radiance, COARSE_SIZE))
 
 
 MATT_SIZE = (32, 64)
 """Irradiance is smooth: 5.6 degrees for a pixel."""
+
+
+COARSE_SIZE = (24, 48)
+"""7.5 degrees for a pixel: a lobe of roughness 0.35 is 18 degrees wide."""
 
 
 def _filtered_size(roughness: float) -> tuple[int, int]:
@@ -192,7 +199,10 @@ def _filtered_size(roughness: float) -> tuple[int, int]:
 def sample_filtered(
     filtered: FilteredEnvironment, directions: Float[np.ndarray, "*n 3"], roughness: float
 ) -> Float[np.ndarray, "*n 3"]:
-    """Radiance (float32) that a surface of one ``roughness`` in [0, 1] reflects from around mirror ``directions``."""
+    """Radiance (float32) that a surface of one ``roughness`` reflects from around mirror ``directions``.
+
+    roughness: from 0 to the last level of ``filtered``, which stands for all above.
+    """
     levels = (0.0, *filtered.roughness)
     above = int(np.clip(np.searchsorted(levels, roughness), 1, len(levels) - 1))
     share = np.float32(np.clip((roughness - levels[above - 1]) / (levels[above] - levels[above - 1]), 0.0, 1.0))

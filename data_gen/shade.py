@@ -28,14 +28,21 @@ import numpy as np
 from jaxtyping import Float
 from scipy.interpolate import make_interp_spline
 
-from data_gen.gloss import Gloss, gloss, smith, spiral_disc, visible_half
+from data_gen.gloss import Gloss, gloss, smith
 from data_gen.gloss import fresnel as fresnel_reflectance
 from data_gen.lamps import Lamp, highlight, lamp_seen, surface_irradiance, vector_irradiance
 from data_gen.lighting import Light, LightBox, Material
-from data_gen.rooms import FilteredEnvironment, sample_environment, sample_filtered, sample_irradiance
+from data_gen.rooms import (
+    FilteredEnvironment,
+    directions,
+    sample_environment,
+    sample_filtered,
+    sample_irradiance,
+    solid_angles,
+)
 from data_gen.scene import Scene
 from data_gen.shadows import film_shadow
-from hybrid.coords import film_centres_1d, linear_from_srgb
+from hybrid.coords import film_centres_1d
 from hybrid.mesh.film import FilmMesh
 
 SMOOTH_LATTICE = 48
@@ -43,8 +50,6 @@ SMOOTH_LATTICE = 48
 
 SHADOW_LATTICE = 160
 """Likewise where something casts a shadow: 3 mm, as wide as the penumbra of the sun a metre away is at the least."""
-
-_SRGB_LINEAR = linear_from_srgb(np.arange(256) / 255).astype(np.float32)
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,7 +119,7 @@ def film_light(film: FilmMesh, scene: Scene, room: FilteredEnvironment) -> FilmL
     """Gain and veil over the film for one scene."""
     material, light, camera_mm = scene.material, scene.light, scene.camera.centre_world
     surface = gloss(material.roughness, material.ior, material.surfaces)
-    lamps = tuple(lamp.placed(camera_mm) for lamp in light.lamps)
+    lamps = tuple(patch for lamp in light.lamps for patch in lamp.placed(camera_mm).patches())
     smooth = seen_film(film, camera_mm, SMOOTH_LATTICE)
     panel = light_box_lamp(light.box, film, camera_mm) if light.box else None
     front, back = matt_light(smooth, light, room, surface, (lamps, panel))
@@ -133,16 +138,6 @@ def film_light(film: FilmMesh, scene: Scene, room: FilteredEnvironment) -> FilmL
     for lamp in lamps:
         veil += lamp_highlight(lamp, fine, surface)[..., None] * np.array(lamp.radiance, np.float32)
     return FilmLight(gain, veil)
-
-
-def film_radiance(image: Float[np.ndarray, "h w"], light: FilmLight) -> Float[np.ndarray, "h w 3"]:
-    """Linear radiance (float32) of the print ``image`` (display grey) under ``light``."""
-    reflectance = _SRGB_LINEAR[np.clip(np.rint(image * 255), 0, 255).astype(np.uint8)]
-    size = image.shape[::-1]
-    radiance = cv2.resize(light.gain, size, interpolation=cv2.INTER_LINEAR)
-    radiance *= reflectance[..., None]
-    radiance += cv2.resize(light.veil, size, interpolation=cv2.INTER_LINEAR)
-    return radiance
 
 
 def glossy_lattice(material: Material, photo_size: tuple[int, int]) -> int:
@@ -225,39 +220,42 @@ def _panel_uv(lamp: Lamp, points: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray
 # ---------------------------------------------------------------- reflections
 
 
-def reflection(seen: SeenFilm, light: Light, room: FilteredEnvironment, surface: Gloss) -> Float[np.ndarray, "m n 3"]:
-    """Radiance of the room in the film's glossy surface.
-
-    Half vectors are taken in proportion to what of the rough surface is seen, each with a narrower lobe that fills
-    its share of the wide one (Krivanek and Colbert 2008, filtered importance sampling); a narrow lobe is one sample
-    in the mirror's direction. Weights are scaled to the directional albedo, so even light comes out exactly.
-    """
+def reflection(seen: SeenFilm, light: Light, room: FilteredEnvironment, surface: Gloss) -> Float[np.ndarray, "n n 3"]:
+    """Radiance of the room in the film's glossy surface; even light comes out as the directional albedo times it."""
+    n = len(seen.points)
     turn = room_from_film(light).T.astype(np.float32)
-    albedo = surface.reflected(seen.cosine) * np.float32(light.front)
-    count = reflection_samples(surface.alpha)
-    if count == 1:
-        return albedo * sample_filtered(room, seen.mirror @ turn, float(np.sqrt(surface.alpha)))
-    sine = np.sqrt(np.maximum(1 - seen.cosine**2, np.float32(1e-12)))
-    foot = (seen.view - seen.cosine * seen.normals) / sine
-    aside = np.cross(seen.normals, foot)
-    total, weights = np.zeros_like(seen.points), np.zeros_like(seen.cosine)
-    for across, beside in spiral_disc(count).astype(np.float32):
-        hx, hy, hz = visible_half(seen.cosine, surface.alpha, across, beside)
-        o_h = sine * hx + seen.cosine * hz
-        towards = (2 * o_h * hx - sine) * foot + 2 * o_h * hy * aside + (2 * o_h * hz - seen.cosine) * seen.normals
-        weight = fresnel_reflectance(o_h, surface.ior, surface.surfaces) * smith(
-            2 * o_h * hz - seen.cosine, surface.alpha
-        )
-        # The lobe of width a has density 1 / (4 pi a^2) at its middle, and (1 - r^2)^2 times that at disc radius r.
-        narrow = surface.alpha / (np.sqrt(count) * (1 - across**2 - beside**2))
-        total += weight * sample_filtered(room, towards @ turn, float(np.sqrt(min(narrow, 1.0))))
-        weights += weight
-    return albedo * total / np.maximum(weights, 1e-9)
+    if surface.alpha >= WIDE_ALPHA:
+        stride = max(1, n // int(np.clip(3.0 / surface.alpha, 12, 20)))
+        every = slice(stride // 2, None, stride)
+        around = wide_reflection(seen.part(every, every), room, turn, surface)
+        around = cv2.resize(around, (n, n), interpolation=cv2.INTER_CUBIC)
+    else:
+        around = sample_filtered(room, seen.mirror @ turn, float(np.sqrt(surface.alpha)))
+    return surface.reflected(seen.cosine) * np.float32(light.front) * np.maximum(around, 0)
 
 
-def reflection_samples(alpha: float) -> int:
-    """How many half vectors stand for a lobe of width alpha."""
-    return 1 if alpha < 0.01 else 6 if alpha < 0.05 else 12
+WIDE_ALPHA = 0.12
+"""Lobes from this width on are summed over the whole sphere. Narrower ones are nearly round, and are looked up blurred
+about the mirror's direction: measured against sums of 1500 samples, within 4 % at roughness 0.2, 7 % at 0.3, and 10
+to 20 % from 0.5 on, where horizon and Fresnel term cut into the lobe."""
+
+
+def wide_reflection(
+    seen: SeenFilm, room: FilteredEnvironment, turn: Float[np.ndarray, "3 3"], surface: Gloss
+) -> Float[np.ndarray, "m m 3"]:
+    """Mean radiance of the room under a wide lobe, weighted by the BSDF, over a coarse image of all directions."""
+    size = room.coarse.shape[:2]
+    towards = directions(size).reshape(-1, 3) @ turn.T
+    eye, normals = seen.view.reshape(-1, 3), seen.normals.reshape(-1, 3)
+    o_h = np.sqrt(np.maximum((1 + eye @ towards.T) / 2, np.float32(1e-4)))
+    n_i = normals @ towards.T
+    n_h = (seen.cosine.reshape(-1, 1) + n_i) / (2 * o_h)
+    alpha_sq = np.float32(surface.alpha**2)
+    weight = smith(n_i, surface.alpha) * fresnel_reflectance(o_h, surface.ior, surface.surfaces)
+    weight /= (n_h**2 * (alpha_sq - 1) + 1) ** 2  # f times c_i, without the factors of o alone: G1 is 0 below
+    weight *= np.repeat(solid_angles(size), size[1]).astype(np.float32)
+    total = weight @ room.coarse.reshape(-1, 3)
+    return (total / np.maximum(weight.sum(axis=1, keepdims=True), 1e-12)).reshape(seen.points.shape)
 
 
 def lamp_highlight(lamp: Lamp, seen: SeenFilm, surface: Gloss) -> Float[np.ndarray, "n n"]:
