@@ -10,6 +10,7 @@ from jaxtyping import Float
 
 from data_gen._layout import Layout, PrintConfig
 from data_gen.volumes import CtVolume, is_body
+from hybrid.coords import centres_1d
 
 HEAD_WINDOWS = ((35.0, 85.0, 0.5), (40.0, 200.0, 0.15), (40.0, 380.0, 0.1), (550.0, 2600.0, 0.25))
 BODY_WINDOWS = ((40.0, 380.0, 0.45), (50.0, 250.0, 0.15), (-550.0, 1500.0, 0.25), (450.0, 2000.0, 0.15))
@@ -206,8 +207,10 @@ def draw_scout(
     left, top = x + (width - size[0]) // 2, y + (height - size[1]) // 2
     region = image[top : top + size[1], left : left + size[0]]
     region[:] = look.base + (look.white - look.base) * np.clip(view, 0.0, 1.0)
-    for position in positions.tolist():
-        row = round((1.0 - (position + 0.5) / len(volume.hu)) * size[1])
+    slices = len(volume.hu)
+    heights = np.interp(positions, np.arange(slices), centres_1d(slices)) / slices
+    for share in heights.tolist():
+        row = round((1.0 - share) * size[1])
         region[min(max(row, 0), size[1] - 1)] = 0.5 * (look.base + look.white)
 
 
