@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -9,7 +10,7 @@ import numpy as np
 from jaxtyping import Float, Float32
 
 from data_gen.shade import FilmLight
-from hybrid.coords import linear_from_srgb, pixel_from_film, sample_bilinear
+from hybrid.coords import linear_from_srgb, opencv_from_photo
 from hybrid.mesh.raycast import FilmView
 
 LEAST_SAMPLING = 2.0
@@ -96,16 +97,24 @@ def film_radiance_at(
     uv: Float32[np.ndarray, "h w 2"], reflectance: Float[np.ndarray, "a b"], light: FilmLight
 ) -> Float32[np.ndarray, "h w 3"]:
     """Radiance of film points: the light's gain times the print's reflectance, and its veil."""
-    print_ = on_film(reflectance, uv)
-    radiance = on_film(light.gain, uv)
+    print_, radiance, veil = on_film((reflectance, light.gain, light.veil), uv)
     radiance *= cv2.merge([print_] * 3)
-    radiance += on_film(light.veil, uv)
+    radiance += veil
     return radiance
 
 
-def on_film(image: np.ndarray, uv: Float[np.ndarray, "h w 2"]) -> np.ndarray:
-    """Bilinear values of a film image at film points."""
-    return sample_bilinear(image, pixel_from_film(uv, (image.shape[0], image.shape[1])))
+def on_film(images: Sequence[Float[np.ndarray, "..."]], uv: Float32[np.ndarray, "h w 2"]) -> list[np.ndarray]:
+    """Bilinear values of film images of any sizes at film points, NaN taken for 0.
+
+    The points are taken apart once for all images: that costs as much as a lookup.
+    """
+    points = cv2.split(cv2.patchNaNs(uv.copy(), 0.0))
+    found = []
+    for image in images:
+        h, w = image.shape[:2]
+        x, y = (opencv_from_photo(t * np.float32(n)) for t, n in zip(points, (w, h), strict=True))
+        found.append(cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
+    return found
 
 
 def _mean(values: Float32[np.ndarray, "m k 3"], counted: np.ndarray) -> Float32[np.ndarray, "m 3"]:

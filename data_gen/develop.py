@@ -75,9 +75,10 @@ def develop(linear: Float[np.ndarray, "h w 3"], lens: Lens, white: float, rng: n
         _blurred(linear, lens, max(size) / REFERENCE_SIDE, rng), np.diag(_gains(lens, white)).astype(np.float32)
     )
     exposed = cv2.multiply(exposed, _in_each_channel(_vignette(lens, size)))
-    noise = _noise(size, rng)
-    noise *= cv2.sqrt(np.float32(lens.noise * 0.3) * np.clip(exposed, 0, 1) + np.float32(lens.noise**2))
-    exposed += noise
+    variance = np.clip(exposed, 0, 1)
+    variance *= np.float32(lens.noise * 0.3)
+    variance += np.float32(lens.noise**2)
+    exposed += cv2.multiply(cv2.sqrt(variance), _noise(size, rng))
     display = _toned(exposed, lens.tone)
     if lens.sharpen > 0:
         display = cv2.addWeighted(display, 1 + lens.sharpen, cv2.GaussianBlur(display, (0, 0), 1.2), -lens.sharpen, 0)
@@ -114,8 +115,10 @@ def _noise(size: tuple[int, int], rng: np.random.Generator) -> Float32[np.ndarra
     """
     count = 3 * size[0] * size[1]
     first, second = (np.frombuffer(rng.bytes(count), np.uint8).reshape(*size, 3) for _ in range(2))
-    blurred = cv2.GaussianBlur(cv2.addWeighted(first, 1, second, 1, -255, dtype=cv2.CV_16S), (0, 0), _NOISE_BLUR)
-    return blurred.astype(np.float32) * np.float32(1 / (2 * _NOISE_STD))
+    blurred = cv2.GaussianBlur(cv2.add(first, second, dtype=cv2.CV_16U), (0, 0), _NOISE_BLUR).astype(np.float32)
+    blurred -= np.float32(255)
+    blurred *= np.float32(1 / (2 * _NOISE_STD))
+    return blurred
 
 
 def _toned(exposed: Float32[np.ndarray, "h w 3"], name: str) -> Float32[np.ndarray, "h w 3"]:

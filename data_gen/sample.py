@@ -145,7 +145,8 @@ def _albedo(
     share = [m / p for m, p in zip(maps.mask.shape, photo_size, strict=True)]
     down, across = backward.mean_film_pixels()
     image = at_photo_scale(levels.grey, (down * share[0], across * share[1]))
-    return np.where(maps.mask, on_film(image, np.where(maps.mask[..., None], maps.uv, np.float32(0))), np.nan)
+    (grey,) = on_film([image], maps.uv)
+    return np.where(maps.mask, grey, np.float32(np.nan))
 
 
 def _glare(
@@ -162,7 +163,7 @@ def _glare(
     place = cv2.resize(place, light.gain.shape[1::-1], interpolation=cv2.INTER_LINEAR)
     black, bright = (displayed(x, place, scene.lens, white) for x in (light.veil, light.veil + light.gain))
     red, green, blue = cv2.split(cv2.subtract(bright, black))
-    contrast = on_film(cv2.max(cv2.max(red, green), blue), np.where(maps.mask[..., None], maps.uv, np.float32(0)))
+    (contrast,) = on_film([cv2.max(cv2.max(red, green), blue)], maps.uv)
     return maps.mask & (contrast < GLARE_LEVELS / 255)
 
 

@@ -53,5 +53,6 @@ def test_reduced_prints_keep_their_mean_light_and_their_places(film_px):
     reduced = at_photo_scale(levels.reflectance, film_px)
     assert reduced.mean() == pytest.approx(levels.reflectance[0].mean(), rel=0.02)
     ramp = np.tile(np.linspace(0, 1, 512, dtype=np.float32), (512, 1))
-    seen = on_film(at_photo_scale((ramp,), film_px), np.array([[[0.25, 0.5], [0.5, 0.5], [0.75, 0.5]]], np.float32))
+    at = np.array([[[0.25, 0.5], [0.5, 0.5], [0.75, 0.5]]], np.float32)
+    (seen,) = on_film([at_photo_scale((ramp,), film_px)], at)
     np.testing.assert_allclose(seen.ravel(), [0.25, 0.5, 0.75], atol=2e-3)
