@@ -45,11 +45,12 @@ Rectangle = tuple[float | int, float | int, float | int, float | int]
 class Sprite:
     """A flat thing.
 
-    picture: square root of reflectance in 8 bit, then coverage. size_mm: (height, width). rise_mm: above its ground.
+    levels: square root of reflectance in 8 bit, then coverage; the same at half the size and so on.
+    size_mm: (height, width). rise_mm: above its ground.
     glow: radiance of a white pixel of it if it shines itself, relative to a well-lit white wall; else 0.
     """
 
-    picture: UInt8[np.ndarray, "h w 4"]
+    levels: tuple[UInt8[np.ndarray, "_ _ 4"], ...]
     size_mm: tuple[float, float]
     rise_mm: float
     glow: float
@@ -66,7 +67,12 @@ def sprite(kind: str, variant: int) -> Sprite:
     picture[..., 3] = 255
     _DRAWN[kind](picture, rng)
     glow = {"screen": float(rng.uniform(0.6, 2.0)), "window": float(rng.uniform(1.5, 8.0))}.get(kind, 0.0)
-    return Sprite(picture, size, rise, glow)
+    levels = [picture]
+    while min(levels[-1].shape[:2]) > 16:
+        h, w = levels[-1].shape[:2]
+        half = cv2.resize(levels[-1], (w // 2, h // 2), interpolation=cv2.INTER_AREA)
+        levels.append(half.astype(np.uint8))
+    return Sprite(tuple(levels), size, rise, glow)
 
 
 def _code(reflectance: np.ndarray | float) -> tuple[int, int, int]:

@@ -209,7 +209,7 @@ def _tape(clip: Clip, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, ...]:
     half, reach = clip.width_mm / 2, clip.reach_mm
     torn = 0.5 * np.sin(2.1 * y) + 0.3 * np.sin(5.7 * y)
     edge = np.minimum(half - np.abs(y), np.minimum(reach + torn - x, x + reach + 12 + torn))
-    height = 0.06 * np.sin(0.9 * x + 0.5 * y) + 0.05 * np.sin(2.3 * y - 0.7 * x) + np.minimum(edge, 0)
+    height = 0.06 * np.sin(0.5 * y + 0.9 * x) + 0.05 * np.sin(2.3 * y - 0.7 * x) + np.minimum(edge, 0)
     return height, edge, np.zeros(x.shape)
 
 

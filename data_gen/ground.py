@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float
 
-from data_gen._clutter import ON_PANEL, ON_TABLE, ON_WALL, VARIANTS, Sprite, sprite
+from data_gen._clutter import ON_PANEL, ON_TABLE, ON_WALL, PX_PER_MM, VARIANTS, Sprite, sprite
 from data_gen._materials import TILE, tile
 from data_gen.backdrop import Backdrop
 from data_gen.lamps import surface_irradiance, vector_irradiance
@@ -251,7 +251,8 @@ def _placed(thing: Sprite, at: np.ndarray, turn: float, ground: Ground, camera: 
     box = frame_box(photo, camera.size, 2 + 3 * spread)
     if box is None or per_mm < 0.02:
         return None
-    picture = _reduced(thing, per_mm)
+    level = int(np.clip(np.floor(np.log2(PX_PER_MM / per_mm) + 0.3), 0, len(thing.levels) - 1))  # text must not alias
+    picture = thing.levels[level]
     h, w = picture.shape[:2]
     source = opencv_from_photo(np.array([[0, 0], [w, 0], [w, h], [0, h]], np.float32))
     target = opencv_from_photo((photo - [box[1].start, box[0].start]).astype(np.float32))
@@ -259,12 +260,3 @@ def _placed(thing: Sprite, at: np.ndarray, turn: float, ground: Ground, camera: 
     seen = cv2.warpPerspective(picture, cv2.getPerspectiveTransform(source, target), size, flags=cv2.INTER_LINEAR)
     colour = cv2.LUT(np.ascontiguousarray(seen[..., :3]), _DECODED)
     return _Seen(thing, box, colour, seen[..., 3] * np.float32(1 / 255), spread)
-
-
-def _reduced(thing: Sprite, per_mm: float) -> np.ndarray:
-    """The thing's picture at about the photo's resolution, so that its text does not alias."""
-    high, wide = (max(2, round(mm * per_mm)) for mm in thing.size_mm)
-    h, w = thing.picture.shape[:2]
-    if high * wide >= 0.5 * h * w:
-        return thing.picture
-    return cv2.resize(thing.picture, (min(wide, w), min(high, h)), interpolation=cv2.INTER_AREA)

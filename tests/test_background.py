@@ -125,6 +125,6 @@ def test_materials_reflect_less_than_they_receive_and_repeat_without_a_seam(mate
 @pytest.mark.parametrize("kind", sorted(_SIZE_MM))
 def test_things_have_a_picture_in_proportion(kind):
     thing = sprite(kind, 1)
-    high, wide = thing.picture.shape[:2]
+    high, wide = thing.levels[0].shape[:2]
     assert high / wide == pytest.approx(thing.size_mm[0] / thing.size_mm[1], rel=0.15)
-    assert thing.picture[..., 3].max() == 255
+    assert thing.levels[0][..., 3].max() == 255
