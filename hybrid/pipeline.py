@@ -15,9 +15,10 @@ from threadpoolctl import ThreadpoolController
 
 from hybrid.backward import BackwardMap
 from hybrid.image_io import as_photo
-from hybrid.learn.network import FilmNet, fused
-from hybrid.learn.predict import PredictConfig, film_windows, look, whole
-from hybrid.learn.weights import load_weights, packaged_weights
+from hybrid.learn.network import FilmNet, FilmNetConfig, fused
+from hybrid.learn.predict import PredictConfig, look, look_from_sides
+from hybrid.learn.views import film_view, plane_of, whole_view
+from hybrid.learn.weights import load_weights, packaged_film_net
 from hybrid.records import CoarseMaps, RectifyResult, SliceGrid, StageReport, Status, StatusCode
 from hybrid.rectify.deilluminate import DeilluminateConfig, deilluminate, film_guide
 from hybrid.rectify.film_size import FilmSizeConfig, film_size
@@ -55,7 +56,9 @@ class Rectifier:
     def __init__(self, config: RectifyConfig | None = None) -> None:
         self.config = config or RectifyConfig()
         weights = self.config.weights
-        self._network: FilmNet = fused(packaged_weights() if weights is None else load_weights(weights))
+        self._network: FilmNet = fused(
+            packaged_film_net() if weights is None else load_weights(weights, FilmNet, FilmNetConfig)
+        )
 
     def __call__(self, source: str | Path | np.ndarray) -> RectifyResult:
         """The flat film of a photo.
@@ -92,26 +95,26 @@ class Rectifier:
         return self._finish(photo, maps, refinement, clock)
 
     def _see(self, photo: Photo, clock: _Clock) -> tuple[CoarseMaps, Inversion | NotInverted]:
-        """What the network makes of the photo: a look at the whole, some at the film, and the mean of their maps."""
-        config = self.config.predict
+        """What the network makes of the photo: the whole, then the film ever better flattened by what is known."""
+        config = self.config
         with clock.stage("network") as report:
-            first = whole((photo.shape[0], photo.shape[1]))
-            looks = look(self._network, photo, [first])
-            windows = film_windows(looks[0], config)
-            if windows:
-                looks += look(self._network, photo, windows)
-            share = windows[0].side / first.side if windows else 0.0
+            (maps,) = look(self._network, photo, [whole_view((photo.shape[0], photo.shape[1]))])
+            inversion = fit_backward(maps, config.invert)
+            shapes = [inversion]
+            for last in (False, True):
+                if isinstance(inversion, NotInverted) or inversion.backward.folds((9, 9)):
+                    break
+                flat = inversion.backward if last else plane_of(inversion.backward)
+                sides = config.predict.sides if last else config.predict.sides[:1]
+                looks = look_from_sides(self._network, photo, film_view(flat, config.predict.margin), sides)
+                maps, inversion = looks[0], agreed([fit_backward(maps, config.invert) for maps in looks])
+                shapes.append(inversion)
             report.reason = (
-                f"{len(looks)} looks: the film spans {share:.0%} of the photo" if windows else "no film seen"
+                inversion.reason
+                if isinstance(inversion, NotInverted)
+                else f"{len(shapes)} looks, the last explained to {inversion.residual_px:.1f} px"
             )
-        with clock.stage("invert") as report:
-            inversions = [fit_backward(maps, self.config.invert) for maps in looks]
-            inversion = agreed(inversions)
-            if isinstance(inversion, NotInverted):
-                report.reason = inversion.reason
-            else:
-                report.reason = f"uv map explained to {inversion.residual_px:.1f} px"
-        return looks[len(looks) // 2], inversion
+        return maps, inversion
 
     def _finish(self, photo: Photo, maps: CoarseMaps, refinement: Refinement, clock: _Clock) -> RectifyResult:
         """Read the photo once through the map, then take the light out."""

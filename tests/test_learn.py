@@ -1,5 +1,6 @@
 """The network, its losses, its views and its weights files."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,15 +9,21 @@ import torch
 
 from data_gen.generate import GenerateConfig, generate
 from data_gen.sample import SampleConfig
-from hybrid.coords import pixel_centres, rescale_points
+from hybrid.backward import BackwardMap, Orientation
+from hybrid.coords import film_centres, pixel_centres, rescale_points
 from hybrid.errors import ConfigError, DataError
-from hybrid.learn.data import AugmentConfig, training_view
+from hybrid.learn import train as train_module
+from hybrid.learn.data import AugmentConfig, random_view, training_view
 from hybrid.learn.losses import LossWeights, Targets, loss_terms, masked_mean, slope_loss, total_loss, uv_loss
 from hybrid.learn.network import STRIDE, FilmNet, FilmNetConfig, FilmNetOutput, fused
-from hybrid.learn.predict import PredictConfig, Window, film_windows, look, whole
-from hybrid.learn.shards import open_dataset
+from hybrid.learn.paper_data import PaperView, paper_batch
+from hybrid.learn.predict import look, look_from_sides
+from hybrid.learn.presets import PRESETS
+from hybrid.learn.samples import film_of, open_places
 from hybrid.learn.train import TrainConfig, train
-from hybrid.learn.weights import load_weights, parameter_count, save_weights
+from hybrid.learn.upright import UprightNet, UprightNetConfig
+from hybrid.learn.views import film_from_view, output_points, square_view
+from hybrid.learn.weights import load_into, load_weights, parameter_count, save_weights
 
 TINY = FilmNetConfig(widths=(4, 8, 8, 8), blocks=(1, 1, 1), input_px=64)
 
@@ -35,8 +42,22 @@ def random_case(seed=0, b=2, n=8):
     def draw(*shape):
         return torch.rand(*shape, generator=g)
 
-    output = FilmNetOutput(draw(b, n, n) - 0.5, draw(b, 2, n, n), draw(b, 3, n, n), draw(b, n, n), draw(b, n, n) - 3)
-    return output, Targets(draw(b, n, n) > 0.3, draw(b, 2, n, n), draw(b, 3, n, n), draw(b, n, n))
+    output = FilmNetOutput(
+        draw(b, n, n) - 0.5,
+        draw(b, 2, n, n),
+        draw(b, 3, n, n),
+        draw(b, n, n),
+        draw(b, n, n) - 3,
+        draw(b, 8),
+        draw(b, 3, n, n),
+    )
+    return output, targets_of(draw(b, n, n) > 0.3, draw(b, 2, n, n), draw(b, 3, n, n), draw(b, n, n), draw(b, 3, n, n))
+
+
+def targets_of(mask, uv, xyz, albedo, normal) -> Targets:
+    """Targets of upright films that weigh alike."""
+    b = len(mask)
+    return Targets(mask, uv, xyz, albedo, normal, torch.zeros(b, dtype=torch.int64), torch.ones(b))
 
 
 # ---------------------------------------------------------------- network
@@ -74,23 +95,28 @@ def test_losses_by_hand():
     error = torch.tensor([[[0.1, 0.3], [9.0, 9.0]], [[0.4, 9.0], [9.0, 9.0]]])
     assert float(masked_mean(error, mask)) == pytest.approx((0.2 + 0.4) / 2)
     zero = torch.zeros(2, 2, 2, 2)
-    targets = Targets(mask, zero, torch.zeros(2, 3, 2, 2), torch.zeros(2, 2, 2))
+    targets = targets_of(mask, zero, torch.zeros(2, 3, 2, 2), torch.zeros(2, 2, 2), torch.zeros(2, 3, 2, 2))
     uv = torch.stack([error, error], dim=1)
-    output = FilmNetOutput(
-        torch.zeros(2, 2, 2), uv, torch.zeros(2, 3, 2, 2), torch.zeros(2, 2, 2), torch.zeros(2, 2, 2)
-    )
+    zeros = torch.zeros(2, 2, 2)
+    output = FilmNetOutput(zeros, uv, torch.zeros(2, 3, 2, 2), zeros, zeros, torch.zeros(2, 8))
     assert float(uv_loss(output, targets)) == pytest.approx(2 * 0.3)
     # One neighbouring pair of film pixels, in the first film only: |0.3 - 0.1| for u and for v.
     assert float(slope_loss(output, targets)) == pytest.approx(0.4 / 2, abs=1e-6)
     assert float(loss_terms(output, targets)["mask"]) == pytest.approx(np.log(2))
+    assert float(loss_terms(output, targets)["orientation"]) == pytest.approx(np.log(8))
+    # A film that weighs twice as much counts twice.
+    heavy = replace(targets, weight=torch.tensor([2.0, 1.0]))
+    assert float(uv_loss(output, heavy)) == pytest.approx(2 * (2 * 0.2 + 0.4) / 2)
 
 
 def test_a_perfect_prediction_costs_nothing():
     _, targets = random_case()
     logit = torch.where(targets.mask, 40.0, -40.0)
-    perfect = FilmNetOutput(logit, targets.uv, targets.xyz, targets.albedo, torch.full_like(logit, -3.0))
+    upright = torch.nn.functional.one_hot(targets.orientation, 8) * 40.0
+    scale = torch.full_like(logit, -3.0)
+    perfect = FilmNetOutput(logit, targets.uv, targets.xyz, targets.albedo, scale, upright, targets.normal)
     terms = loss_terms(perfect, targets)
-    assert all(float(terms[name]) < 1e-6 for name in ("uv", "mask", "xyz", "albedo", "slope"))
+    assert all(float(term) < 1e-6 for name, term in terms.items() if name != "scale")
 
 
 def test_losses_do_not_see_the_background():
@@ -101,6 +127,8 @@ def test_losses_do_not_see_the_background():
         torch.where(targets.mask[:, None], output.xyz, 77.0),
         torch.where(targets.mask, output.albedo, 77.0),
         output.log_scale,
+        output.orientation,
+        output.normal,
     )
     before, after = loss_terms(output, targets), loss_terms(noisy, targets)
     for name, value in before.items():
@@ -112,72 +140,106 @@ def test_losses_do_not_see_the_background():
 
 
 def test_an_undisturbed_view_is_the_sample(dataset):
-    shard = open_dataset(dataset)[0]
-    view = training_view(shard, 2, 96, np.random.default_rng(0), None)
+    place = open_places([dataset])[2]
+    view = training_view(place, 96, np.random.default_rng(0), None)
     assert view.image.shape == (96, 96, 3)
-    assert (view.mask == (view.uv != 0).any(axis=-1))[view.mask].all()
-    nodes = shard.stored("backward", 2)
-    from hybrid.backward import BackwardMap
-
-    at = BackwardMap(nodes).photo_from_film(view.uv[view.mask].astype(np.float64))
+    uv = Orientation.from_index(view.orientation).film_from_seen(view.uv[view.mask].astype(np.float64))
     n = 96 // STRIDE
     centres = rescale_points(pixel_centres((n, n)), (n, n), (96, 96))[view.mask]
-    assert np.median(np.linalg.norm(at - centres, axis=1)) < 0.1
+    assert np.median(np.linalg.norm(film_of(place).photo_from_film(uv) - centres, axis=1)) < 0.1
 
 
-def test_a_turned_view_turns_the_truth_with_it(dataset):
-    """What a view says of 3D is the photo's camera turned about its axis: distances to the centre stay."""
-    shard = open_dataset(dataset)[0]
-    plain = training_view(shard, 1, 64, np.random.default_rng(0), None)
-    config = AugmentConfig(crop_share=0.0, zoom=(1.0, 1.0), roll_deg=30.0, shift=0.0)
-    turned = training_view(shard, 1, 64, np.random.default_rng(3), config)
-    assert np.ptp(np.linalg.norm(plain.xyz[plain.mask], axis=-1)) > 0
-    for view in (plain, turned):
-        far = np.linalg.norm(view.xyz[view.mask], axis=-1).max()
-        assert 0.2 < far < 0.8  # half a film's diagonal, about
-    # u runs to the right of the view's own axes: dx/du is positive in both
-    for view in (plain, turned):
-        x, u = view.xyz[..., 0][view.mask], view.uv[..., 0][view.mask]
-        assert np.corrcoef(x, u)[0, 1] > 0.5
+def kind_of_view(**shares) -> AugmentConfig:
+    return replace(AugmentConfig(), colours=False, **shares)
+
+
+def test_a_view_shows_the_film_as_seen(dataset):
+    """In every view, however turned or mirrored, u runs to the right and v down, and so do x and y."""
+    places = open_places([dataset])
+    for kind in (
+        {"whole_share": 1.0},
+        {"whole_share": 0.0, "plane_share": 1.0},
+        {"whole_share": 0.0, "plane_share": 0.0},
+    ):
+        for seed in range(8):
+            view = training_view(places[seed], 64, np.random.default_rng(seed), kind_of_view(**kind))
+            if view.mask.sum() < 40:
+                continue
+            at = film_centres(view.mask.shape)[view.mask]
+            for axis in (0, 1):
+                assert np.corrcoef(at[:, axis], view.uv[view.mask][:, axis])[0, 1] > 0.6
+                assert np.corrcoef(at[:, axis], view.xyz[view.mask][:, axis])[0, 1] > 0.4
+            assert 0.1 < np.linalg.norm(view.xyz[view.mask], axis=-1).max() < 0.9  # film diagonals
+
+
+def test_the_orientation_of_a_view_undoes_its_turns(dataset):
+    """The label and the sample's own truth: film uv of the view's middle pixels, by both ways."""
+    place = open_places([dataset])[1]
+    film = film_of(place)
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        view = training_view(place, 64, rng, kind_of_view(whole_share=0.0, plane_share=0.0))
+        again, _ = random_view(
+            film, (96, 96), np.random.default_rng(seed), kind_of_view(whole_share=0.0, plane_share=0.0)
+        )
+        points = output_points(again, 64, STRIDE)[view.mask].astype(np.float64)
+        uv = Orientation.from_index(view.orientation).film_from_seen(view.uv[view.mask].astype(np.float64))
+        assert np.median(np.linalg.norm(film.photo_from_film(uv) - points, axis=-1)) < 0.1
+
+
+def test_flattened_views_hold_the_film_about_where_it_belongs(dataset):
+    place = open_places([dataset])[0]
+    errors = replace(kind_of_view(whole_share=0.0, plane_share=0.0), bend_error=(1e-6, 1.1e-6), margin=(0.1, 0.1001))
+    view = training_view(place, 64, np.random.default_rng(0), errors)
+    expected = film_from_view(film_centres(view.mask.shape), 0.1)
+    assert np.quantile(np.abs(view.uv - expected)[view.mask], 0.95) < 0.005
+
+
+# ---------------------------------------------------------------- the paper's networks' data
+
+
+def test_windows_for_the_papers_networks_agree_with_their_own_backward_map(dataset):
+    places = open_places([dataset])[:4]
+    config = kind_of_view()
+    images, targets = paper_batch(places, PaperView(64, 33), np.random.default_rng(0), config)
+    assert images.shape == (4, 3, 64, 64)
+    for k in range(4):
+        film = BackwardMap(targets.backward[k].permute(1, 2, 0).numpy())
+        mask = targets.mask[k].numpy()
+        uv = targets.uv[k].permute(1, 2, 0).numpy()[mask].astype(np.float64)
+        at = film_centres((64, 64))[mask]
+        assert np.median(np.linalg.norm(film.photo_from_film(uv) - at, axis=-1)) < 0.002
+        lengths = targets.normal[k].norm(dim=0).numpy()[mask]
+        assert np.quantile(np.abs(lengths - 1), 0.9) < 0.01
 
 
 # ---------------------------------------------------------------- looking
 
 
-def test_looking_at_the_whole_shows_the_photo_itself():
-    from hybrid.learn.predict import _cut
-
-    photo = np.random.default_rng(0).integers(0, 256, (64, 64, 3), dtype=np.uint8)
-    np.testing.assert_array_equal(_cut(photo, whole((64, 64)), 64), photo)
-
-
-def test_a_window_is_where_it_says():
-    """A ramp of columns read through a window gives the columns of the window's photo points."""
-    from hybrid.learn.predict import _cut
-
-    x = pixel_centres((300, 400))[..., 0]
-    photo = np.repeat((x / 400 * 255)[..., None], 3, axis=-1).astype(np.uint8)
-    window = Window((210.3, 140.7), 130.0)
-    seen = _cut(photo, window, 64)[32, :, 0] / 255 * 400
-    expected = 210.3 - 65 + (np.arange(64) + 0.5) * 130 / 64
-    np.testing.assert_allclose(seen, expected, atol=3.0)
-
-
-def test_the_photo_points_of_the_maps_cover_the_window():
+def test_the_photo_points_of_the_maps_cover_the_view():
     photo = np.zeros((100, 150, 3), np.uint8)
-    (maps,) = look(fused(FilmNet(TINY)), photo, [Window((75.0, 50.0), 80.0)])
-    np.testing.assert_allclose(maps.photo_points[0, 0], [35 + 2.5, 10 + 2.5])
-    np.testing.assert_allclose(maps.photo_points.mean(axis=(0, 1)), [75, 50])
-    assert film_windows(maps, PredictConfig(mask_threshold=1.1)) == []
-    seen = film_windows(maps, PredictConfig(mask_threshold=-1.0, margins=(0.0, 0.25)))
-    assert seen == [Window((75.0, 50.0), 80.0), Window((75.0, 50.0), 120.0)]
+    (maps,) = look(fused(FilmNet(TINY)), photo, [square_view((75.0, 50.0), 80.0)])
+    np.testing.assert_allclose(maps.photo_points[0, 0], [35 + 2.5, 10 + 2.5], atol=1e-4)
+    np.testing.assert_allclose(maps.photo_points.mean(axis=(0, 1)), [75, 50], atol=1e-4)
 
 
 def test_looks_together_are_looks_one_by_one():
     network, photo = fused(FilmNet(TINY)), np.random.default_rng(0).integers(0, 256, (90, 90, 3), dtype=np.uint8)
-    windows = [Window((40.0, 50.0), 60.0), Window((45.0, 45.0), 90.0)]
-    for one, other in zip(look(network, photo, windows), (look(network, photo, [w])[0] for w in windows), strict=True):
+    views = [square_view((40.0, 50.0), 60.0), square_view((45.0, 45.0), 90.0)]
+    for one, other in zip(look(network, photo, views), (look(network, photo, [v])[0] for v in views), strict=True):
         np.testing.assert_allclose(one.uv, other.uv, atol=1e-5)
+
+
+def test_a_look_from_another_side_names_the_same_film_points():
+    """A network that only repeats where each pixel is in its view says the same of all sides, once turned back."""
+    network = fused(FilmNet(TINY))
+    for parameter in network.head.parameters():
+        parameter.zero_()
+    photo = np.random.default_rng(0).integers(0, 256, (80, 80, 3), dtype=np.uint8)
+    view = square_view((40.0, 40.0), 60.0, turn=0.2)
+    for maps in look_from_sides(network, photo, view, range(8)):
+        expected = view.film_from_photo(maps.photo_points.reshape(-1, 2).astype(np.float64)).reshape(maps.uv.shape)
+        np.testing.assert_allclose(maps.uv, expected, atol=1e-4)
 
 
 # ---------------------------------------------------------------- weights and training
@@ -186,47 +248,60 @@ def test_looks_together_are_looks_one_by_one():
 def test_weights_come_back_and_are_strict(tmp_path):
     network = FilmNet(TINY).eval()
     path = tmp_path / "w.safetensors"
-    save_weights(path, network, {"passes": 0})
+    save_weights(path, network, TINY, {"passes": 0})
     image = torch.rand(1, 3, 64, 64)
+    back = load_weights(path, FilmNet, FilmNetConfig).eval()
+    assert back.config == TINY
     with torch.no_grad():
-        torch.testing.assert_close(load_weights(path).eval()(image).uv, network(image).uv, atol=5e-3, rtol=5e-3)
+        torch.testing.assert_close(back(image).uv, network(image).uv, atol=5e-3, rtol=5e-3)
     with pytest.raises(DataError, match="safetensors"):
-        load_weights(Path(__file__))
+        load_weights(Path(__file__), FilmNet, FilmNetConfig)
     with pytest.raises(DataError, match="weights"):
-        load_weights(tmp_path / "missing.safetensors")
+        load_weights(tmp_path / "missing.safetensors", FilmNet, FilmNetConfig)
+    with pytest.raises(DataError, match="UprightNet"):
+        load_weights(path, UprightNet, UprightNetConfig)
+    with pytest.raises(DataError, match="same preset"):
+        load_into(FilmNet(replace(TINY, widths=(4, 8, 8, 16))), path)
 
 
-def test_training_resumes_exactly_and_learns(dataset, tmp_path):
-    def config(out, passes):
-        return TrainConfig(
-            data=(dataset,), out=out, passes=passes, coarse_share=0.0, held_out=2, batch=4, loaders=0,
-            steps_per_test=4, minutes_per_save=0.0, network=TINY,
-        )  # fmt: skip
+@pytest.fixture
+def tiny(monkeypatch):
+    """The preset of FilmNet, of a size for tests."""
+    monkeypatch.setitem(PRESETS, "filmnet", replace(PRESETS["filmnet"], config=TINY, batch=4))
 
-    class CutError(Exception):
-        pass
 
-    from hybrid.learn import train as module
+def quick_run(dataset, out, passes, **options) -> TrainConfig:
+    return TrainConfig(
+        data=(dataset,),
+        out=out,
+        passes=passes,
+        held_out=2,
+        loaders=0,
+        steps_per_test=4,
+        minutes_per_save=0.0,
+        **options,
+    )
 
-    train(config(tmp_path / "whole", 32))
-    original = module._State.update
-    calls = []
+
+@pytest.mark.usefixtures("tiny")
+def test_training_resumes_exactly_and_learns(dataset, tmp_path, monkeypatch):
+    train(quick_run(dataset, tmp_path / "whole", 32))
+    original, calls = train_module._State.update, []
 
     def interrupted(self, images, targets):
         if len(calls) == 4:
-            raise CutError
+            raise InterruptedError
         calls.append(1)
         return original(self, images, targets)
 
-    module._State.update = interrupted
-    try:
-        with pytest.raises(CutError):
-            train(config(tmp_path / "parts", 32))
-    finally:
-        module._State.update = original
-    train(config(tmp_path / "parts", 32))
+    with monkeypatch.context() as patch:
+        patch.setattr(train_module._State, "update", interrupted)
+        with pytest.raises(InterruptedError):
+            train(quick_run(dataset, tmp_path / "parts", 32))
+    train(quick_run(dataset, tmp_path / "parts", 32))
     whole_run, parts = (
-        load_weights(tmp_path / name / "filmnet.safetensors").state_dict() for name in ("whole", "parts")
+        load_weights(tmp_path / name / "filmnet.safetensors", FilmNet, FilmNetConfig).state_dict()
+        for name in ("whole", "parts")
     )
     for name, value in whole_run.items():
         torch.testing.assert_close(parts[name], value, atol=0, rtol=0)
@@ -235,6 +310,24 @@ def test_training_resumes_exactly_and_learns(dataset, tmp_path):
     assert float(curves[-1].split(",")[1]) < float(curves[1].split(",")[1])
 
 
+@pytest.mark.usefixtures("tiny")
+def test_a_training_can_start_from_weights(dataset, tmp_path):
+    train(quick_run(dataset, tmp_path / "first", 4))
+    start = tmp_path / "first" / "filmnet.safetensors"
+    train(quick_run(dataset, tmp_path / "second", 4, start=start, learning_rate=1e-12, weight_decay=0.0))
+    before, after = (load_weights(p, FilmNet, FilmNetConfig) for p in (start, tmp_path / "second/filmnet.safetensors"))
+    torch.testing.assert_close(after.head.weight, before.head.weight)
+
+
+def test_a_network_of_the_paper_trains_on_the_same_data(dataset, tmp_path, monkeypatch):
+    narrow = PRESETS["firenet"].at_width(0.03).at_input(64)
+    monkeypatch.setitem(PRESETS, "firenet", narrow)
+    train(quick_run(dataset, tmp_path, 4, preset="firenet", batch=2))
+    assert (tmp_path / "firenet.safetensors").exists()
+    assert "test_uv_percent" in (tmp_path / "curves.csv").read_text()
+
+
+@pytest.mark.usefixtures("tiny")
 def test_too_little_data_is_refused(dataset, tmp_path):
     with pytest.raises(ConfigError, match="held out"):
-        train(TrainConfig(data=(dataset,), out=tmp_path, held_out=100))
+        train(replace(quick_run(dataset, tmp_path, 4), held_out=100))

@@ -9,56 +9,80 @@ import numpy as np
 import torch
 from jaxtyping import Float, UInt8
 
-from hybrid.coords import opencv_from_photo, pixel_centres, rescale_points, rgb_from_bgr
-from hybrid.errors import DataError, describe
-from hybrid.learn.coding import ALBEDO_LEVELS, UV_LEVELS, xyz_from_stored
+from hybrid.backward import MIN_NODES, BackwardMap, Orientation, orientation, orientation_of
+from hybrid.coords import film_centres, film_nodes
 from hybrid.learn.losses import Targets
 from hybrid.learn.network import STRIDE
-from hybrid.learn.shards import Shard
+from hybrid.learn.samples import Place, Truth, film_of, photo_of, truth_at
+from hybrid.learn.views import VIEW_NODES, film_view, output_points, plane_of, square_view, view_image, whole_view
 
 
 @dataclass(frozen=True)
 class AugmentConfig:
     """How the view and the colours are varied.
 
-    crop_share: views cut to the film's bounding box, as in the second pass of a rectification. margin: of that box.
-    zoom: range of the other views' scale. roll_deg, shift: one sigma of rotation and of shift (photo sides).
+    whole_share: views that are windows of the photo, as in the first look. plane_share: views that flatten the film by
+    a homography, as in the second; the others flatten it by a bent map. zoom: range of the windows' scale. roll_deg,
+    shift: one sigma of their rotation and of their shift (in parts of their side). margin: around a flattened film.
+    plane_error, bend_error: range of the error, in parts of the film, of the maps by which films are flattened.
+    Every view is turned by any number of quarter turns and mirrored or not. colours: whether they are disturbed.
     """
 
-    crop_share: float = 0.5
-    margin: tuple[float, float] = (0.02, 0.14)
+    whole_share: float = 0.4
+    plane_share: float = 0.3
     zoom: tuple[float, float] = (0.55, 1.25)
     roll_deg: float = 8.0
     shift: float = 0.03
+    margin: tuple[float, float] = (0.04, 0.12)
+    plane_error: tuple[float, float] = (0.006, 0.06)
+    bend_error: tuple[float, float] = (0.002, 0.03)
+    colours: bool = True
+
+
+BEND_ERROR_NODES = 5
+"""Nodes along each side of the smooth random error of a bent map."""
+WHOLE_WEIGHT, FLATTENED_WEIGHT = 1.0, 4.0
+"""Flattened views have smaller errors, which are what counts in the end, so they weigh more."""
 
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """A training view: image (n, n, 3) uint8 and the truth on the pixel centres of the network's output."""
+    """A training view: image (n, n, 3) uint8 and the truth on the pixel centres of the network's output.
+
+    uv: film coordinates of the film as seen in the view. orientation: index of what makes the film read right.
+    weight: of the view in the loss.
+    """
 
     image: UInt8[np.ndarray, "n n 3"]
     mask: np.ndarray
     uv: np.ndarray
     xyz: np.ndarray
     albedo: np.ndarray
+    normal: np.ndarray
+    orientation: int
+    weight: float
 
 
-def training_view(shard: Shard, index: int, px: int, rng: np.random.Generator, config: AugmentConfig | None) -> View:
-    """Sample ``index`` seen in a random view of ``px`` pixels; with no ``config``, as it is and undisturbed."""
-    photo = _decoded(shard, index)
-    side = photo.shape[0]
-    mask, record = shard.stored("mask", index), shard.record(index)
-    map_size = (mask.shape[0], mask.shape[1])
-    photo_from_view, turn = _view(mask, side, px, rng, config)
-    image = _warped(photo, photo_from_view, px)
-    if config is not None:
-        image = _disturbed(image, rng)
-    n = px // STRIDE
-    centres = rescale_points(pixel_centres((n, n)), (n, n), (px, px))
-    in_photo = centres @ photo_from_view[:, :2].T + photo_from_view[:, 2]
-    in_map = opencv_from_photo(rescale_points(in_photo, (side, side), map_size))
-    seen, uv, xyz, albedo = _sampled(shard, index, mask, in_map)
-    return View(image, seen, uv, _relative(xyz_from_stored(xyz, record["coding"]["xyz"]), seen, record, turn), albedo)
+def training_view(place: Place, px: int, rng: np.random.Generator, config: AugmentConfig | None) -> View:
+    """A sample in a random view of ``px`` pixels; with no ``config``, the whole photo, undisturbed."""
+    photo = photo_of(place)
+    size = (photo.shape[0], photo.shape[1])
+    view, weight = (whole_view(size), 1.0) if config is None else random_view(film_of(place), size, rng, config)
+    image = view_image(photo, view, px)
+    if config is not None and config.colours:
+        image = disturbed(image, rng)
+    truth = truth_at(place, output_points(view, px, STRIDE), size)
+    way, axes = orientation_in(truth), axes_of(view)
+    return View(
+        image,
+        truth.mask,
+        np.where(truth.mask[..., None], way.seen_from_film(truth.uv), np.float32(0)),
+        turned_axes(truth.xyz, axes),
+        truth.albedo,
+        turned_axes(truth.normal, axes),
+        way.index,
+        weight,
+    )
 
 
 def batch_of(views: list[View]) -> tuple[torch.Tensor, Targets]:
@@ -69,99 +93,95 @@ def batch_of(views: list[View]) -> tuple[torch.Tensor, Targets]:
         return torch.from_numpy(np.stack([getattr(v, name) for v in views]))
 
     return images.contiguous(memory_format=torch.channels_last), Targets(
-        stacked("mask"), stacked("uv").permute(0, 3, 1, 2), stacked("xyz").permute(0, 3, 1, 2), stacked("albedo")
+        mask=stacked("mask"),
+        uv=stacked("uv").permute(0, 3, 1, 2),
+        xyz=stacked("xyz").permute(0, 3, 1, 2),
+        albedo=stacked("albedo"),
+        normal=stacked("normal").permute(0, 3, 1, 2),
+        orientation=torch.tensor([v.orientation for v in views]),
+        weight=torch.tensor([v.weight for v in views]),
     )
-
-
-def _decoded(shard: Shard, index: int) -> UInt8[np.ndarray, "n n 3"]:
-    """The photo of a sample, RGB."""
-    photo = cv2.imdecode(shard.member("photo.jpg", index), cv2.IMREAD_COLOR)
-    if photo is None:
-        raise DataError(describe(what="shard", where=shard.path, got=f"photo {index} unreadable", do="Make it again."))
-    return rgb_from_bgr(photo)
 
 
 # ---------------------------------------------------------------- geometry
 
 
-def _view(
-    mask: np.ndarray, side: int, px: int, rng: np.random.Generator, config: AugmentConfig | None
-) -> tuple[Float[np.ndarray, "2 3"], float]:
-    """Affine map from the view's to the photo's frame (a similarity) and its turn in radians."""
-    centre, span, turn = np.full(2, side / 2), float(side), 0.0
-    if config is not None:
-        if rng.random() < config.crop_share and mask.any():
-            rows, cols = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
-            low, high = np.array([cols[0], rows[0]]), np.array([cols[-1], rows[-1]]) + 1
-            centre = (low + high) / 2 * (side / mask.shape[0])
-            span = float((high - low).max()) * side / mask.shape[0] * (1 + 2 * rng.uniform(*config.margin))
+def random_view(
+    film: BackwardMap, size: tuple[int, int], rng: np.random.Generator, config: AugmentConfig
+) -> tuple[BackwardMap, float]:
+    """A view of a film in a photo of ``size`` (height, width), and its weight."""
+    kind = rng.random()
+    if kind < config.whole_share:
+        view = random_window(size, rng, config)
+    else:
+        way = orientation(film).inverse
+        seen = film.turned(way.turns, way.mirrored)
+        if kind < config.whole_share + config.plane_share:
+            seen = _disturbed_map(plane_of(seen), 2, _log_uniform(rng, config.plane_error), rng)
         else:
-            span = side / rng.uniform(*config.zoom)
-        centre = centre + rng.normal(0, config.shift, 2) * span
-        turn = float(rng.normal(0, np.deg2rad(config.roll_deg)))
-    scale = span / px
-    linear = scale * np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
-    return np.column_stack([linear, centre - linear @ np.full(2, px / 2)]), turn
+            seen = _disturbed_map(seen, BEND_ERROR_NODES, _log_uniform(rng, config.bend_error), rng)
+        view = film_view(seen, rng.uniform(*config.margin))
+    return view.turned(int(rng.integers(4)), bool(rng.random() < 0.5)), (
+        WHOLE_WEIGHT if kind < config.whole_share else FLATTENED_WEIGHT
+    )
 
 
-def _warped(photo: np.ndarray, photo_from_view: np.ndarray, px: int) -> np.ndarray:
-    """The photo in the view's frame, reduced by area averaging first where the view is coarser."""
-    scale = float(np.hypot(*photo_from_view[:, 0]))
-    size = photo.shape[0]
-    if scale > 1.3:
-        smaller = round(size / scale)
-        photo = cv2.resize(photo, (smaller, smaller), interpolation=cv2.INTER_AREA)
-        photo_from_view = photo_from_view * (smaller / size)
-    matrix = photo_from_view.copy()
-    matrix[:, 2] = opencv_from_photo(matrix[:, :2] @ np.full(2, 0.5) + matrix[:, 2])
-    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    return cv2.warpAffine(photo, matrix, (px, px), flags=flags, borderMode=cv2.BORDER_REPLICATE)
+def random_window(size: tuple[int, int], rng: np.random.Generator, config: AugmentConfig) -> BackwardMap:
+    """A window of the photo, about as large as the photo."""
+    side = max(size) / rng.uniform(*config.zoom)
+    x, y = (np.array([size[1], size[0]]) / 2 + rng.normal(0, config.shift, 2) * side).tolist()
+    return square_view((x, y), side, float(rng.normal(0, np.deg2rad(config.roll_deg))))
 
 
-def _sampled(
-    shard: Shard, index: int, mask: np.ndarray, in_map: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Mask, uv, xyz (as stored) and albedo at OpenCV coordinates of the maps: bilinear, of film pixels only, else 0.
-
-    Only the four neighbours of each point are read: the maps stay on disk where nothing looks at them.
-    """
-    h, w = mask.shape
-    corner = np.floor(in_map).astype(np.int64)
-    part = (in_map - corner).astype(np.float32)
-    inside = np.zeros(in_map.shape[:2], np.float32)
-    sums = [np.zeros((*in_map.shape[:2], k), np.float32) for k in (2, 3, 1)]
-    maps = [shard.stored(name, index) for name in ("uv", "xyz", "albedo")]
-    for dy in (0, 1):
-        for dx in (0, 1):
-            x, y = corner[..., 0] + dx, corner[..., 1] + dy
-            within = (x >= 0) & (x < w) & (y >= 0) & (y < h)
-            x, y = np.clip(x, 0, w - 1), np.clip(y, 0, h - 1)
-            film = within & mask[y, x]
-            share = (part[..., 0] if dx else 1 - part[..., 0]) * (part[..., 1] if dy else 1 - part[..., 1]) * film
-            inside += share
-            for total, stored in zip(sums, maps, strict=True):
-                values = stored[y, x].reshape(*film.shape, -1)
-                total += share[..., None] * np.where(film[..., None], values, 0)
-    seen = inside > 0.5
-    uv, xyz, albedo = (np.where(seen[..., None], t / np.maximum(inside, 0.5)[..., None], 0) for t in sums)
-    return seen, (uv / UV_LEVELS).astype(np.float32), xyz, (albedo[..., 0] / ALBEDO_LEVELS).astype(np.float32)
+def _disturbed_map(film: BackwardMap, nodes: int, error: float, rng: np.random.Generator) -> BackwardMap:
+    """A film's map with a smooth random error: of one sigma ``error`` (parts of the film) on ``nodes``^2 points."""
+    lattice = film_nodes(VIEW_NODES)
+    at_nodes = rng.normal(0, error, (nodes, nodes, 2))
+    if nodes < MIN_NODES:  # two nodes along an axis: linear between the corners
+        u, v = lattice[..., :1], lattice[..., 1:]
+        (a, b), (c, d) = at_nodes
+        offset = (1 - v) * ((1 - u) * a + u * b) + v * ((1 - u) * c + u * d)
+    else:
+        offset = BackwardMap(at_nodes).photo_from_film(lattice)
+    return BackwardMap(film.photo_from_film(lattice + offset))
 
 
-def _relative(xyz: np.ndarray, seen: np.ndarray, record: dict, turn: float) -> np.ndarray:
-    """3D coordinates relative to the film's centre, in film diagonals, in the axes of the turned camera."""
-    centre = np.asarray(record["grid"]["camera"]).reshape(-1, 3).mean(axis=0)
-    relative = (xyz - centre) / np.hypot(*record["size_mm"])
-    # The view is turned by +turn against the photo, so directions in its frame turn back.
-    cos, sin = np.cos(turn), np.sin(turn)
-    x, y = relative[..., 0], relative[..., 1]
-    turned = np.stack([cos * x + sin * y, -sin * x + cos * y, relative[..., 2]], axis=-1)
-    return np.where(seen[..., None], turned, 0).astype(np.float32)
+def _log_uniform(rng: np.random.Generator, bounds: tuple[float, float]) -> float:
+    return float(np.exp(rng.uniform(*np.log(bounds))))
+
+
+def orientation_in(truth: Truth) -> Orientation:
+    """How the film lies in a view, from its film coordinates there; upright where hardly any film is seen."""
+    seen = truth.mask
+    if seen.sum() < 8:
+        return Orientation(0, False)
+    ones = np.ones((int(seen.sum()), 1))
+    at = film_centres((seen.shape[0], seen.shape[1]))[seen]
+    slope = np.linalg.lstsq(np.hstack([at, ones]), truth.uv[seen], rcond=None)[0][:2].T
+    if abs(np.linalg.det(slope)) < 1e-6:
+        return Orientation(0, False)
+    directions = np.linalg.inv(slope)
+    return orientation_of(directions[:, 0], directions[:, 1])
+
+
+def axes_of(view: BackwardMap) -> Float[np.ndarray, "2 2"]:
+    """The view's axes in the photo (columns), orthonormal: rotation and reflection of the view as a whole."""
+    jacobian = view.jacobian(film_nodes((3, 3))[1, 1])
+    left, _, right = np.linalg.svd(jacobian)
+    return left @ right
+
+
+def turned_axes(vectors: np.ndarray, axes: Float[np.ndarray, "2 2"]) -> np.ndarray:
+    """Vectors (..., 3) in camera axes, in those of the camera turned (and mirrored) with the view."""
+    turned = vectors.copy()
+    turned[..., :2] = vectors[..., :2] @ axes
+    return turned
 
 
 # ---------------------------------------------------------------- colours
 
 
-def _disturbed(image: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+def disturbed(image: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Gain per channel, gamma, grey, blur, noise and holes, each on a share of the views."""
     x = np.arange(256, dtype=np.float32) / 255
     gain = np.exp2(rng.normal(0, 0.25) + rng.normal(0, 0.06, 3))

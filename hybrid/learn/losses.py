@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int64
 from torch import Tensor
 from torch.nn import functional
 
@@ -14,12 +14,22 @@ from hybrid.learn.network import FilmNetOutput
 
 @dataclass(frozen=True, eq=False)
 class Targets:
-    """Truth at the network's output resolution; 0 where the mask is False."""
+    """Truth at the network's output resolution; 0 where the mask is False.
+
+    uv: of the film as seen. orientation: index of what makes it read right. weight: of each view in the loss.
+    """
 
     mask: Bool[Tensor, "b h w"]
     uv: Float[Tensor, "b 2 h w"]
     xyz: Float[Tensor, "b 3 h w"]
     albedo: Float[Tensor, "b h w"]
+    normal: Float[Tensor, "b 3 h w"]
+    orientation: Int64[Tensor, " b"]
+    weight: Float[Tensor, " b"]
+
+    def to(self, device: str) -> Targets:
+        """The same on another device."""
+        return Targets(**{f.name: getattr(self, f.name).to(device) for f in fields(self)})
 
 
 @dataclass(frozen=True)
@@ -32,24 +42,29 @@ class LossWeights:
     albedo: float = 0.5
     slope: float = 4.0
     scale: float = 0.05
+    normal: float = 0.5
+    orientation: float = 0.05
 
 
-def masked_mean(values: Float[Tensor, "b h w"], mask: Bool[Tensor, "b h w"]) -> Float[Tensor, ""]:
-    """Mean over the pixels of each film, then over the films, so that a small film counts as much as a large one."""
-    weight = mask.to(values.dtype)
-    return ((values * weight).sum(dim=(1, 2)) / weight.sum(dim=(1, 2)).clamp(min=1.0)).mean()
+def masked_mean(
+    values: Float[Tensor, "b h w"], mask: Bool[Tensor, "b h w"], weight: Float[Tensor, " b"] | None = None
+) -> Float[Tensor, ""]:
+    """Mean over the pixels of each film, then (weighted) over the films, so that a small one counts as a large one."""
+    inside = mask.to(values.dtype)
+    means = (values * inside).sum(dim=(1, 2)) / inside.sum(dim=(1, 2)).clamp(min=1.0)
+    return (means if weight is None else means * weight).mean()
 
 
 def uv_loss(output: FilmNetOutput, targets: Targets) -> Float[Tensor, ""]:
     """Mean distance of predicted from true film coordinates, |du| + |dv|."""
-    return masked_mean((output.uv - targets.uv).abs().sum(dim=1), targets.mask)
+    return masked_mean((output.uv - targets.uv).abs().sum(dim=1), targets.mask, targets.weight)
 
 
 def slope_loss(output: FilmNetOutput, targets: Targets) -> Float[Tensor, ""]:
     """Mean absolute error of the differences of uv between neighbouring film pixels, along both axes."""
-    error, mask = output.uv - targets.uv, targets.mask
-    across = masked_mean((error[..., 1:] - error[..., :-1]).abs().sum(dim=1), mask[..., 1:] & mask[..., :-1])
-    down = masked_mean((error[:, :, 1:] - error[:, :, :-1]).abs().sum(dim=1), mask[:, 1:] & mask[:, :-1])
+    error, mask, weight = output.uv - targets.uv, targets.mask, targets.weight
+    across = masked_mean((error[..., 1:] - error[..., :-1]).abs().sum(dim=1), mask[..., 1:] & mask[..., :-1], weight)
+    down = masked_mean((error[:, :, 1:] - error[:, :, :-1]).abs().sum(dim=1), mask[:, 1:] & mask[:, :-1], weight)
     return across + down
 
 
@@ -58,6 +73,13 @@ def scale_loss(output: FilmNetOutput, targets: Targets) -> Float[Tensor, ""]:
     error = (output.uv - targets.uv).detach().abs().mean(dim=1)
     log_scale = output.log_scale.clamp(-9.0, 1.0)
     return masked_mean(error * torch.exp(-log_scale) + log_scale, targets.mask)
+
+
+def normal_loss(output: FilmNetOutput, targets: Targets) -> Float[Tensor, ""]:
+    """Mean absolute error of the normal, where one is predicted."""
+    if output.normal is None:
+        return output.uv.new_zeros(())
+    return masked_mean((output.normal - targets.normal).abs().sum(dim=1), targets.mask)
 
 
 def loss_terms(output: FilmNetOutput, targets: Targets) -> dict[str, Tensor]:
@@ -69,6 +91,8 @@ def loss_terms(output: FilmNetOutput, targets: Targets) -> dict[str, Tensor]:
         "albedo": masked_mean((output.albedo - targets.albedo).abs(), targets.mask),
         "slope": slope_loss(output, targets),
         "scale": scale_loss(output, targets),
+        "normal": normal_loss(output, targets),
+        "orientation": functional.cross_entropy(output.orientation, targets.orientation),
     }
 
 

@@ -1,4 +1,4 @@
-"""FilmNet: the compact network that predicts mask, uv, 3D coordinates and albedo of a film in a photo."""
+"""FilmNet: the compact network that predicts mask, uv, 3D coordinates and albedo of a film in a view of a photo."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional
+
+from hybrid.coords import film_centres_1d
 
 STRIDE = 4
 """Input pixels per output pixel and axis: the uv map varies slowly, so a quarter of the resolution loses nothing."""
@@ -25,10 +27,13 @@ class FilmNetConfig:
 
 @dataclass(frozen=True, eq=False)
 class FilmNetOutput:
-    """Maps at a quarter of the input's resolution.
+    """Maps at a quarter of the input's resolution, and one guess of the film's orientation.
 
-    mask_logit: film where positive. uv: film coordinates. xyz: camera axes, relative to the film's centre, in film
-    diagonals. albedo: display grey of the print. log_scale: natural log of the expected absolute error of uv (Laplace).
+    mask_logit: film where positive. uv: coordinates of the film as seen (``hybrid.backward.Orientation``). xyz: camera
+    axes, relative to the film's centre, in film diagonals. albedo: display grey of the print. log_scale: natural log of
+    the expected absolute error of uv (Laplace). orientation: logits of the eight ways in which the film may lie.
+    normal: unit towards the side that reads right, camera axes, predicted while
+    training only, else None.
     """
 
     mask_logit: Float[Tensor, "b h w"]
@@ -36,9 +41,12 @@ class FilmNetOutput:
     xyz: Float[Tensor, "b 3 h w"]
     albedo: Float[Tensor, "b h w"]
     log_scale: Float[Tensor, "b h w"]
+    orientation: Float[Tensor, "b 8"]
+    normal: Float[Tensor, "b 3 h w"] | None = None
 
 
 _CHANNELS = 1 + 2 + 3 + 1 + 1
+_TRAINING_CHANNELS = 3
 
 
 class _ConvNorm(nn.Sequential):
@@ -67,14 +75,15 @@ class _Residual(nn.Module):
 class FilmNet(nn.Module):
     """An encoder to 1/32 of the input and a decoder back to 1/8, whose head writes 2 x 2 output pixels each.
 
-    Most of the work is done at 1/8 and below, where the whole film is within reach of a few convolutions.
+    Most of the work is done at 1/8 and below, where the whole film is within reach of a few convolutions. Each pixel
+    is told where it is in the view (Liu et al. 2018, CoordConv), and uv is predicted as a difference from that.
     """
 
     def __init__(self, config: FilmNetConfig) -> None:
         super().__init__()
         self.config = config
         stem, w8, w16, w32 = config.widths
-        self.stem = _ConvNorm(3, stem, 7, STRIDE)
+        self.stem = _ConvNorm(3 + 2, stem, 7, STRIDE)
         self.down8 = nn.Sequential(_ConvNorm(stem, w8, 3, 2), *(_Residual(w8) for _ in range(config.blocks[0])))
         self.down16 = nn.Sequential(_ConvNorm(w8, w16, 3, 2), *(_Residual(w16) for _ in range(config.blocks[1])))
         self.down32 = nn.Sequential(_ConvNorm(w16, w32, 3, 2), *(_Residual(w32) for _ in range(config.blocks[2])))
@@ -82,24 +91,35 @@ class FilmNet(nn.Module):
         self.up16 = _Residual(w16)
         self.lateral8 = nn.Conv2d(w16, w8, 1)
         self.up8 = _Residual(w8)
-        self.head = nn.Conv2d(w8, 4 * _CHANNELS, 3, 1, 1)
+        self.head = nn.Conv2d(w8 + 2, 4 * _CHANNELS, 3, 1, 1)
+        self.training_head = nn.Conv2d(w8, 4 * _TRAINING_CHANNELS, 1)
+        self.orientation_head = nn.Linear(w32, 8)
 
     def forward(self, image: Float[Tensor, "b 3 H W"]) -> FilmNetOutput:
         """Maps of sRGB images in [0, 1] whose sides are multiples of 32."""
-        x4 = self.stem(image - 0.4)
+        x4 = self.stem(torch.cat([image - 0.4, view_coordinates(image)], dim=1))
         x8 = self.down8(x4)
         x16 = self.down16(x8)
         x32 = self.down32(x16)
         y16 = self.up16(x16 + functional.interpolate(self.lateral16(x32), scale_factor=2, mode="nearest"))
         y8 = self.up8(x8 + functional.interpolate(self.lateral8(y16), scale_factor=2, mode="nearest"))
-        maps = functional.pixel_shuffle(self.head(y8), 2)
+        maps = functional.pixel_shuffle(self.head(torch.cat([y8, view_coordinates(y8)], dim=1)), 2)
         return FilmNetOutput(
             mask_logit=maps[:, 0],
-            uv=maps[:, 1:3] + 0.5,
+            uv=maps[:, 1:3] + view_coordinates(maps) + 0.5,
             xyz=maps[:, 3:6],
             albedo=maps[:, 6],
             log_scale=maps[:, 7] - 3.0,
+            orientation=self.orientation_head(x32.mean(dim=(2, 3))),
+            normal=functional.pixel_shuffle(self.training_head(y8), 2) if self.training else None,
         )
+
+
+def view_coordinates(maps: Float[Tensor, "b c h w"]) -> Float[Tensor, "b 2 h w"]:
+    """Places (x, y) of the pixel centres in the view, from its middle, in parts of its sides."""
+    h, w = maps.shape[-2:]
+    x, y = (torch.from_numpy(film_centres_1d(n)).to(maps) - 0.5 for n in (w, h))
+    return torch.stack([x.expand(h, w), y[:, None].expand(h, w)]).expand(len(maps), 2, h, w)
 
 
 def fused(network: FilmNet) -> FilmNet:

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
-import numpy as np
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from hybrid.backward import BackwardMap
 from hybrid.coords import film_nodes
 
 
@@ -29,6 +27,10 @@ class PaperTargets:
     albedo: Float[Tensor, "b h w"]
     backward: Float[Tensor, "b 2 n n"]
 
+    def to(self, device: str) -> PaperTargets:
+        """The same on another device."""
+        return PaperTargets(**{f.name: getattr(self, f.name).to(device) for f in fields(self)})
+
     @property
     def depth(self) -> Float[Tensor, "b h w"]:
         """Depth along the optical axis relative to the film's centre, in film diagonals.
@@ -47,29 +49,3 @@ def nodes_like(backward: Float[Tensor, "b 2 n m"]) -> Float[Tensor, "2 n m"]:
     """The film's nodes (u, v) as a tensor of a backward map's type, device and resolution."""
     nodes = torch.from_numpy(film_nodes((backward.shape[-2], backward.shape[-1])))
     return nodes.permute(2, 0, 1).to(backward)
-
-
-# ---------------------------------------------------------------- from a shard
-
-
-def backward_in_view(
-    nodes: Float[np.ndarray, "gh gw 2"], photo_from_view: Float[np.ndarray, "2 3"], px: int, count: int
-) -> Float[np.ndarray, "count count 2"]:
-    """A sample's backward map as a view of ``px`` pixels sees it: on count x count nodes, in units of the view's side.
-
-    nodes: of the sample, in pixels of its photo. photo_from_view: affine, between the two frames (convention 2).
-    """
-    linear, shift = photo_from_view[:, :2], photo_from_view[:, 2]
-    in_view = (np.asarray(nodes, dtype=np.float64) - shift) @ np.linalg.inv(linear).T
-    return (BackwardMap(in_view / px).resized((count, count)).nodes).astype(np.float32)
-
-
-def normal_in_view(
-    normal: Float[np.ndarray, "h w 3"], seen: Bool[np.ndarray, "h w"], turn: float
-) -> Float[np.ndarray, "h w 3"]:
-    """Sampled normals in the axes of a camera turned by ``turn`` radians, of unit length again; 0 off the film."""
-    cos, sin = np.cos(turn), np.sin(turn)
-    x, y, z = np.moveaxis(normal, -1, 0)
-    turned = np.stack([cos * x + sin * y, cos * y - sin * x, z], axis=-1)
-    length = np.linalg.norm(turned, axis=-1, keepdims=True)
-    return np.where(seen[..., None], turned / np.maximum(length, 1e-6), 0.0).astype(np.float32)

@@ -12,10 +12,12 @@ from torch import Tensor, nn
 from hybrid.errors import ConfigError, describe
 from hybrid.learn import paper_losses
 from hybrid.learn.dewarpnet import NODES, BackwardNet, DewarpNet, DewarpNetConfig, ShapeNet, coordinate_code
+from hybrid.learn.feeds import FILM_FEED, PRINT_FEED, Feed, paper_feed
 from hybrid.learn.firenet import MULTI_MAP, UV_ONLY, FiReNet, FiReNetConfig
 from hybrid.learn.losses import LossWeights, loss_terms
-from hybrid.learn.network import STRIDE, FilmNet, FilmNetConfig
+from hybrid.learn.network import FilmNet, FilmNetConfig
 from hybrid.learn.paper_targets import PaperTargets
+from hybrid.learn.upright import UprightNet, UprightNetConfig, upright_losses
 from hybrid.learn.uvbw import NetBw, NetUv, UvBwConfig
 
 PaperConfig = FiReNetConfig | DewarpNetConfig | UvBwConfig
@@ -53,23 +55,28 @@ class Preset:
 
     config, build: ``build(config)`` makes the network; ``config.input_px`` is the side of its input. losses: terms by
     name, of output and targets. fields: of the targets that the losses and the input read. weights: of the terms;
-    those left out count once. stride: input pixels per pixel of the targets' maps, along each axis. nodes: side of
-    the true backward map for an input of so many pixels; 0 if it is not needed. inputs: what the network reads.
+    those left out count once. nodes: side of the true backward map for an input of so many pixels; 0 if it is not
+    needed. inputs: what the network reads. own_feed: where its batches come from, if not the paper's.
     ship_width: width at which weights are shipped: the largest that fits 25 MB in half precision, or that two cores
     can train, if that is less. batch, learning_rate: as published.
     """
 
-    config: FilmNetConfig | PaperConfig
+    config: FilmNetConfig | UprightNetConfig | PaperConfig
     build: Callable[[Any], nn.Module]
     losses: Callable[[Any, Any], dict[str, Tensor]]
     fields: tuple[str, ...]
     weights: Mapping[str, float] = field(default_factory=dict)
-    stride: int = 1
     nodes: Callable[[int], int] = no_nodes
     inputs: Callable[[Tensor, Any], Tensor] = image_input
+    own_feed: Feed | None = None
     ship_width: float = 1.0
     batch: int = 16
     learning_rate: float = 1e-3
+
+    @property
+    def feed(self) -> Feed:
+        """Where its batches come from."""
+        return self.own_feed or paper_feed(self.nodes, self.inputs)
 
     def network(self) -> nn.Module:
         """The network with fresh weights."""
@@ -86,6 +93,10 @@ class Preset:
                 describe(what="width", got=width, allowed="presets of the paper's networks", do="Leave it out.")
             )
         return replace(self, config=replace(self.config, width=width))
+
+    def at_input(self, px: int) -> Preset:
+        """The same for an input of another size."""
+        return replace(self, config=replace(self.config, input_px=px))
 
 
 _MAPS = ("mask", "uv", "xyz", "albedo")
@@ -124,9 +135,18 @@ PRESETS: dict[str, Preset] = {
         FilmNetConfig(),
         FilmNet,
         loss_terms,
-        fields=_MAPS,
+        fields=(*_MAPS, "normal", "orientation", "weight"),
         weights=asdict(LossWeights()),
-        stride=STRIDE,
+        own_feed=FILM_FEED,
+        batch=32,
+        learning_rate=2e-3,
+    ),
+    "upright": Preset(
+        UprightNetConfig(),
+        UprightNet,
+        upright_losses,
+        fields=(),
+        own_feed=PRINT_FEED,
         batch=32,
         learning_rate=2e-3,
     ),

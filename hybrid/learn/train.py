@@ -1,47 +1,58 @@
-"""The trainer: ``hybrid train --data SHARDS --out DIR``. Resumes exactly; one seed, one result."""
+"""The trainer: ``hybrid train --preset NAME --data SHARDS --out DIR``. Resumes exactly; one seed, one result.
+
+Several processes share the work under ``torchrun``: each takes its part of every batch, and the first one tests,
+writes and shows progress.
+"""
 
 from __future__ import annotations
 
 import csv
 import math
+import os
 import time
-from dataclasses import asdict, dataclass, field
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 from torch.utils.data import DataLoader, Dataset
 from tqdm import tqdm
 
 from hybrid.errors import ConfigError, describe
-from hybrid.learn.data import AugmentConfig, batch_of, training_view
-from hybrid.learn.losses import LossWeights, Targets, loss_terms, masked_mean, total_loss
-from hybrid.learn.network import FilmNet, FilmNetConfig
-from hybrid.learn.shards import Shard, open_dataset
-from hybrid.learn.weights import save_weights
+from hybrid.learn.presets import Preset, preset, weighted_sum
+from hybrid.learn.weights import load_into, save_weights
 
 
 @dataclass(frozen=True)
 class TrainConfig:
-    """Train FilmNet on a data set made by ``python -m data_gen.generate``.
+    """Train a network on a data set made by ``python -m data_gen.generate``.
 
     data: data set folders. out: folder for checkpoint, curves and weights; a run that was cut off goes on from it.
+    preset: which network (hybrid/learn/presets.py). width: factor on the channels of the paper's networks.
+    input_px: side of the network's input, if not the preset's. start: weights to start from, as for fine-tuning.
     passes: images shown in all. coarse_share: share of them shown at ``coarse_px``, which costs less, before the rest
-    at the network's own input size. held_out: the first samples of the data, only tested on.
-    batch, learning_rate, weight_decay: of AdamW with one cosine cycle and a warm-up. ema: decay of the averaged
-    weights, which are the ones saved. loaders: processes that prepare views. device: cpu or cuda.
+    at the network's own input size (networks with one input size only: none). held_out: the first samples of the data,
+    only tested on. batch, learning_rate: of AdamW with one cosine cycle and a warm-up, if not the preset's.
+    ema: decay of the averaged weights, which are the ones saved. loaders: processes that prepare views.
+    device: cpu or cuda.
     """
 
     data: tuple[Path, ...]
     out: Path
+    preset: str = "filmnet"
+    width: float | None = None
+    input_px: int | None = None
+    start: Path | None = None
     passes: int = 200_000
-    coarse_share: float = 0.6
+    coarse_share: float = 0.0
     coarse_px: int = 128
     held_out: int = 512
-    batch: int = 32
-    learning_rate: float = 2e-3
+    batch: int | None = None
+    learning_rate: float | None = None
     weight_decay: float = 1e-2
     ema: float = 0.998
     seed: int = 0
@@ -49,17 +60,39 @@ class TrainConfig:
     steps_per_test: int = 500
     minutes_per_save: float = 3.0
     device: str = "cpu"
-    network: FilmNetConfig = field(default_factory=FilmNetConfig)
-    augment: AugmentConfig = field(default_factory=AugmentConfig)
-    loss: LossWeights = field(default_factory=LossWeights)
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A training with everything decided: the preset as asked for, batch, rate and number of steps."""
+
+    config: TrainConfig
+    preset: Preset
+    batch: int
+    learning_rate: float
+
+    @staticmethod
+    def of(config: TrainConfig) -> Plan:
+        """What a configuration asks for.
+
+        Raises:
+            ConfigError: no such preset, or an option that it does not have.
+        """
+        chosen = preset(config.preset)
+        if config.width is not None:
+            chosen = chosen.at_width(config.width)
+        if config.input_px is not None:
+            chosen = chosen.at_input(config.input_px)
+        return Plan(config, chosen, config.batch or chosen.batch, config.learning_rate or chosen.learning_rate)
 
     @property
     def steps(self) -> int:
-        return max(1, self.passes // self.batch)
+        return max(1, self.config.passes // self.batch)
 
     def px_at(self, step: int) -> int:
-        """Side of the training views at a step: coarse first, then the network's own."""
-        return self.coarse_px if step < self.coarse_share * self.steps else self.network.input_px
+        """Side of the input at a step: coarse first, then the network's own."""
+        coarse = step < self.config.coarse_share * self.steps
+        return self.config.coarse_px if coarse else self.preset.config.input_px
 
     def rate_at(self, step: int) -> float:
         """Learning rate at a step: linear warm-up over 2 % of the steps, then a half cosine to zero."""
@@ -69,66 +102,77 @@ class TrainConfig:
         return 0.5 * self.learning_rate * (1 + math.cos(math.pi * (step - warm) / max(1, self.steps - warm)))
 
 
-Place = tuple[Shard, int]
-"""A sample: its shard and its number in it."""
+@dataclass(frozen=True)
+class Rank:
+    """Which of the processes this is, and how many there are."""
+
+    number: int
+    count: int
+
+    @property
+    def first(self) -> bool:
+        return self.number == 0
 
 
 class _Batches(Dataset):
-    """Batch number ``step`` as a pure function of the seed and the step, so that a resumed run sees the same."""
+    """This process's part of batch ``step``: a pure function of seed and step, so that a resumed run sees the same."""
 
-    def __init__(self, config: TrainConfig, places: list[Place]) -> None:
-        self.config, self.places = config, places
+    def __init__(self, plan: Plan, places: list[Any], rank: Rank) -> None:
+        self.plan, self.places, self.rank = plan, places, rank
 
     def __len__(self) -> int:
-        return self.config.steps
+        return self.plan.steps
 
-    def __getitem__(self, step: int) -> tuple[Tensor, Targets]:
-        config = self.config
-        epoch, first = divmod(step * config.batch, len(self.places))
-        order = np.random.default_rng([config.seed, epoch]).permutation(len(self.places))
-        rng = np.random.default_rng([config.seed, 1, step])
-        views = []
-        for k in range(first, first + config.batch):
-            shard, index = self.places[order[k % len(order)]]
-            views.append(training_view(shard, index, config.px_at(step), rng, config.augment))
-        return batch_of(views)
+    def __getitem__(self, step: int) -> tuple[Tensor, Any]:
+        plan, seed = self.plan, self.plan.config.seed
+        epoch, first = divmod(step * plan.batch, len(self.places))
+        order = np.random.default_rng([seed, epoch]).permutation(len(self.places))
+        mine = range(first + self.rank.number, first + plan.batch, self.rank.count)
+        rng = np.random.default_rng([seed, 1, step, self.rank.number])
+        return plan.preset.feed.batch([self.places[order[k % len(order)]] for k in mine], plan.px_at(step), rng)
 
 
 def train(config: TrainConfig) -> None:
-    """Run or resume a training; writes ``filmnet.safetensors``, ``curves.csv`` and ``checkpoint.pt`` to ``out``.
+    """Run or resume a training; writes ``PRESET.safetensors``, ``curves.csv`` and ``checkpoint.pt`` to ``out``.
 
     Raises:
-        ConfigError: fewer samples than are held out. DataError: a data set that cannot be read.
+        ConfigError: an option that cannot be; fewer samples than are held out. DataError: data that cannot be read.
     """
-    places = [(shard, k) for folder in config.data for shard in open_dataset(folder) for k in range(len(shard))]
+    plan = Plan.of(config)
+    places = plan.preset.feed.open(config.data)
     if len(places) <= config.held_out:
-        raise ConfigError(
-            describe(
-                what="train",
-                got=f"{len(places)} samples",
-                allowed=f"> {config.held_out} held out",
-                do="Make more data.",
-            )
-        )
+        got, allowed = f"{len(places)} samples", f"> {config.held_out} held out"
+        raise ConfigError(describe(what="train", got=got, allowed=allowed, do="Make more data."))
     config.out.mkdir(parents=True, exist_ok=True)
-    state = _State(config)
-    loader = DataLoader(
-        _Batches(config, places[config.held_out :]),
-        batch_size=None,
-        sampler=range(state.step, config.steps),
-        num_workers=config.loaders,
-        prefetch_factor=4 if config.loaders else None,
-    )
+    with _processes(config.device) as rank:
+        state = _State(plan, rank)
+        loader = DataLoader(
+            _Batches(plan, places[config.held_out :], rank),
+            batch_size=None,
+            sampler=range(state.step, plan.steps),
+            num_workers=config.loaders,
+            prefetch_factor=4 if config.loaders else None,
+        )
+        _run(state, loader, places[: config.held_out])
+
+
+def _run(state: _State, loader: DataLoader, held_out: list[Any]) -> None:
+    """The steps that are left, with tests and saves on the way."""
+    plan, config = state.plan, state.plan.config
     saved = time.monotonic()
-    with tqdm(total=config.steps * config.batch, initial=state.step * config.batch, unit="image") as bar:
+    done = {"total": plan.steps * plan.batch, "initial": state.step * plan.batch}
+    with tqdm(unit="image", disable=not state.rank.first, **done) as bar:
         for images, targets in loader:
             terms = state.update(images, targets)
-            bar.update(len(images))
-            if state.step % config.steps_per_test == 0 or state.step == config.steps:
-                row = terms | test(state.averaged, places[: config.held_out], config)
-                _log(config.out / "curves.csv", {"passes": state.step * config.batch} | row)
-                bar.set_postfix(uv=f"{row['test_uv_percent']:.2f}%", iou=f"{row['test_mask_iou']:.3f}")
-            if time.monotonic() - saved > 60 * config.minutes_per_save or state.step == config.steps:
+            bar.update(plan.batch)
+            if not state.rank.first:
+                continue
+            last = state.step == plan.steps
+            if state.step % config.steps_per_test == 0 or last:
+                figures = plan.preset.feed.test(state.averaged, held_out, plan.preset.config.input_px, config.device)
+                _log(config.out / "curves.csv", {"passes": state.step * plan.batch} | terms | figures)
+                bar.set_postfix({name.removeprefix("test_"): f"{value:.3g}" for name, value in figures.items()})
+            if time.monotonic() - saved > 60 * config.minutes_per_save or last:
                 state.save()
                 saved = time.monotonic()
 
@@ -136,31 +180,36 @@ def train(config: TrainConfig) -> None:
 class _State:
     """Network, its average, optimiser and step; saved and loaded whole."""
 
-    def __init__(self, config: TrainConfig) -> None:
+    def __init__(self, plan: Plan, rank: Rank) -> None:
+        config = plan.config
         torch.manual_seed(config.seed)
-        self.config, self.step = config, 0
-        self.network = FilmNet(config.network).to(config.device, memory_format=torch.channels_last)  # type: ignore[call-overload]
-        self.averaged = FilmNet(config.network).to(config.device).eval().requires_grad_(False)
+        self.plan, self.rank, self.step = plan, rank, 0
+        self.network = plan.preset.network()
+        if config.start is not None:
+            load_into(self.network, config.start)
+        self.network.to(config.device, memory_format=torch.channels_last)  # type: ignore[call-overload]
+        self.averaged = plan.preset.network().to(config.device).eval().requires_grad_(False)
         self.averaged.load_state_dict(self.network.state_dict())
         self.optimiser = torch.optim.AdamW(
-            self.network.parameters(), lr=config.learning_rate, weight_decay=config.weight_decay, fused=True
+            self.network.parameters(), lr=plan.learning_rate, weight_decay=config.weight_decay, fused=True
         )
         self.path = config.out / "checkpoint.pt"
         if self.path.exists():
             self._load()
+        self.shared = nn.parallel.DistributedDataParallel(self.network) if rank.count > 1 else self.network
 
-    def update(self, images: Tensor, targets: Targets) -> dict[str, float]:
+    def update(self, images: Tensor, targets: Any) -> dict[str, float]:
         """One optimiser step; the loss terms."""
-        config, device = self.config, self.config.device
+        chosen, device = self.plan.preset, self.plan.config.device
         for group in self.optimiser.param_groups:
-            group["lr"] = config.rate_at(self.step)
-        self.network.train()
+            group["lr"] = self.plan.rate_at(self.step)
+        self.shared.train()
+        images, targets = images.to(device), targets.to(device)
         with torch.autocast(device, torch.bfloat16, enabled=_fast_bfloat16(device)):
-            output = self.network(images.to(device))
-        moved = Targets(*(getattr(targets, name).to(device) for name in ("mask", "uv", "xyz", "albedo")))
-        terms = loss_terms(output, moved)
+            output = self.shared(chosen.inputs(images, targets))
+        terms = chosen.losses(output, targets)
         self.optimiser.zero_grad(set_to_none=True)
-        total_loss(terms, config.loss).backward()
+        weighted_sum(terms, chosen.weights).backward()
         torch.nn.utils.clip_grad_norm_(self.network.parameters(), 5.0)
         self.optimiser.step()
         self.step += 1
@@ -169,21 +218,22 @@ class _State:
 
     def save(self) -> None:
         """Checkpoint and weights; each replaces its predecessor only when it is whole."""
+        config = self.plan.config
         names = ("network", "averaged", "optimiser")
         part = self.path.with_suffix(".part")
         torch.save({"step": self.step} | {name: getattr(self, name).state_dict() for name in names}, part)
         part.replace(self.path)
-        notes = {"passes": self.step * self.config.batch, "seed": self.config.seed, "loss": asdict(self.config.loss)}
-        save_weights(self.config.out / "filmnet.safetensors", self.averaged, notes)
+        notes = {"passes": self.step * self.plan.batch, "seed": config.seed, "weights": dict(self.plan.preset.weights)}
+        save_weights(config.out / f"{config.preset}.safetensors", self.averaged, self.plan.preset.config, notes)
 
     def _load(self) -> None:
-        stored = torch.load(self.path, map_location=self.config.device, weights_only=True)
+        stored = torch.load(self.path, map_location=self.plan.config.device, weights_only=True)
         self.step = stored["step"]
         for name in ("network", "averaged", "optimiser"):
             getattr(self, name).load_state_dict(stored[name])
 
     def _average(self) -> None:
-        decay = min(self.config.ema, (1 + self.step) / (10 + self.step))
+        decay = min(self.plan.config.ema, (1 + self.step) / (10 + self.step))
         theirs = self.network.state_dict()
         with torch.no_grad():
             for name, value in self.averaged.state_dict().items():
@@ -193,25 +243,20 @@ class _State:
                     value.copy_(theirs[name])
 
 
-@torch.inference_mode()
-def test(network: FilmNet, places: list[Place], config: TrainConfig) -> dict[str, float]:
-    """Errors on held-out samples, seen whole: mean |uv error| in % of the film, mask intersection over union."""
-    network.eval()
-    rng = np.random.default_rng(0)
-    uv_error, overlap = [], []
-    for start in range(0, len(places), config.batch):
-        views = [
-            training_view(shard, k, config.network.input_px, rng, None)
-            for shard, k in places[start : start + config.batch]
-        ]
-        images, targets = batch_of(views)
-        output = network(images.to(config.device))
-        uv, logit = output.uv.cpu(), output.mask_logit.cpu()
-        error = (uv - targets.uv).norm(dim=1)
-        uv_error.append(100 * float(masked_mean(error, targets.mask)))
-        both, either = (logit > 0) & targets.mask, (logit > 0) | targets.mask
-        overlap.append(float((both.sum(dim=(1, 2)) / either.sum(dim=(1, 2)).clamp(min=1)).mean()))
-    return {"test_uv_percent": float(np.mean(uv_error)), "test_mask_iou": float(np.mean(overlap))}
+@contextmanager
+def _processes(device: str) -> Iterator[Rank]:
+    """Joins the other processes where ``torchrun`` started several."""
+    count = int(os.environ.get("WORLD_SIZE", "1"))
+    if count == 1:
+        yield Rank(0, 1)
+        return
+    torch.distributed.init_process_group("nccl" if device == "cuda" else "gloo")
+    if device == "cuda":
+        torch.cuda.set_device(int(os.environ["LOCAL_RANK"]))
+    try:
+        yield Rank(torch.distributed.get_rank(), count)
+    finally:
+        torch.distributed.destroy_process_group()
 
 
 def _fast_bfloat16(device: str) -> bool:

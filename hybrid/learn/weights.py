@@ -1,28 +1,33 @@
-"""Weights files: safetensors with the configuration and the conventions version inside, loaded strictly."""
+"""Weights files: safetensors with the network's kind, configuration and conventions version, loaded strictly."""
 
 from __future__ import annotations
 
 import json
-from dataclasses import asdict
+from collections.abc import Callable
+from dataclasses import asdict, fields
 from importlib.resources import as_file, files
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
+from torch import Tensor, nn
 
 from hybrid.coords import CONVENTIONS_VERSION
 from hybrid.errors import DataError, describe
 from hybrid.learn.network import FilmNet, FilmNetConfig
+from hybrid.learn.upright import UprightNet, UprightNetConfig
+
+Network = TypeVar("Network", bound=nn.Module)
 
 
-def save_weights(path: Path, network: FilmNet, notes: dict[str, Any]) -> None:
+def save_weights(path: Path, network: nn.Module, config: Any, notes: dict[str, Any]) -> None:
     """Write a network in half precision with its configuration; ``notes`` (JSON-able) say how it was trained."""
     metadata = {
-        "kind": "FilmNet",
+        "kind": type(network).__name__,
         "conventions": str(CONVENTIONS_VERSION),
-        "config": json.dumps(asdict(network.config)),
+        "config": json.dumps(asdict(config)),
         "notes": json.dumps(notes),
     }
     tensors = {
@@ -32,35 +37,65 @@ def save_weights(path: Path, network: FilmNet, notes: dict[str, Any]) -> None:
     save_file(tensors, path, metadata=metadata)
 
 
-def load_weights(path: Path) -> FilmNet:
-    """Read a network in single precision.
+def load_weights(path: Path, build: Callable[[Any], Network], config_type: type) -> Network:
+    """Read a network in single precision, as ``build(config_type(...))`` with the configuration of the file.
 
     Raises:
         DataError: no such file, not a weights file, of another kind, or made under other conventions.
     """
+    metadata, tensors = _read(path, getattr(build, "__name__", str(build)))
+    options: dict[str, Any] = json.loads(metadata["config"])
+    known = {field.name for field in fields(config_type)}
+    network = build(config_type(**{k: _frozen(v) for k, v in options.items() if k in known}))
+    network.load_state_dict(tensors, strict=True)
+    return network
+
+
+def load_into(network: nn.Module, path: Path) -> None:
+    """Read weights into a network of the same kind and shape.
+
+    Raises:
+        DataError: as ``load_weights``; weights of another shape.
+    """
+    _, tensors = _read(path, type(network).__name__)
+    try:
+        network.load_state_dict(tensors, strict=True)
+    except RuntimeError as error:
+        got = str(error).splitlines()[0]
+        raise DataError(describe(what="weights", where=path, got=got, do="Use the same preset and width.")) from error
+
+
+def packaged_film_net() -> FilmNet:
+    """The FilmNet that the package ships."""
+    with as_file(files("hybrid.learn") / "packaged" / "filmnet.safetensors") as path:
+        return load_weights(path, FilmNet, FilmNetConfig)
+
+
+def packaged_upright_net() -> UprightNet:
+    """The UprightNet that the package ships."""
+    with as_file(files("hybrid.learn") / "packaged" / "upright.safetensors") as path:
+        return load_weights(path, UprightNet, UprightNetConfig)
+
+
+def parameter_count(network: nn.Module) -> int:
+    """Number of trainable parameters."""
+    return sum(p.numel() for p in network.parameters())
+
+
+def _read(path: Path, kind: str) -> tuple[dict[str, str], dict[str, Tensor]]:
+    """Metadata and tensors, in single precision, of a file of the kind."""
     try:
         with safe_open(path, framework="pt") as file:
             metadata = file.metadata() or {}
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a mapping)
     except (OSError, SafetensorError) as error:
         raise DataError(describe(what="weights", where=path, got=error, do="Name a .safetensors file.")) from error
-    got = (metadata.get("kind"), metadata.get("conventions"))
-    if got != ("FilmNet", str(CONVENTIONS_VERSION)):
-        allowed = ("FilmNet", str(CONVENTIONS_VERSION))
+    got, allowed = (metadata.get("kind"), metadata.get("conventions")), (kind, str(CONVENTIONS_VERSION))
+    if got != allowed:
         raise DataError(describe(what="weights", where=path, got=got, allowed=allowed, do="Train them again."))
-    options: dict[str, Any] = json.loads(metadata["config"])
-    options = {**options, "widths": tuple(options["widths"]), "blocks": tuple(options["blocks"])}
-    network = FilmNet(FilmNetConfig(**options))
-    network.load_state_dict({k: v.float() if v.is_floating_point() else v for k, v in tensors.items()}, strict=True)
-    return network
+    return metadata, {k: v.to(torch.float32) if v.is_floating_point() else v for k, v in tensors.items()}
 
 
-def packaged_weights() -> FilmNet:
-    """The network that the package ships."""
-    with as_file(files("hybrid.learn") / "packaged" / "filmnet.safetensors") as path:
-        return load_weights(path)
-
-
-def parameter_count(network: torch.nn.Module) -> int:
-    """Number of trainable parameters."""
-    return sum(p.numel() for p in network.parameters())
+def _frozen(value: Any) -> Any:
+    """JSON's lists as the tuples that configurations hold."""
+    return tuple(_frozen(v) for v in value) if isinstance(value, list) else value

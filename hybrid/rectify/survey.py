@@ -34,7 +34,7 @@ class SurveyConfig:
     """Largest residual of that shape, as a part of the film's size in the photo."""
     min_coverage: float = 0.45
     """Least share of the sheet that is seen."""
-    min_overlap: float = 0.7
+    min_overlap: float = 0.8
     """Least intersection over union of the mask with the outline of the flattened film."""
     max_stretch: float = 60.0
     """Largest ratio of the areas that equal pieces of the film cover in the photo."""

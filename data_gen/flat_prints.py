@@ -1,0 +1,57 @@
+"""Flat prints alone, for the network that reads films: ``python -m data_gen.flat_prints --count N --out DIR``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+import tyro
+from tqdm import tqdm
+
+from data_gen.prints import make_print
+from data_gen.sources import SourceConfig, draw_volume
+from hybrid.errors import HybridError
+
+
+@dataclass(frozen=True)
+class FlatPrintsConfig:
+    """Write flat prints as grey JPEG files.
+
+    count: prints to make; those that are there already stay. out: their folder. seed: the same seed gives the same
+    prints. ct: folder with CT volumes and DICOM files; without it embedded phantoms are printed.
+    """
+
+    count: int
+    out: Path
+    seed: int = 0
+    ct: Path | None = None
+
+
+def flat_prints(config: FlatPrintsConfig) -> None:
+    """Write the prints that are missing, those with texts only: a film without any may be read either way up."""
+    config.out.mkdir(parents=True, exist_ok=True)
+    sources = SourceConfig(ct=config.ct)
+    for k in tqdm(range(config.count), unit="print"):
+        path = config.out / f"{k:06d}.jpg"
+        if path.exists():
+            continue
+        rng = np.random.default_rng([config.seed, k])
+        film_print = make_print(draw_volume(sources, rng), rng)
+        while not film_print.parameters["text"]:
+            film_print = make_print(draw_volume(sources, rng), rng)
+        pixels = np.rint(film_print.image * 255).astype(np.uint8)
+        path.write_bytes(cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_QUALITY, 92])[1].tobytes())
+
+
+def main() -> None:
+    """Command line."""
+    try:
+        flat_prints(tyro.cli(FlatPrintsConfig, prog="python -m data_gen.flat_prints"))
+    except HybridError as error:
+        raise SystemExit(f"error: {error}") from None
+
+
+if __name__ == "__main__":
+    main()

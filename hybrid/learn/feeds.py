@@ -1,0 +1,144 @@
+"""Feeds: where a network's batches come from, and how it is tested. Batches are pure functions of places and a seed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from hybrid.learn.data import AugmentConfig, batch_of, training_view
+from hybrid.learn.losses import Targets, masked_mean
+from hybrid.learn.paper_data import PaperView, paper_batch
+from hybrid.learn.paper_targets import PaperTargets
+from hybrid.learn.samples import open_places
+from hybrid.learn.upright_data import PrintAugment, print_paths, read_print, upright_view
+
+TEST_BATCH = 32
+
+
+@dataclass(frozen=True)
+class Feed:
+    """Data for one kind of network.
+
+    open: the places (samples, or prints) of some folders. batch: images and targets of some places for an input of so
+    many pixels, disturbed at random. test: figures of a network on places that it was not trained on, by name.
+    """
+
+    open: Callable[[Sequence[Path]], list[Any]]
+    batch: Callable[[Sequence[Any], int, np.random.Generator], tuple[Tensor, Any]]
+    test: Callable[[nn.Module, Sequence[Any], int, str], dict[str, float]]
+
+
+# ---------------------------------------------------------------- FilmNet
+
+
+def _film_batch(places: Sequence[Any], px: int, rng: np.random.Generator) -> tuple[Tensor, Targets]:
+    return batch_of([training_view(place, px, rng, AugmentConfig()) for place in places])
+
+
+@torch.inference_mode()
+def _film_test(network: nn.Module, places: Sequence[Any], px: int, device: str) -> dict[str, float]:
+    """Errors of views of each kind: mean |uv error| in % of the film; of windows, the mask's intersection over union
+    and the share of films whose orientation is right."""
+    kinds = {"whole": (1.0, 0.0), "plane": (0.0, 1.0), "bent": (0.0, 0.0)}
+    row: dict[str, float] = {}
+    for kind, (whole, plane) in kinds.items():
+        augment = replace(AugmentConfig(), whole_share=whole, plane_share=plane, colours=False)
+        rng = np.random.default_rng(0)
+        scores = []
+        for start in range(0, len(places), TEST_BATCH):
+            views = [training_view(place, px, rng, augment) for place in places[start : start + TEST_BATCH]]
+            scores.append(_film_scores(network, *batch_of(views), device))
+        error, overlap, upright = np.concatenate(scores).mean(axis=0)
+        row[f"test_{kind}_percent"] = 100 * float(error)
+        if kind == "whole":
+            row |= {"test_mask_iou": float(overlap), "test_upright": float(upright)}
+    return row
+
+
+def _film_scores(network: nn.Module, images: Tensor, targets: Targets, device: str) -> np.ndarray:
+    """(B, 3): mean distance of uv, intersection over union of the mask, 1 where the orientation is right."""
+    output = network(images.to(device))
+    uv, logit, guess = output.uv.cpu(), output.mask_logit.cpu(), output.orientation.cpu().argmax(dim=1)
+    inside = targets.mask.float()
+    error = ((uv - targets.uv).norm(dim=1) * inside).sum(dim=(1, 2)) / inside.sum(dim=(1, 2)).clamp(min=1)
+    both, either = (logit > 0) & targets.mask, (logit > 0) | targets.mask
+    overlap = both.sum(dim=(1, 2)) / either.sum(dim=(1, 2)).clamp(min=1)
+    return torch.stack([error, overlap, (guess == targets.orientation).float()], dim=1).numpy()
+
+
+FILM_FEED = Feed(open_places, _film_batch, _film_test)
+
+
+# ---------------------------------------------------------------- the paper's networks
+
+
+def paper_feed(nodes: Callable[[int], int], inputs: Callable[[Tensor, Any], Tensor]) -> Feed:
+    """Windows of photos with all maps. nodes, inputs: as in a Preset."""
+
+    def batch(places: Sequence[Any], px: int, rng: np.random.Generator) -> tuple[Tensor, PaperTargets]:
+        return paper_batch(places, PaperView(px, nodes(px)), rng, AugmentConfig())
+
+    @torch.inference_mode()
+    def test(network: nn.Module, places: Sequence[Any], px: int, device: str) -> dict[str, float]:
+        """Mean distance, over the film, from the true uv (in % of the film) and from the true backward map (in % of
+        the photo), where the network predicts them."""
+        rng, rows = np.random.default_rng(0), []
+        for start in range(0, len(places), TEST_BATCH):
+            part = places[start : start + TEST_BATCH]
+            images, targets = paper_batch(part, PaperView(px, nodes(px)), rng, _UNDISTURBED)
+            output = network(inputs(images.to(device), targets.to(device)))
+            rows.append(_paper_scores(output, targets))
+        return {name: float(np.mean([row[name] for row in rows])) for name in rows[0]}
+
+    return Feed(open_places, batch, test)
+
+
+_UNDISTURBED = replace(AugmentConfig(), colours=False)
+
+
+def _paper_scores(output: Any, targets: PaperTargets) -> dict[str, float]:
+    row: dict[str, float] = {}
+    if getattr(output, "uv", None) is not None:
+        error = (output.uv.cpu() - targets.uv).norm(dim=1)
+        row["test_uv_percent"] = 100 * float(masked_mean(error, targets.mask))
+    if getattr(output, "backward", None) is not None:
+        row["test_backward_percent"] = 100 * float((output.backward.cpu() - targets.backward).norm(dim=1).mean())
+    if getattr(output, "xyz", None) is not None:
+        error = (output.xyz.cpu() - targets.xyz).norm(dim=1)
+        row["test_xyz_percent"] = 100 * float(masked_mean(error, targets.mask))
+    return row
+
+
+# ---------------------------------------------------------------- UprightNet
+
+
+def _open_prints(folders: Sequence[Path]) -> list[Path]:
+    return [path for folder in folders for path in print_paths(folder)]
+
+
+def _print_batch(paths: Sequence[Path], px: int, rng: np.random.Generator) -> tuple[Tensor, Tensor]:
+    views = [upright_view(read_print(path), px, rng, PrintAugment()) for path in paths]
+    films = torch.from_numpy(np.stack([film for film, _ in views])[:, None])
+    return films, torch.tensor([index for _, index in views])
+
+
+@torch.inference_mode()
+def _print_test(network: nn.Module, paths: Sequence[Path], px: int, device: str) -> dict[str, float]:
+    """Share of parts of prints whose orientation is right: of all, of the turn alone, of the mirroring alone."""
+    rng = np.random.default_rng(0)
+    right = []
+    for start in range(0, len(paths), TEST_BATCH):
+        films, truth = _print_batch(paths[start : start + TEST_BATCH], px, rng)
+        guess = network(films.to(device)).cpu().argmax(dim=1)
+        right.append(torch.stack([guess == truth, guess % 4 == truth % 4, guess // 4 == truth // 4], dim=1).numpy())
+    upright, turn, mirror = np.concatenate(right).mean(axis=0)
+    return {"test_upright": float(upright), "test_turn": float(turn), "test_mirror": float(mirror)}
+
+
+PRINT_FEED = Feed(_open_prints, _print_batch, _print_test)

@@ -1,0 +1,77 @@
+"""Training views of the paper's networks: windows of the photo, with the film's maps and its backward map.
+
+As for FilmNet the film is taken as it is seen (``hybrid.backward.Orientation``): a film that lies on its side, or that
+is seen from behind, would else ask these networks for what they cannot read at their resolution.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from hybrid.backward import BackwardMap, orientation
+from hybrid.coords import film_nodes
+from hybrid.learn.data import AugmentConfig, axes_of, disturbed, random_window, turned_axes
+from hybrid.learn.paper_targets import PaperTargets
+from hybrid.learn.samples import Place, film_of, photo_of, truth_at
+from hybrid.learn.views import view_image
+
+
+@dataclass(frozen=True)
+class PaperView:
+    """What a network sees: image and maps of ``px`` pixels a side, and the backward map on nodes x nodes (0: none)."""
+
+    px: int
+    nodes: int
+
+
+def paper_batch(
+    places: Sequence[Place], view: PaperView, rng: np.random.Generator, config: AugmentConfig
+) -> tuple[Tensor, PaperTargets]:
+    """Images (B, 3, px, px) float32 in [0, 1] and targets of random windows of some samples."""
+    seen = [_sample(place, view, rng, config) for place in places]
+    images = torch.from_numpy(np.stack([image for image, _ in seen])).permute(0, 3, 1, 2).float().div_(255)
+
+    def stacked(name: str) -> Tensor:
+        values = torch.from_numpy(np.stack([maps[name] for _, maps in seen]))
+        return values.permute(0, 3, 1, 2) if values.ndim == 4 else values
+
+    names = ("mask", "uv", "xyz", "normal", "albedo", "backward")
+    return images.contiguous(), PaperTargets(**{name: stacked(name) for name in names})
+
+
+def _sample(
+    place: Place, view: PaperView, rng: np.random.Generator, config: AugmentConfig
+) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """One window's image and maps."""
+    photo, film = photo_of(place), film_of(place)
+    size = (photo.shape[0], photo.shape[1])
+    window = random_window(size, rng, config)
+    image = view_image(photo, window, view.px)
+    if config.colours:
+        image = disturbed(image, rng)
+    truth = truth_at(place, window.dense((view.px, view.px)), size)
+    way, axes = orientation(film), axes_of(window)
+    seen_film = film.turned(way.inverse.turns, way.inverse.mirrored)
+    return image, {
+        "mask": truth.mask,
+        "uv": np.where(truth.mask[..., None], way.seen_from_film(truth.uv), np.float32(0)),
+        "xyz": turned_axes(truth.xyz, axes).astype(np.float32),
+        "normal": turned_axes(truth.normal, axes).astype(np.float32),
+        "albedo": truth.albedo,
+        "backward": backward_in_window(seen_film, window, max(view.nodes, 4)),
+    }
+
+
+def backward_in_window(film: BackwardMap, window: BackwardMap, nodes: int) -> Float[np.ndarray, "n n 2"]:
+    """A film's backward map as a window (a similarity) sees it: n x n nodes, in units of the window's sides."""
+    corner, right, down = window.photo_from_film(np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]))
+    photo = film.photo_from_film(film_nodes((nodes, nodes)))
+    return np.linalg.solve(np.column_stack([right - corner, down - corner]), (photo - corner)[..., None])[
+        ..., 0
+    ].astype(np.float32)

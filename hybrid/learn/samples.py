@@ -1,0 +1,129 @@
+"""One sample of a data set, read at the points at which a view looks at it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, UInt8
+
+from hybrid.backward import BackwardMap
+from hybrid.coords import opencv_from_photo, rescale_points, rgb_from_bgr
+from hybrid.errors import DataError, describe
+from hybrid.learn.coding import ALBEDO_LEVELS, UV_LEVELS, decode_normal, xyz_from_stored
+from hybrid.learn.shards import Shard, open_dataset
+
+Place = tuple[Shard, int]
+"""A sample: its shard and its number in it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """The maps of a sample at some photo points; 0 where the mask is False.
+
+    uv: film coordinates. xyz: camera axes, relative to the film's centre, in film diagonals. normal: unit, camera axes.
+    albedo: display grey of the print.
+    """
+
+    mask: Bool[np.ndarray, "h w"]
+    uv: Float[np.ndarray, "h w 2"]
+    xyz: Float[np.ndarray, "h w 3"]
+    albedo: Float[np.ndarray, "h w"]
+    normal: Float[np.ndarray, "h w 3"]
+
+
+def open_places(folders: Sequence[Path]) -> list[Place]:
+    """All samples of some data sets, in order.
+
+    Raises:
+        DataError: a data set that cannot be read.
+    """
+    return [(shard, k) for folder in folders for shard in open_dataset(folder) for k in range(len(shard))]
+
+
+def photo_of(place: Place) -> UInt8[np.ndarray, "h w 3"]:
+    """The photo of a sample, RGB.
+
+    Raises:
+        DataError: it cannot be decoded.
+    """
+    shard, index = place
+    photo = cv2.imdecode(shard.member("photo.jpg", index), cv2.IMREAD_COLOR)
+    if photo is None:
+        raise DataError(describe(what="shard", where=shard.path, got=f"photo {index} unreadable", do="Make it again."))
+    return rgb_from_bgr(photo)
+
+
+def film_of(place: Place) -> BackwardMap:
+    """The true backward map of a sample."""
+    shard, index = place
+    return BackwardMap(shard.stored("backward", index))
+
+
+def truth_at(place: Place, points: Float[np.ndarray, "h w 2"], photo_size: tuple[int, int]) -> Truth:
+    """The maps of a sample at photo points: bilinear, of film pixels only; the normal of the nearest pixel.
+
+    Only the four neighbours of each point are read: the maps stay on disk where nothing looks at them. Where some of
+    the four are no film, the mean of the others stands for another place; uv and xyz are carried on from there.
+    """
+    shard, index = place
+    mask = shard.stored("mask", index)
+    maps = [shard.stored(name, index) for name in ("uv", "xyz", "albedo")]
+    at = opencv_from_photo(rescale_points(points, photo_size, (mask.shape[0], mask.shape[1])))
+    corner = np.floor(at).astype(np.int64)
+    part = (at - corner).astype(np.float32)
+    inside = np.zeros(at.shape[:2], np.float32)
+    sums = [np.zeros((*at.shape[:2], k), np.float32) for k in (2, 3, 1, 2)]
+    for dy in (0, 1):
+        for dx in (0, 1):
+            x, y = corner[..., 0] + dx, corner[..., 1] + dy
+            within = (x >= 0) & (x < mask.shape[1]) & (y >= 0) & (y < mask.shape[0])
+            x, y = np.clip(x, 0, mask.shape[1] - 1), np.clip(y, 0, mask.shape[0] - 1)
+            film = within & mask[y, x]
+            share = (part[..., 0] if dx else 1 - part[..., 0]) * (part[..., 1] if dy else 1 - part[..., 1]) * film
+            inside += share
+            for total, stored in zip(sums, maps, strict=False):
+                values = stored[y, x].reshape(*film.shape, -1)
+                total += share[..., None] * np.where(film[..., None], values, 0)
+            sums[3] += share[..., None] * np.stack([x, y], axis=-1)
+    seen = inside > 0.5
+    uv, xyz, albedo, place_of_mean = (
+        np.where(seen[..., None], t / np.maximum(inside, 0.5)[..., None], 0) for t in sums
+    )
+    off = np.where(seen[..., None], at - place_of_mean, 0).astype(np.float32)
+    uv, xyz = (_carried_on(values, off, at, seen) for values in (uv, xyz))
+    return Truth(
+        seen,
+        uv / np.float32(UV_LEVELS),
+        _relative(xyz, seen, shard.record(index)),
+        albedo[..., 0] / np.float32(ALBEDO_LEVELS),
+        _nearest_normal(place, at, seen),
+    )
+
+
+def _carried_on(values: np.ndarray, off: np.ndarray, at: np.ndarray, seen: np.ndarray) -> np.ndarray:
+    """Values carried on by ``off`` map pixels along their mean slope over the film."""
+    if seen.sum() < 8:
+        return values
+    rows = np.column_stack([at[seen], np.ones(int(seen.sum()))])
+    slope = np.linalg.lstsq(rows, values[seen], rcond=None)[0][:2]
+    return values + off @ slope.astype(np.float32)
+
+
+def _nearest_normal(place: Place, at: np.ndarray, seen: np.ndarray) -> np.ndarray:
+    """Normals at OpenCV coordinates of the maps, of the pixel there; stored normals cannot be averaged."""
+    shard, index = place
+    mask, stored = shard.stored("mask", index), shard.stored("normal", index)
+    x, y = (np.clip(np.rint(at[..., k]).astype(np.int64), 0, mask.shape[1 - k] - 1) for k in (0, 1))
+    known = seen & mask[y, x]
+    return np.where(known[..., None], decode_normal(stored[y, x], known), np.float32(0))
+
+
+def _relative(stored: np.ndarray, seen: np.ndarray, record: dict) -> np.ndarray:
+    """Stored 3D coordinates as those relative to the film's centre, in film diagonals."""
+    xyz = xyz_from_stored(stored, record["coding"]["xyz"])
+    centre = np.asarray(record["grid"]["camera"]).reshape(-1, 3).mean(axis=0)
+    return np.where(seen[..., None], (xyz - centre) / np.hypot(*record["size_mm"]), 0).astype(np.float32)

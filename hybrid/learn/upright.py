@@ -1,0 +1,97 @@
+"""UprightNet: reads a flattened film and says which way is up, and whether it is seen from behind.
+
+FilmNet sees films too small to read them; whether a head or its texts are mirrored shows only at the photo's own
+resolution. So this small network looks at the film once it is flat, and every part of the film casts a vote.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import torch
+from jaxtyping import Float, Int64
+from torch import Tensor, nn
+from torch.nn import functional
+
+from hybrid.backward import Orientation
+
+
+@dataclass(frozen=True)
+class UprightNetConfig:
+    """widths: channels at 1/2, 1/4, 1/8, 1/16 and 1/32 of the input. film_px: longer side at which films are read.
+    input_px: side of the parts of films that it is trained on."""
+
+    widths: tuple[int, int, int, int, int] = (16, 32, 64, 96, 128)
+    film_px: int = 704
+    input_px: int = 256
+
+
+class _Stage(nn.Sequential):
+    """Halves the resolution."""
+
+    def __init__(self, inputs: int, outputs: int, kernel: int = 3) -> None:
+        super().__init__(
+            nn.Conv2d(inputs, outputs, kernel, 2, kernel // 2, bias=False),
+            nn.BatchNorm2d(outputs),
+            nn.ReLU(inplace=True),
+        )
+
+
+class _Mix(nn.Module):
+    """A 3 x 3 convolution beside an identity."""
+
+    def __init__(self, channels: int) -> None:
+        super().__init__()
+        self.conv = nn.Sequential(nn.Conv2d(channels, channels, 3, 1, 1, bias=False), nn.BatchNorm2d(channels))
+
+    def forward(self, x: Tensor) -> Tensor:
+        return functional.relu(x + self.conv(x))
+
+
+class UprightNet(nn.Module):
+    """Five stages to 1/32 of the input, where each place gives a vote for the eight orientations and its weight."""
+
+    def __init__(self, config: UprightNetConfig) -> None:
+        super().__init__()
+        self.config = config
+        stem, *widths = config.widths
+        stages: list[nn.Module] = [_Stage(1, stem, 5)]
+        for before, after in zip([stem, *widths[:-1]], widths, strict=True):
+            stages += [_Stage(before, after), _Mix(after)]
+        self.stages = nn.Sequential(*stages, _Mix(widths[-1]))
+        self.votes = nn.Conv2d(widths[-1], 8, 1)
+        self.weights = nn.Conv2d(widths[-1], 1, 1)
+
+    def forward(self, films: Float[Tensor, "b 1 h w"]) -> Float[Tensor, "b 8"]:
+        """Logits of the eight orientations of films from ``standardised``."""
+        places = self.stages(films)
+        votes, weights = self.votes(places).flatten(2), functional.softplus(self.weights(places)).flatten(2)
+        return (votes * weights).sum(dim=2) / weights.sum(dim=2).clamp(min=1e-3)
+
+
+def upright_losses(logits: Float[Tensor, "b 8"], truth: Int64[Tensor, " b"]) -> dict[str, Tensor]:
+    """Cross-entropy of the eight orientations."""
+    return {"orientation": functional.cross_entropy(logits, truth)}
+
+
+def standardised(film: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
+    """A film's grey without slow changes of the light: less its local mean, over its local spread, within +-4."""
+    grey = film.astype(np.float32)
+    sigma = max(grey.shape) / 24
+    mean = cv2.GaussianBlur(grey, (0, 0), sigma)
+    spread = cv2.GaussianBlur((grey - mean) ** 2, (0, 0), sigma)
+    return np.clip((grey - mean) / np.sqrt(spread + 1e-4), -4, 4)
+
+
+@torch.inference_mode()
+def read_orientation(network: UprightNet, film: Float[np.ndarray, "h w"]) -> tuple[Orientation, float]:
+    """What makes a flattened film (display grey in [0, 1]) read right, and the probability that it is so."""
+    scale = network.config.film_px / max(film.shape)
+    if scale < 1:
+        size = (max(32, round(film.shape[1] * scale)), max(32, round(film.shape[0] * scale)))
+        film = cv2.resize(film, size, interpolation=cv2.INTER_AREA)
+    chance = functional.softmax(network(torch.from_numpy(standardised(film))[None, None]), dim=1)[0]
+    best = int(chance.argmax())
+    return Orientation.from_index(best), float(chance[best])
