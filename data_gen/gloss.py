@@ -14,6 +14,9 @@ from functools import lru_cache
 import numpy as np
 from jaxtyping import Float
 
+Values = np.ndarray | np.floating
+"""An array, or what numpy makes of one without axes."""
+
 ALBEDO_COSINES = np.linspace(0.0, 1.0, 33) ** 1.5
 """Cosines of the view at which directional albedos are tabulated: closer where the Fresnel term is steep."""
 
@@ -40,16 +43,35 @@ class Gloss:
     mean: float
     entry: tuple[float, float]
 
-    def reflected(self, cosine: np.ndarray) -> np.ndarray:
+    def reflected(self, cosine: Values) -> Values:
         """Directional albedo at cosines of the view."""
         return np.interp(cosine, ALBEDO_COSINES, self.albedo).astype(np.float32)
 
-    def entering(self, cosine: np.ndarray) -> np.ndarray:
+    def entering(self, cosine: Values) -> Values:
         """(1 - albedo) / (1 - mean) at cosines of the light."""
         return (1 - self.reflected(cosine)) / np.float32(1 - self.mean)
 
 
-def fresnel(cosine: np.ndarray, ior: float, surfaces: int = 1) -> np.ndarray:
+def dot(a: Float[np.ndarray, "*n 3"], b: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n"]:
+    """Dot products of vectors; einsum is several times faster on them than a sum over the last axis."""
+    return np.einsum("...k,...k->...", a, b)
+
+
+def cross(a: Float[np.ndarray, "*n 3"], b: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
+    """Cross products of vectors, in a third of np.cross's time."""
+    out = np.empty(np.broadcast_shapes(a.shape, b.shape), np.result_type(a, b))
+    for k in range(3):
+        i, j = (k + 1) % 3, (k + 2) % 3
+        np.subtract(a[..., i] * b[..., j], a[..., j] * b[..., i], out=out[..., k])
+    return out
+
+
+def unit(vectors: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
+    """The vectors at length 1; a null vector stays null."""
+    return vectors / (np.sqrt(dot(vectors, vectors)) + vectors.dtype.type(1e-20))[..., None]
+
+
+def fresnel(cosine: Values, ior: float, surfaces: int = 1) -> Values:
     """Unpolarised reflectance of parallel dielectric surfaces of one refractive index; light bounces between them.
 
     One surface by Fresnel's equations; n of them reflect n F / (1 + (n - 1) F) (Stokes 1862, without absorption).
@@ -60,7 +82,7 @@ def fresnel(cosine: np.ndarray, ior: float, surfaces: int = 1) -> np.ndarray:
     return one if surfaces == 1 else surfaces * one / (1 + (surfaces - 1) * one)
 
 
-def smith(cosine: np.ndarray, alpha: float) -> np.ndarray:
+def smith(cosine: Values, alpha: float) -> Values:
     """Smith's masking G1 of GGX at cosines to the normal; 0 below the horizon."""
     c = np.maximum(cosine, 0.0)
     return 2 * c / (c + np.sqrt(alpha**2 + (1 - alpha**2) * c**2) + 1e-12)

@@ -15,7 +15,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Bool, Float
 
-from data_gen.gloss import Gloss, fresnel, smith
+from data_gen.gloss import Gloss, cross, dot, fresnel, smith, unit
 
 Vector = tuple[float, float, float]
 Shape = Literal["sphere", "disc", "rectangle"]
@@ -94,14 +94,9 @@ def vector_irradiance(lamp: Lamp, points: Float[np.ndarray, "*n 3"]) -> Float[np
     irradiance for radiance 1 of a lamp all above the horizon. 0 behind a flat lamp."""
     centre = (np.array(lamp.centre_mm) - points).astype(np.float32)
     if lamp.kind == "sphere":
-        squared = np.maximum((centre**2).sum(axis=-1, keepdims=True), lamp.half_mm[0] ** 2)
+        squared = np.maximum(dot(centre, centre), np.float32(lamp.half_mm[0] ** 2))[..., None]
         return np.float32(np.pi * lamp.half_mm[0] ** 2) * centre / squared**1.5
-    rays = [_unit((corner - points).astype(np.float32)) for corner in lamp.corners]
-    total = np.zeros_like(rays[0])
-    for start, stop in zip(rays, rays[1:] + rays[:1], strict=True):
-        cross = np.cross(start, stop)
-        sine = np.sqrt((cross**2).sum(axis=-1, keepdims=True)) + np.float32(_TINY)
-        total += cross * (np.arctan2(sine, (start * stop).sum(axis=-1, keepdims=True)) / sine)
+    total = _edge_sum([unit((corner - points).astype(np.float32)) for corner in lamp.corners])
     lit = (centre @ np.array(lamp.axis, np.float32) < 0)[..., None]
     return np.where(lit, total * np.float32(-0.5), np.float32(0.0))
 
@@ -113,8 +108,8 @@ def surface_irradiance(
 
     A lamp that the horizon cuts is replaced by the sphere of the same vector irradiance, whose integral is closed.
     """
-    size = np.sqrt((vector**2).sum(axis=-1)) + np.float32(_TINY)
-    cosine = np.clip((vector * normals).sum(axis=-1) / size, -1.0, 1.0)
+    size = np.sqrt(dot(vector, vector)) + np.float32(_TINY)
+    cosine = np.clip(dot(vector, normals) / size, -1.0, 1.0)
     squared_sine = np.clip(size / np.float32(np.pi), 1e-12, 0.9999)  # of the sphere's angular radius
     whole = np.float32(np.pi) * np.maximum(cosine, 0.0) * squared_sine
     cut = np.flatnonzero(cosine**2 < squared_sine)
@@ -147,15 +142,15 @@ def highlight(
 
     alpha: width of the lobe, that of the surface or wider where the lattice could not hold it.
     """
-    cosine = np.maximum((normals * view).sum(axis=-1), np.float32(1e-3))
+    cosine = np.maximum(dot(normals, view), np.float32(1e-3))
     if lamp.kind == "sphere":
-        towards = _unit((np.array(lamp.centre_mm) - points).astype(np.float32))
+        towards = unit((np.array(lamp.centre_mm) - points).astype(np.float32))
         share, half = _sphere_share(lamp, points, normals, view, towards, alpha)
-        above = (normals * towards).sum(axis=-1) > 0
+        above = dot(normals, towards) > 0
     else:
         share, half = _polygon_share(lamp, points, normals, view, alpha)
         above = (points - np.array(lamp.centre_mm)) @ np.array(lamp.axis) > 0
-    o_h, n_h = np.maximum((view * half).sum(axis=-1), 1e-4), np.maximum((normals * half).sum(axis=-1), 1e-3)
+    o_h, n_h = np.maximum(dot(view, half), 1e-4), np.maximum(dot(normals, half), 1e-3)
     n_i = 2 * o_h * n_h - cosine
     masking = smith(n_i, gloss.alpha) * smith(cosine, gloss.alpha)
     weight = fresnel(o_h, gloss.ior, gloss.surfaces) * masking * o_h / (cosine * n_h)
@@ -175,13 +170,15 @@ def _sphere_share(
     The form factor of a disc of radius s at offset d, seen from height 1: (1 - (1 + d^2 - s^2) / sqrt((1 + d^2 +
     s^2)^2 - 4 s^2 d^2)) / 2, written without its difference of nearly equal numbers.
     """
-    half = _unit(towards + view)
-    n_h, o_h = np.maximum((normals * half).sum(axis=-1), 1e-3), np.maximum((view * half).sum(axis=-1), 1e-3)
-    squared = ((np.array(lamp.centre_mm) - points) ** 2).sum(axis=-1)
+    half = unit(towards + view)
+    n_h, o_h = np.maximum(dot(normals, half), 1e-3), np.maximum(dot(view, half), 1e-3)
+    offset = (np.array(lamp.centre_mm) - points).astype(np.float32)
+    squared = dot(offset, offset)
     solid_angle = np.pi * lamp.half_mm[0] ** 2 / np.maximum(squared, lamp.half_mm[0] ** 2)
     s2 = solid_angle / (4 * o_h * n_h**3 * np.pi * alpha**2)
     d2 = (1 / n_h**2 - 1) / alpha**2
-    root, q = np.sqrt((1 + d2 + s2) ** 2 - 4 * s2 * d2), 1 + d2 - s2
+    q = 1 + d2 - s2
+    root = np.sqrt(q**2 + 4 * s2)  # (1 + d^2 + s^2)^2 - 4 s^2 d^2
     return np.where(q > 0, 2 * s2 / (root * (root + np.maximum(q, 0))), (1 - q / root) / 2), half
 
 
@@ -198,27 +195,31 @@ def _polygon_share(
     """
     shrunk = []
     for corner in lamp.corners:
-        half = _unit((corner - points).astype(np.float32)) + view
-        along = np.maximum((half * normals).sum(axis=-1, keepdims=True), 1e-4)
-        shrunk.append(_unit(half - (1 - np.float32(alpha)) * along * normals))
-    total, mean = np.zeros_like(points), np.zeros_like(points)
-    for start, stop in zip(shrunk, shrunk[1:] + shrunk[:1], strict=True):
-        cross = np.cross(start, stop)
-        sine = np.sqrt((cross**2).sum(axis=-1, keepdims=True)) + np.float32(_TINY)
-        total += cross * (np.arctan2(sine, (start * stop).sum(axis=-1, keepdims=True)) / sine)
-    share = np.abs((total * normals).sum(axis=-1)) / np.float32(2 * np.pi)
-    mean = total * np.sign((total * normals).sum(axis=-1, keepdims=True))
-    along = (mean * normals).sum(axis=-1, keepdims=True)
-    half = _unit(mean + (1 / np.float32(alpha) - 1) * along * normals)
-    return share, half
+        half = unit((corner - points).astype(np.float32)) + view
+        along = np.maximum(dot(half, normals), np.float32(1e-4))
+        shrunk.append(unit(half - ((1 - np.float32(alpha)) * along)[..., None] * normals))
+    total = _edge_sum(shrunk)
+    along = dot(total, normals)
+    half = total + ((1 / np.float32(alpha) - 1) * along)[..., None] * normals
+    return np.abs(along) / np.float32(2 * np.pi), unit(half * np.sign(along)[..., None])
+
+
+def _edge_sum(outline: list[Float[np.ndarray, "*n 3"]]) -> Float[np.ndarray, "*n 3"]:
+    """Sum over a spherical polygon's edges of their angle times their axis: minus twice the vector irradiance."""
+    total = np.zeros_like(outline[0])
+    for start, stop in zip(outline, outline[1:] + outline[:1], strict=True):
+        axis = cross(start, stop)
+        sine = np.sqrt(dot(axis, axis)) + np.float32(_TINY)
+        total += axis * (np.arctan2(sine, dot(start, stop)) / sine)[..., None]
+    return total
 
 
 def lamp_seen(lamp: Lamp, points: Float[np.ndarray, "*n 3"], rays: Float[np.ndarray, "*n 3"]) -> Bool[np.ndarray, "*n"]:
     """Whether unit rays from the points meet the lamp's bright side."""
-    centre = np.array(lamp.centre_mm) - points
+    centre = (np.array(lamp.centre_mm) - points).astype(rays.dtype)
     if lamp.kind == "sphere":
-        along = (centre * rays).sum(axis=-1)
-        return (along > 0) & ((centre**2).sum(axis=-1) - along**2 < lamp.half_mm[0] ** 2)
+        along = dot(centre, rays)
+        return (along > 0) & (dot(centre, centre) - along**2 < lamp.half_mm[0] ** 2)
     axis, across = np.array(lamp.axis), np.array(lamp.across)
     facing, depth = rays @ axis, centre @ axis
     reach = depth / np.where(np.abs(facing) < 1e-9, 1e-9, facing)
@@ -226,10 +227,6 @@ def lamp_seen(lamp: Lamp, points: Float[np.ndarray, "*n 3"], rays: Float[np.ndar
     a, b = offset @ across / lamp.half_mm[0], offset @ np.cross(axis, across) / lamp.half_mm[1]
     inside = np.maximum(np.abs(a), np.abs(b)) < 1 if lamp.kind == "rectangle" else a**2 + b**2 < 1
     return (facing < 0) & (depth < 0) & inside
-
-
-def _unit(vectors: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
-    return vectors / (np.sqrt((vectors**2).sum(axis=-1, keepdims=True)) + np.float32(_TINY))
 
 
 # ---------------------------------------------------------------- colour, random lamps

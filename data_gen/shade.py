@@ -28,7 +28,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.interpolate import make_interp_spline
 
-from data_gen.gloss import Gloss, gloss, smith
+from data_gen.gloss import Gloss, cross, dot, gloss, smith, unit
 from data_gen.gloss import fresnel as fresnel_reflectance
 from data_gen.lamps import Lamp, highlight, lamp_seen, surface_irradiance, vector_irradiance
 from data_gen.lighting import Light, LightBox, Material
@@ -92,16 +92,14 @@ def seen_film(film: FilmMesh, camera_mm: Float[np.ndarray, "3"], n: int) -> Seen
     t = film_centres_1d(n)
     across, down = (make_interp_spline(x, np.eye(len(x))) for x in (film.u_lines, film.v_lines))
     u, v, du, dv = (m.astype(np.float32) for m in (across(t), down(t), across(t, nu=1), down(t, nu=1)))
-    grid = film.vertices.astype(np.float32)
+    grid = np.ascontiguousarray(film.vertices.transpose(2, 0, 1), dtype=np.float32)
 
     def lattice(rows: np.ndarray, cols: np.ndarray) -> np.ndarray:
-        return np.stack([rows @ grid[..., k] @ cols.T for k in range(3)], axis=-1)
+        return np.ascontiguousarray(np.moveaxis(rows @ (grid @ cols.T), 0, -1))
 
-    points, normals = lattice(v, u), np.cross(lattice(dv, u), lattice(v, du))
-    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
-    view = camera_mm.astype(np.float32) - points
-    view /= np.linalg.norm(view, axis=-1, keepdims=True)
-    towards = (view * normals).sum(axis=-1, keepdims=True)
+    points, normals = lattice(v, u), unit(cross(lattice(dv, u), lattice(v, du)))
+    view = unit(camera_mm.astype(np.float32) - points)
+    towards = dot(view, normals)[..., None]
     normals *= np.where(towards < 0, np.float32(-1), np.float32(1))
     return SeenFilm(points, normals, view, np.maximum(np.abs(towards), np.float32(0.01)))
 
@@ -144,9 +142,9 @@ def glossy_lattice(material: Material, photo_size: tuple[int, int]) -> int:
     """Film points along each side at which reflections are evaluated.
 
     A lobe's half width is 1.3 alpha rad, and reflected directions turn by about 3 rad over a bent film; finer than
-    two photo pixels nobody sees.
+    three photo pixels costs more than it shows.
     """
-    return int(np.clip(4.0 / material.roughness**2, SMOOTH_LATTICE, max(0.4 * max(photo_size), 96)))
+    return int(np.clip(4.0 / material.roughness**2, SMOOTH_LATTICE, max(0.3 * max(photo_size), 96)))
 
 
 # ---------------------------------------------------------------- matt light
@@ -173,7 +171,7 @@ def matt_light(
         sides.append(received)
     for lamp in lamps:
         vector = vector_irradiance(lamp, seen.points)
-        filled = np.sqrt((vector**2).sum(axis=-1)) / np.float32(np.pi)
+        filled = np.sqrt(dot(vector, vector)) / np.float32(np.pi)
         for side, normals in enumerate((seen.normals, -seen.normals)):
             received, cosine = surface_irradiance(vector, normals)
             # Entry is taken at the lamp's mean direction; a lamp that fills the hemisphere enters like even light.
@@ -259,19 +257,23 @@ def wide_reflection(
 
 
 def lamp_highlight(lamp: Lamp, seen: SeenFilm, surface: Gloss) -> Float[np.ndarray, "n n"]:
-    """Reflection of a lamp of radiance 1, on a coarse lattice and finer around its bright part."""
+    """Reflection of a lamp of radiance 1, on a coarse lattice and, where that cannot hold it, finer near its middle."""
     n = len(seen.points)
-    alpha = max(surface.alpha, 0.5 / n)  # half vectors turn by about 1 rad over the film: a lattice step of them
-    stride = max(1, n // 96)
-    if stride == 1:
-        return highlight(lamp, seen.points, seen.normals, seen.view, surface, alpha)
+    stride = max(1, n // HIGHLIGHT_LATTICE)
     every = slice(stride // 2, None, stride)
     coarse = seen.part(every, every)
-    rough = highlight(lamp, coarse.points, coarse.normals, coarse.view, surface, max(alpha, 0.5 / len(coarse.points)))
+    wide = max(surface.alpha, 0.5 / len(coarse.points))  # half vectors turn by about 1 rad over the film
+    rough = highlight(lamp, coarse.points, coarse.normals, coarse.view, surface, wide)
+    if stride == 1:
+        return rough
     values = cv2.resize(rough, (n, n), interpolation=cv2.INTER_LINEAR)
-    rows, cols = (np.flatnonzero((rough > 0.02 * rough.max()).any(axis=axis)) for axis in (1, 0))
-    if rough.max() > 0:
-        block = tuple(slice(max(int(k[0]) - 2, 0) * stride, (int(k[-1]) + 3) * stride) for k in (rows, cols))
+    if rough.max() > 0 and surface.alpha < 2.0 / len(rough):
+        rows, cols = (np.flatnonzero((rough > 0.02 * rough.max()).any(axis=axis)) for axis in (1, 0))
+        block = tuple(slice(max(int(k[0]) - 1, 0) * stride, (int(k[-1]) + 2) * stride) for k in (rows, cols))
         part = seen.part(*block)
-        values[block] = highlight(lamp, part.points, part.normals, part.view, surface, alpha)
+        values[block] = highlight(lamp, part.points, part.normals, part.view, surface, max(surface.alpha, 0.5 / n))
     return values
+
+
+HIGHLIGHT_LATTICE = 32
+"""Film points along each side at which highlights of lamps are looked for."""
