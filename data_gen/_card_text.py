@@ -15,7 +15,7 @@ from hybrid.learn.shards import ShardEntry
 _TEMPLATE = """\
 # Photos of bent CT films, with the truth
 
-{count} photos of {films} films: {size} x {size} px, maps {map_size} x {map_size}. {shards} shards, {gigabytes:.3g} GB.
+{count} photos of {films}: {size} x {size} px, maps {map_size} x {map_size}. {shards} shards, {gigabytes:.3g} GB.
 Everything is simulated: printed CT slices, bent sheets, light, camera.
 
 ![{shown} of the photos](contact_sheet.jpg)
@@ -78,10 +78,11 @@ def card_text(
 ) -> str:
     """The card in Markdown, for a data set's description, shards, and values of its labels."""
     count, sample = sum(entry.count for entry in entries), description["sample"]
+    films = -(-count // sample["photos_per_film"])
     sources, shares = description["sources"], sorted(layouts.items(), key=lambda item: -item[1])
     return _TEMPLATE.format(
         count=count,
-        films=-(-count // sample["photos_per_film"]),
+        films="1 film" if films == 1 else f"{films} films",
         size=sample["size"],
         map_size=sample["map_size"],
         shards=len(entries),

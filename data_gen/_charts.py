@@ -56,7 +56,7 @@ def bars(title: str, kinds: Sequence[str]) -> Image.Image:
         right = left + max(2.0, (_RIGHT - 52 - left) * count / longest)
         draw.rectangle([left, y + 3, right, y + height - 3], fill=_FILL)
         middle = y + height / 2
-        draw.text((left - 8, middle), _shortened(kind, 18), fill=_INK, font=_font(15), anchor="rm")
+        draw.text((left - 8, middle), _shortened(kind, 16), fill=_INK, font=_font(15), anchor="rm")
         draw.text((right + 6, middle), f"{100 * count / len(kinds):.3g} %", fill=_FAINT, font=_font(15), anchor="lm")
     return panel
 

@@ -51,7 +51,7 @@ LABELS = (
     Label("Bend: largest slope", "deg", lambda r: bend_of(r)[0]),
     Label("Bend: largest curvature", "per m", lambda r: bend_of(r)[1]),
     Label("Film in the photo", "%", lambda r: 100 * r["coverage"]),
-    Label("Glare on the film", "%", lambda r: 100 * r["glare_share"]),
+    Label("Glare on the film", None, lambda r: glare_of(r["glare_share"])),
     Label("Light", None, lambda r: light_of(r["light"])),
     Label("Background", None, lambda r: r["backdrop"]["kind"]),
     Label("Over the film", None, lambda r: ", ".join(sorted({t["thing"] for t in r["things"]})) or "nothing"),
@@ -127,6 +127,13 @@ def light_of(light: dict[str, Any]) -> str:
     if light["box"]:
         return "light box"
     return "room and lamps" if light["lamps"] else "room"
+
+
+def glare_of(share: float) -> str:
+    """How much of a film is lost in glare, in words: most photos have none, and a histogram would show only that."""
+    if share == 0:
+        return "none"
+    return "under 1 %" if share < 0.01 else "1 to 5 %" if share < 0.05 else "over 5 %"
 
 
 def down_of(matrix: Float[np.ndarray, "r r"], points: Float[np.ndarray, "r c 3"]) -> Float[np.ndarray, "r c 3"]:

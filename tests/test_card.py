@@ -52,7 +52,7 @@ def test_a_flat_film_however_it_lies_is_not_bent():
 
 def test_the_card_has_its_pictures_and_figures(folder):
     text = (folder / "card.md").read_text()
-    assert "4 photos of 1 films: 48 x 48 px, maps 32 x 32" in text
+    assert "4 photos of 1 film: 48 x 48 px, maps 32 x 32" in text
     assert all(label.title in text for label in LABELS if label.unit is not None)
     for name in ("histograms.png", "contact_sheet.jpg"):
         assert f"({name})" in text
