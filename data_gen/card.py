@@ -39,7 +39,8 @@ SEED = 0
 class Label:
     """A quantity of which the card shows the spread.
 
-    unit: of numbers; None for kinds. of: its value for a sample, from the sample's record.
+    unit: of numbers; None for kinds. of: its value for a sample, from the sample's record with
+    ``bend_of`` in it.
     """
 
     title: str
@@ -48,8 +49,8 @@ class Label:
 
 
 LABELS = (
-    Label("Bend: largest slope", "deg", lambda r: bend_of(r)[0]),
-    Label("Bend: largest curvature", "per m", lambda r: bend_of(r)[1]),
+    Label("Bend: largest slope", "deg", lambda r: r["bend"][0]),
+    Label("Bend: largest curvature", "per m", lambda r: r["bend"][1]),
     Label("Film in the photo", "%", lambda r: 100 * r["coverage"]),
     Label("Glare on the film", None, lambda r: glare_of(r["glare_share"])),
     Label("Light", None, lambda r: light_of(r["light"])),
@@ -93,6 +94,7 @@ def label_values(shards: Sequence[Shard]) -> dict[str, list[Any]]:
     for shard in shards:
         for k in range(len(shard)):
             record = shard.record(k)
+            record["bend"] = bend_of(record)
             for label in LABELS:
                 values[label.title].append(label.of(record))
     return values
