@@ -31,11 +31,15 @@ _TABLE = 256
 
 @dataclass(frozen=True)
 class TraceConfig:
-    """samples: per pixel. max_depth: surfaces that light may meet, the lamp counted (2: light straight from lamps)."""
+    """samples: per pixel. max_depth: surfaces that light may meet, the lamp counted (2: light straight from lamps).
+
+    self_shadows: of the film; without them light comes straight from the lamps whatever the depth.
+    """
 
     samples: int = 256
     max_depth: int = 2
     seed: int = 0
+    self_shadows: bool = True
 
 
 @lru_cache(maxsize=1)
@@ -47,6 +51,7 @@ def mitsuba(threads: int = 1) -> Any:
     mi.set_variant("llvm_ad_rgb")
     drjit.set_thread_count(threads)
     mi.register_bsdf("thin_sheet", _thin_sheet_class(mi, drjit))
+    mi.register_integrator("unshadowed", _unshadowed_class(mi, drjit))
     return mi
 
 
@@ -55,18 +60,27 @@ def trace(
 ) -> Float[np.ndarray, "h w 3"]:
     """Linear radiance of each pixel of the scene's camera (no lens distortion) for a print of one reflectance."""
     mi = mitsuba()
-    parts: dict[str, Any] = {"type": "scene", "film": _film(mi, film, scene.material, grey)}
-    parts["room"] = _room(mi, room, scene)
+    sheet = {"film": _film(mi, film, scene.material, grey), "sensor": _sensor(mi, scene.camera)}
+    lights = _lights(mi, film, scene, room)
+    if config.self_shadows:
+        integrator = mi.load_dict({"type": "path", "max_depth": config.max_depth, "rr_depth": 64})
+        drawn = mi.load_dict({"type": "scene"} | sheet | lights)
+    else:
+        integrator = mi.load_dict({"type": "unshadowed"})
+        integrator.lights = mi.load_dict({"type": "scene"} | lights)
+        drawn = mi.load_dict({"type": "scene"} | sheet)
+    picture = mi.render(drawn, integrator=integrator, spp=config.samples, seed=config.seed)
+    return np.array(picture, dtype=np.float32)[..., :3]
+
+
+def _lights(mi: Any, film: FilmMesh, scene: Scene, room: Environment) -> dict[str, Any]:
+    """The room, the lamps and the light box."""
     camera_mm = scene.camera.centre_world
-    for k, lamp in enumerate(scene.light.lamps):
-        parts[f"lamp{k}"] = _lamp(mi, lamp.placed(camera_mm), None)
+    lights = {f"lamp{k}": _lamp(mi, lamp.placed(camera_mm), None) for k, lamp in enumerate(scene.light.lamps)}
     if scene.light.box:
         lamp, box = light_box_lamp(scene.light.box, film, camera_mm)
-        parts["box"] = _lamp(mi, lamp, box.brightness(film_centres((128, 128))))
-    parts["integrator"] = {"type": "path", "max_depth": config.max_depth, "rr_depth": 64}
-    parts["sensor"] = _sensor(mi, scene.camera)
-    picture = mi.render(mi.load_dict(parts), spp=config.samples, seed=config.seed)
-    return np.array(picture, dtype=np.float32)[..., :3]
+        lights["box"] = _lamp(mi, lamp, box.brightness(film_centres((128, 128))))
+    return {"room": _room(mi, room, scene)} | lights
 
 
 def _film(mi: Any, film: FilmMesh, material: Material, grey: float) -> Any:
@@ -231,3 +245,33 @@ def _thin_sheet_class(mi: Any, dr: Any) -> type:
             return self.eval(ctx, si, wo, active), self.pdf(ctx, si, wo, active)
 
     return ThinSheet
+
+
+def _unshadowed_class(mi: Any, dr: Any) -> type:
+    """Light straight from a second scene, ``lights``, as if the film hid none of it; lamps and BSDF are both sampled."""
+
+    class Unshadowed(mi.SamplingIntegrator):
+        lights: Any = None
+
+        def sample(self, scene: Any, sampler: Any, ray: Any, medium: Any = None, active: Any = True) -> Any:
+            context = mi.BSDFContext()
+            si = scene.ray_intersect(ray, active)
+            seen = active & si.is_valid()
+            bsdf = si.bsdf(ray)
+            ds, weight = self.lights.sample_emitter_direction(si, sampler.next_2d(), True, seen)
+            value, pdf = bsdf.eval_pdf(context, si, si.to_local(ds.d), seen)
+            total = dr.select(seen & (ds.pdf > 0), value * weight * balance(ds.pdf, pdf), 0)
+
+            bs, weight = bsdf.sample(context, si, sampler.next_1d(), sampler.next_2d(), seen)
+            hit = self.lights.ray_intersect(si.spawn_ray(si.to_world(bs.wo)), seen)
+            emitter = hit.emitter(self.lights, seen)
+            by_lamp = self.lights.pdf_emitter_direction(si, mi.DirectionSample3f(self.lights, hit, si), seen)
+            straight = mi.has_flag(bs.sampled_type, mi.BSDFFlags.Null)
+            weight *= dr.select(straight, 1.0, balance(bs.pdf, by_lamp))
+            total += dr.select(seen, weight * emitter.eval(hit, seen), 0)
+            return mi.Color3f(total), seen, []
+
+    def balance(one: Any, other: Any) -> Any:
+        return dr.select(one > 0, one / (one + other), 0)
+
+    return Unshadowed

