@@ -248,7 +248,7 @@ def _thin_sheet_class(mi: Any, dr: Any) -> type:
 
 
 def _unshadowed_class(mi: Any, dr: Any) -> type:
-    """Light straight from a second scene, ``lights``, as if the film hid none of it; lamps and BSDF are both sampled."""
+    """Light straight from a second scene, ``lights``, as if the film hid none; lamps and BSDF are both sampled."""
 
     class Unshadowed(mi.SamplingIntegrator):
         lights: Any = None
