@@ -54,7 +54,7 @@ class Options:
     hdri: Path | None = None
     picture: Path | None = None
     side: int = 48
-    samples: int = 512
+    samples: int = 2048
 
 
 @dataclass(frozen=True)

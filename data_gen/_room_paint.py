@@ -30,13 +30,19 @@ class _Hits:
 
 
 def paint_room(rng: np.random.Generator, rays: Float[np.ndarray, "H W 3"]) -> Float[np.ndarray, "H W 3"]:
-    """Radiance of a room seen from where the film is, for unit ``rays``."""
+    """Radiance of a room seen from where the film is, for unit ``rays``: by day, by lamps or dark, or a corridor."""
     near, far = rng.uniform(0.5, 4.0, 3), rng.uniform(0.8, 6.0, 3)
     near[2], far[2] = rng.uniform(0.6, 1.4), rng.uniform(1.0, 2.2)  # height of the film, and of the ceiling above it
+    corridor = rng.random() < 0.15
+    if corridor:
+        near[:2], far[:2] = (rng.uniform(0.5, 1.6), rng.uniform(3, 12)), (rng.uniform(0.5, 1.6), rng.uniform(3, 25))
     out = np.zeros((rays.shape[0] * rays.shape[1], 3), np.float32)
     hits = _intersect(rays, near, far)
-    wall_colour, light_colour = _tint(rng, 0.25) * rng.uniform(0.15, 0.9), _tint(rng, 0.25)
-    day = rng.random() < 0.65
+    light_colour = _tint(rng, 0.25)
+    wall_colour = _tint(rng, 0.1 if corridor else 0.25) * (
+        rng.uniform(0.6, 0.9) if corridor else rng.uniform(0.15, 0.9)
+    )
+    day, dark = rng.random() < 0.6, rng.random() < 0.15  # dark: shutters and lamps are closed, a screen or spot is left
     for face, hit in hits.items():
         colour = wall_colour * _tint(rng, 0.06)
         if face == FLOOR:
@@ -46,10 +52,12 @@ def paint_room(rng: np.random.Generator, rays: Float[np.ndarray, "H W 3"]) -> Fl
         out[hit.index] = _surface(rng, hit) * (colour * light_colour)
     for face, hit in hits.items():
         if face == CEILING:
-            _add_ceiling_lamps(rng, out, hit, light_colour, on=not day or rng.random() < 0.5)
+            _add_ceiling_lamps(rng, out, hit, light_colour, on=corridor or not (dark or (day and rng.random() < 0.5)))
         else:
-            _add_wall_things(rng, out, hit, face == FLOOR, day)
-    image = out.reshape(rays.shape)
+            _add_wall_things(rng, out, hit, face == FLOOR, day and not dark)
+        if day and not dark and face != CEILING and rng.random() < 0.12:
+            _add_sunlight(rng, out, hit)
+    image = out.reshape(rays.shape) * np.exp(rng.uniform(0.02, 0.12) * _noise(rng, rays.shape[:2], 120))[..., None]
     _add_lamp_spots(rng, image, rays)
     return np.roll(cv2.GaussianBlur(image, (3, 3), 0.7), int(rng.integers(rays.shape[1])), axis=1)
 
@@ -72,7 +80,7 @@ def paint_outdoors(rng: np.random.Generator, rays: Float[np.ndarray, "H W 3"]) -
     image = np.where(below[..., None], leaves, image)
     if rng.random() < 0.6:
         sun = _direction(rng, rng.uniform(0.1, 1.4))
-        image += _tint(rng, 0.15) * rng.uniform(200, 2000) * _spot(rays, sun, rng.uniform(0.01, 0.03))
+        image += _tint(rng, 0.15) * _log_uniform(rng, 500.0, 2e4) * _spot(rays, sun, rng.uniform(0.01, 0.02))
         image += rng.uniform(0.5, 3.0) * _spot(rays, sun, rng.uniform(0.1, 0.4))
     return image.astype(np.float32)
 
@@ -147,7 +155,7 @@ def _add_ceiling_lamps(
     """A row or a lattice of round lamps, tubes or panels."""
     if not len(hit.index):
         return
-    radiance = tint * (rng.uniform(5, 60) if on else rng.uniform(0.5, 1.2))
+    radiance = tint * (_log_uniform(rng, 8.0, 250.0) if on else rng.uniform(0.5, 1.2))
     pitch_a, pitch_b = rng.uniform(0.8, 3.0), rng.uniform(0.8, 3.0)
     a = (hit.a - rng.uniform(0, pitch_a)) % pitch_a - pitch_a / 2
     b = (hit.b - rng.uniform(0, pitch_b)) % pitch_b - pitch_b / 2
@@ -169,8 +177,8 @@ def _add_wall_things(
     rng: np.random.Generator, out: Float[np.ndarray, "n 3"], hit: _Hits, floor: bool, day: bool
 ) -> None:
     """Clutter everywhere; on walls also doors, shelves, pictures, screens and windows."""
-    for _ in range(int(rng.integers(0, 14))):
-        length, height = np.exp(rng.uniform(np.log(0.05), np.log(1.8), 2))
+    for _ in range(int(rng.integers(4, 36))):
+        length, height = (_log_uniform(rng, 0.03, 1.6) for _ in range(2))
         low = rng.uniform(*hit.span_b) if floor or rng.random() < 0.3 else hit.span_b[0]
         inside = _rectangle(hit, _place(rng, hit.span_a, length), (low, low + height))
         out[hit.index[inside]] = _tint(rng, 0.7) * rng.uniform(0.02, 0.9)
@@ -201,7 +209,7 @@ def _add_windows(rng: np.random.Generator, out: Float[np.ndarray, "n 3"], hit: _
     """One to four windows in a row: bright panes with a sky gradient and things outside, frames and bars."""
     width, height, sill = rng.uniform(0.4, 2.0), rng.uniform(0.7, 1.9), rng.uniform(-0.5, 0.4)
     start, bars_a, bars_b = rng.uniform(*hit.span_a), int(rng.integers(1, 4)), int(rng.integers(1, 4))
-    radiance = rng.uniform(5, 100) if day else rng.uniform(0.01, 0.3)
+    radiance = _log_uniform(rng, 15.0, 200.0) if day else rng.uniform(0.01, 0.3)
     sky, outside = _tint(rng, 0.25), _tint(rng, 0.6) * rng.uniform(0.05, 0.6)
     frame = _tint(rng, 0.1) * rng.uniform(0.1, 1.0)
     thickness, phase = rng.uniform(0.02, 0.06), rng.uniform(0, 6.3)
@@ -218,6 +226,18 @@ def _add_windows(rng: np.random.Generator, out: Float[np.ndarray, "n 3"], hit: _
         out[hit.index[inside]] = np.where((bar | edge)[:, None], frame, pane)
 
 
+def _add_sunlight(rng: np.random.Generator, out: Float[np.ndarray, "n 3"], hit: _Hits) -> None:
+    """Sunlight that falls through a window's panes: sheared bright patches, several dozen times the shade."""
+    shear, bars = rng.uniform(-1.0, 1.0), int(rng.integers(1, 4))
+    (start, stop), (low, high) = (
+        _place(rng, hit.span_a, rng.uniform(0.3, 1.2)),
+        _place(rng, hit.span_b, rng.uniform(0.3, 1.2)),
+    )
+    a, b = (hit.a - shear * (hit.b - low) - start) / (stop - start), (hit.b - low) / max(high - low, 1e-3)
+    lit = (a > 0) & (a < 1) & (b > 0) & (b < 1) & ~_at_edge((a * bars) % 1.0, 0.06) & ~_at_edge((b * bars) % 1.0, 0.06)
+    out[hit.index[lit]] *= _tint(rng, 0.1) * _log_uniform(rng, 8.0, 50.0)
+
+
 def _at_edge(t: Float[np.ndarray, " n"], share: float) -> Bool[np.ndarray, " n"]:
     return np.minimum(t, 1.0 - t) < share
 
@@ -228,9 +248,9 @@ def _add_lamp_spots(
     """Desk and floor lamps: small bright spots with a halo."""
     for _ in range(int(rng.integers(0, 3))):
         centre = _direction(rng, rng.uniform(-0.2, 0.8))
-        radiance = _tint(rng, 0.3) * rng.uniform(10, 150)
-        image += radiance * _spot(rays, centre, rng.uniform(0.015, 0.08))
-        image += 0.01 * radiance * _spot(rays, centre, rng.uniform(0.15, 0.5))
+        radiance = _tint(rng, 0.3) * _log_uniform(rng, 30.0, 2000.0)
+        image += radiance * _spot(rays, centre, rng.uniform(0.012, 0.05))
+        image += 0.002 * radiance * _spot(rays, centre, rng.uniform(0.15, 0.5))
 
 
 # ---------------------------------------------------------------- small tools
@@ -241,6 +261,10 @@ def _tint(rng: np.random.Generator, strength: float) -> Float[np.ndarray, " 3"]:
     warm = rng.uniform(-1.0, 1.0) * np.array([1.0, 0.1, -1.0])
     colour = np.maximum(1.0 + strength * (warm + 0.35 * rng.uniform(-1.0, 1.0, 3)), 0.05)
     return (colour / colour.mean()).astype(np.float32)
+
+
+def _log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
+    return float(np.exp(rng.uniform(np.log(low), np.log(high))))
 
 
 def _direction(rng: np.random.Generator, elevation: float) -> Float[np.ndarray, " 3"]:

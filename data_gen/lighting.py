@@ -74,8 +74,7 @@ class Light:
     """What lights the film.
 
     box: a light box behind it, or None. front: factor on the environment's light. turn_deg: azimuth by which the room
-    is turned, lying: film on its back. lamps: near the film, in its world. photographer: whoever takes the photo
-    stands dark in the room's reflection.
+    is turned, lying: film on its back. lamps: near the film, in its world.
     """
 
     front: float
@@ -83,7 +82,6 @@ class Light:
     lying: bool
     box: LightBox | None = None
     lamps: tuple[Lamp, ...] = ()
-    photographer: bool = False
 
     @property
     def light_box(self) -> bool:
@@ -135,7 +133,6 @@ def sample_light(rng: np.random.Generator, light_box_share: float) -> Light:
         turn_deg=float(rng.uniform(0, 360)),
         lying=bool(rng.random() < (0.15 if boxed else 0.4)),
         box=_light_box(rng) if boxed else None,
-        photographer=bool(rng.random() < 0.6),
     )
     if boxed or rng.random() >= LAMP_SHARE:
         return light

@@ -205,7 +205,9 @@ def sample_filtered(
     """
     levels = (0.0, *filtered.roughness)
     above = int(np.clip(np.searchsorted(levels, roughness), 1, len(levels) - 1))
-    share = np.float32(np.clip((roughness - levels[above - 1]) / (levels[above] - levels[above - 1]), 0.0, 1.0))
+    # By its cube: a lobe's core widens with roughness^2, its tails grow with roughness^4; this errs least between them.
+    low, high = levels[above - 1] ** 3, levels[above] ** 3
+    share = np.float32(np.clip((roughness**3 - low) / (high - low), 0.0, 1.0))
     lookup = SphereLookup(directions)
     lower = filtered.environment.radiance if above == 1 else filtered.stack[above - 2]
     if share == 1:
