@@ -36,7 +36,7 @@ class Font:
     bold: bool = False
 
 
-@lru_cache(maxsize=4096)
+@lru_cache(maxsize=512)
 def text_sprite(text: str, font: Font) -> Sprite:
     """Coverage (0 to 255) of one line of text, cut to its ink; read-only because it is shared."""
     if font.family == "pillow":

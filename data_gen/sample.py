@@ -112,12 +112,14 @@ def _photograph(
     base = np.median(light.veil + light.gain * np.median(levels.reflectance[-1]), axis=(0, 1))
     around = surroundings(scene, film, room, base)
     reflectance = at_photo_scale(levels.reflectance, backward.mean_film_pixels())
-    linear = put_over(composite(caster.view(camera), reflectance, light, around.behind), around.before)
+    seen = caster.annotate(camera.resized(map_size))
+    view = caster.view(camera, seen if camera.size == map_size else None)
+    linear = put_over(composite(view, reflectance, light, around.behind), around.before)
     white = float(np.percentile(light.gain, 90)) + float(np.percentile(light.veil, 50))
     photo = develop(linear, scene.lens, white, rng)
 
     covered = cv2.resize(hidden_share(around.before, camera.size), map_size[::-1], interpolation=cv2.INTER_AREA) > 0.02
-    maps = _uncovered(caster.annotate(camera.resized(map_size)), covered)
+    maps = _uncovered(seen, covered)
     grid_world = film.grid_vertices
     glare = _glare(maps, film, light, scene, white)
     return Sample(

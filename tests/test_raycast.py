@@ -63,6 +63,18 @@ def test_a_view_is_what_many_rays_see(shape, roll):
     assert off.max() < 2.0  # at folds a grazing ray counts
 
 
+@pytest.mark.parametrize("shape", SHAPES)
+def test_a_view_from_known_maps_is_the_view_that_is_cast(shape):
+    caster, cam = FilmCaster(film(SHAPES[shape])), camera(roll=0.3)
+    cast, known = caster.view(cam), caster.view(cam, caster.annotate(cam))
+    np.testing.assert_array_equal(known.rim_hit, cast.rim_hit)
+    assert np.abs(known.coverage - cast.coverage).mean() < 1e-3
+    both = (known.coverage > 0) & (cast.coverage > 0)
+    both.flat[cast.rim] = False  # their film points are those of the many rays
+    assert np.abs(known.uv - cast.uv)[both].mean() * 430 < 0.05  # mm; a pixel is about 3 mm
+    assert known.rays < cast.rays
+
+
 def test_a_view_takes_far_fewer_rays_than_pixels_have():
     cam = camera((600, 720))
     view = FilmCaster(film(SHAPES["waves"])).view(cam)

@@ -127,13 +127,11 @@ class FilmCaster:
         normal[box] = seen @ camera.camera_from_world[:3, :3].T.astype(np.float32)
         return AnnotationMaps(mask, uv, xyz, normal)
 
-    def view(self, camera: Camera) -> FilmView:
-        """Film points of a photo's pixels by as few rays as that takes.
+    def view(self, camera: Camera, maps: AnnotationMaps | None = None) -> FilmView:
+        """Film points of a photo's pixels by as few rays as that takes; ``maps`` of the same camera save the most.
 
-        Within a smooth piece of film uv is interpolated between rays ``_SPACING`` pixels apart wherever its second
-        difference says that this is exact to ``_SMOOTH_PX``. Pieces end at the outline and where the film turns over,
-        and both are edges of the mesh: projected and drawn they mark the pixels (and no sliver of film between the
-        rays is lost) that are cast densely. Whatever is near them, or not smooth, gets a ray for each pixel.
+        The outline and the places where the film turns over are edges of the mesh: projected and drawn they mark the
+        rim, the pixels that are cast densely (and no sliver of film between rays is lost).
 
         Raises:
             SimulationError: film beside or behind the camera, where it has no projection.
@@ -145,15 +143,9 @@ class FilmCaster:
             )
         box = _box(projected, camera.size)
         part = _cropped(camera, box)
-        projected = projected - [box[1].start, box[0].start]
-        rim = _drawn(_outline_and_folds(projected), part.size)
-        mask, uv, wanted = self._smooth(part, rim)
-
-        rows, cols = np.nonzero(wanted)
-        centres = pixel_centres((1, 1))[0, 0].astype(np.float32)
-        at = np.stack([cols, rows], axis=-1).astype(np.float32)
-        mask[wanted], uv[wanted], _ = self._cast(camera, part.ray_directions(at + centres))
-        uv = cv2.patchNaNs(np.ascontiguousarray(uv), 0.0)
+        rim = _drawn(_outline_and_folds(projected - [box[1].start, box[0].start]), part.size)
+        mask, uv, rays = self._centres(part, rim) if maps is None else (maps.mask[box], maps.uv[box], 0)
+        uv = cv2.patchNaNs(np.array(uv, np.float32), 0.0)
 
         rows, cols = np.nonzero(rim)
         inside = film_centres((_SUPERSAMPLE, _SUPERSAMPLE)).reshape(-1, 2).astype(np.float32)
@@ -162,8 +154,22 @@ class FilmCaster:
         rim_uv = cv2.patchNaNs(rim_uv, 0.0)
         coverage = mask.astype(np.float32)
         coverage[rim] = np.count_nonzero(rim_hit, axis=1) / np.float32(_SUPERSAMPLE**2)
-        rays = int(np.prod(_coarse(part.size)) + wanted.sum() + rim_hit.size)
-        return FilmView(box, coverage, uv, np.flatnonzero(rim), rim_uv, rim_hit, rays)
+        return FilmView(box, coverage, uv, np.flatnonzero(rim), rim_uv, rim_hit, rays + rim_hit.size)
+
+    def _centres(
+        self, part: Camera, rim: Bool[np.ndarray, "h w"]
+    ) -> tuple[Bool[np.ndarray, "h w"], Float32[np.ndarray, "h w 2"], int]:
+        """Mask and uv at the pixels' centres, where they are not on the rim, and the number of rays cast.
+
+        Within a smooth piece of film uv is interpolated between rays ``_SPACING`` pixels apart wherever its second
+        difference says that this is exact to ``_SMOOTH_PX``; whatever is near the rim, or not smooth, gets a ray.
+        """
+        mask, uv, wanted = self._smooth(part, rim)
+        rows, cols = np.nonzero(wanted)
+        centres = pixel_centres((1, 1))[0, 0].astype(np.float32)
+        at = np.stack([cols, rows], axis=-1).astype(np.float32)
+        mask[wanted], uv[wanted], _ = self._cast(part, part.ray_directions(at + centres))
+        return mask, uv, int(np.prod(_coarse(part.size)) + wanted.sum())
 
     def _smooth(
         self, part: Camera, rim: Bool[np.ndarray, "h w"]
