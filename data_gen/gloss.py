@@ -9,7 +9,6 @@ the light, h half way between them, n the normal, alpha = roughness^2, D the GGX
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 from jaxtyping import Float
@@ -117,7 +116,6 @@ def spiral_disc(count: int) -> Float[np.ndarray, "count 2"]:
     return np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=1)
 
 
-@lru_cache(maxsize=64)
 def gloss(roughness: float, ior: float, surfaces: int = 1) -> Gloss:
     """The integrals for one surface."""
     alpha, cosine = roughness**2, np.maximum(ALBEDO_COSINES, 1e-4)

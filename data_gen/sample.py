@@ -24,12 +24,15 @@ from hybrid.backward import BackwardMap
 from hybrid.coords import film_centres_1d
 from hybrid.mesh.camera import Camera
 from hybrid.mesh.film import FilmMesh, film_mesh
-from hybrid.mesh.raycast import AnnotationMaps, FilmCaster, true_backward_map
+from hybrid.mesh.raycast import FACET_MM, AnnotationMaps, FilmCaster, true_backward_map
 from hybrid.mesh.recipes import BendConfig, bend
 
 SIMULATION_VERTICES = 26
 """The sheet is subdivided as long as its longer side then has at most this many lattice intervals."""
 
+
+FACET_SIDE = 1000.0
+"""Side of a photo, in pixels, for which facets of FACET_MM are made; for smaller photos they may be coarser."""
 
 GLARE_LEVELS = 12
 """Display levels, of 255, between print black and print white below which a pixel counts as glare."""
@@ -92,7 +95,7 @@ def film_samples(seed: int, number: int, config: SampleConfig) -> Iterator[Sampl
     for k in range(config.photos_per_film):
         chosen = int(rng.integers(len(frames)))
         if chosen not in casters:
-            casters[chosen] = FilmCaster(frames[chosen].mesh)
+            casters[chosen] = FilmCaster(frames[chosen].mesh, FACET_MM * max(1.0, FACET_SIDE / config.size))
         scene = sample_scene(frames[chosen].mesh, (config.size, config.size), rng, config.scene)
         sample = _photograph(casters[chosen], film_print, levels, scene, room, rng, (config.map_size, config.map_size))
         sample.parameters.update(

@@ -22,10 +22,11 @@ to the print; the lattice is the finer, the more the film is a mirror.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import cv2
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Float32
 from scipy.interpolate import make_interp_spline
 
 from data_gen.gloss import Gloss, cross, dot, gloss, smith, unit
@@ -89,9 +90,7 @@ def seen_film(film: FilmMesh, camera_mm: Float[np.ndarray, "3"], n: int) -> Seen
 
     The bicubic surface through the vertices is a product of two interpolations: matrices, fast on fine lattices.
     """
-    t = film_centres_1d(n)
-    across, down = (make_interp_spline(x, np.eye(len(x))) for x in (film.u_lines, film.v_lines))
-    u, v, du, dv = (m.astype(np.float32) for m in (across(t), down(t), across(t, nu=1), down(t, nu=1)))
+    (u, du), (v, dv) = (_spline_matrices(tuple(lines.tolist()), n) for lines in (film.u_lines, film.v_lines))
     grid = np.ascontiguousarray(film.vertices.transpose(2, 0, 1), dtype=np.float32)
 
     def lattice(rows: np.ndarray, cols: np.ndarray) -> np.ndarray:
@@ -102,6 +101,13 @@ def seen_film(film: FilmMesh, camera_mm: Float[np.ndarray, "3"], n: int) -> Seen
     towards = dot(view, normals)[..., None]
     normals *= np.where(towards < 0, np.float32(-1), np.float32(1))
     return SeenFilm(points, normals, view, np.maximum(np.abs(towards), np.float32(0.01)))
+
+
+@lru_cache(maxsize=64)
+def _spline_matrices(lines: tuple[float, ...], n: int) -> tuple[Float32[np.ndarray, "n m"], Float32[np.ndarray, "n m"]]:
+    """What takes values on the m lattice lines of one axis to the cubic spline, and its slope, at n pixel centres."""
+    spline, t = make_interp_spline(np.array(lines), np.eye(len(lines))), film_centres_1d(n)
+    return spline(t).astype(np.float32), spline(t, nu=1).astype(np.float32)
 
 
 def room_from_film(light: Light) -> Float[np.ndarray, "3 3"]:

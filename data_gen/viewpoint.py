@@ -35,7 +35,7 @@ class ViewConfig:
 
     fov_deg: tuple[float, float] = (16.0, 68.0)
     fill: tuple[float, float] = (0.55, 0.97)
-    leave_share: float = 0.06
+    leave_share: float = 0.08
     tilt_deg: float = 17.0
     roll_deg: float = 14.0
     any_roll_share: float = 0.12

@@ -44,7 +44,7 @@ class BendConfig:
     max_iterations, tolerance: Newton's (StepConfig); a frame for a picture needs no more.
     """
 
-    frames: int = 9
+    frames: int = 7
     keep_from: int = 2
     max_angle_deg: float = 70.0
     soft_share: float = 0.5
