@@ -8,7 +8,7 @@ from enum import Enum
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
-from hybrid.backward import BackwardMap
+from hybrid.backward import BackwardMap, Orientation
 
 # ---------------------------------------------------------------- what the network sees
 
@@ -58,6 +58,15 @@ class SliceGrid:
                 raise ValueError(f"SliceGrid.{name}: got shape {got}; allowed: {expected}")
         if not 0.0 <= self.confidence <= 1.0:
             raise ValueError(f"SliceGrid.confidence: got {self.confidence}; allowed: [0, 1]")
+
+    def turned(self, way: Orientation) -> SliceGrid:
+        """The grid of the film read after it was moved as ``way`` says; see ``BackwardMap.turned``."""
+        vertices, photo = (
+            np.rot90(points[:, ::-1] if way.mirrored else points, -way.turns)
+            for points in (way.film_from_seen(self.vertices), self.vertices_photo)
+        )
+        rows, cols = photo.shape[0] - 1, photo.shape[1] - 1
+        return SliceGrid(rows, cols, vertices.copy(), photo.copy(), self.confidence)
 
 
 # ---------------------------------------------------------------- the result
@@ -114,6 +123,8 @@ class RectifyResult:
     rectified: (h, w, 3) uint8 sRGB: flat, light kept.
     backward: the map from film uv to photo points.
     grid: the slice grid, or None where none was found.
+    orientation: how the film had to be moved to read right: as it lay in the photo, mirrored first if it was seen from
+        behind, then turned. All other fields are of the film that reads right.
     glare: (h, w) bool, where nothing could be recovered.
     confidence: (h, w) float32 in [0, 1], how far the film can be trusted.
     """
@@ -124,6 +135,7 @@ class RectifyResult:
     rectified: UInt8[np.ndarray, "h w 3"] | None = field(default=None, repr=False)
     backward: BackwardMap | None = field(default=None, repr=False)
     grid: SliceGrid | None = field(default=None, repr=False)
+    orientation: Orientation | None = None
     glare: Bool[np.ndarray, "h w"] | None = field(default=None, repr=False)
     confidence: Float[np.ndarray, "h w"] | None = field(default=None, repr=False)
 

@@ -150,7 +150,7 @@ def test_an_undisturbed_view_is_the_sample(dataset):
 
 
 def kind_of_view(**shares) -> AugmentConfig:
-    return replace(AugmentConfig(), colours=False, **shares)
+    return replace(AugmentConfig(), **({"colours": False, "empty_share": 0.0} | shares))
 
 
 def test_a_view_shows_the_film_as_seen(dataset):
@@ -185,6 +185,15 @@ def test_the_orientation_of_a_view_undoes_its_turns(dataset):
         points = output_points(again, 64, STRIDE)[view.mask].astype(np.float64)
         uv = Orientation.from_index(view.orientation).film_from_seen(view.uv[view.mask].astype(np.float64))
         assert np.median(np.linalg.norm(film.photo_from_film(uv) - points, axis=-1)) < 0.1
+
+
+def test_some_views_show_no_film(dataset):
+    place = open_places([dataset])[0]
+    shares = [
+        training_view(place, 64, np.random.default_rng(seed), kind_of_view(empty_share=1.0)).mask.mean()
+        for seed in range(8)
+    ]
+    assert min(shares) == 0
 
 
 def test_flattened_views_hold_the_film_about_where_it_belongs(dataset):

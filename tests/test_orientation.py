@@ -5,6 +5,7 @@ import pytest
 
 from hybrid.backward import BackwardMap, Orientation, orientation
 from hybrid.coords import film_nodes
+from hybrid.records import SliceGrid
 
 
 def seen_map() -> BackwardMap:
@@ -45,3 +46,14 @@ def test_orientation_is_the_nearest_quarter_turn(roll_deg):
         quarter = np.linalg.matrix_power(np.array([[0, -1], [1, 0]]), extra)
         rolled = BackwardMap(flat.nodes @ (quarter @ rotation).T)
         assert orientation(rolled) == Orientation(-extra % 4, False)
+
+
+@pytest.mark.parametrize("index", range(8))
+def test_a_grid_turns_with_its_film(index):
+    way, seen = Orientation.from_index(index), seen_map()
+    vertices = film_nodes((4, 3))
+    grid = SliceGrid(3, 2, vertices, seen.photo_from_film(vertices), 0.9).turned(way)
+    film = seen.turned(way.turns, way.mirrored)
+    np.testing.assert_allclose(film.photo_from_film(grid.vertices), grid.vertices_photo, atol=1e-9)
+    assert (np.diff(grid.vertices[..., 0], axis=1) > 0).all()  # columns to the right, rows down, as ever
+    assert (np.diff(grid.vertices[..., 1], axis=0) > 0).all()

@@ -92,3 +92,17 @@ def test_network_maps_are_read_at_their_pixel_centres():
     np.testing.assert_allclose(read, backward.dense((20, 30))[..., 0], atol=0.5)  # remap's steps of 1/32 pixel
     outside = rectify_map(points[..., 0].astype(np.float32), points, backward.cropped((-9000.0, 0.0)), (20, 30))
     assert np.isnan(outside).all()
+
+
+def test_places_in_a_bent_grid_of_pixels_are_found():
+    """As in a view of a flattened film: perspective and a bend, and points some way outside."""
+    x, y = np.moveaxis(pixel_centres((32, 32)), -1, 0)
+    depth = 1 + 0.008 * x + 0.004 * y
+    points = np.dstack([(100 + 20 * x + 15 * np.sin(y / 9)) / depth, (50 + 22 * y) / depth])
+    column, row = index_in_grid(points, points[3:-3:2, 4:-4])
+    np.testing.assert_allclose(column, np.arange(4, 28)[None].repeat(13, 0), atol=0.01)
+    np.testing.assert_allclose(row, np.arange(3, 29, 2)[:, None].repeat(24, 1), atol=0.01)
+    beyond = points[0, 0] - 3 * (points[0, 1] - points[0, 0])
+    column, row = index_in_grid(points, beyond)
+    assert -5 < column < -2  # by the mean slope, not that of the rim
+    assert row == pytest.approx(0, abs=0.5)

@@ -21,6 +21,7 @@ from hybrid.learn.views import VIEW_NODES, film_view, output_points, plane_of, s
 class AugmentConfig:
     """How the view and the colours are varied.
 
+    empty_share: views without a film, where the photo has room for one: there is nothing to find in many a photo.
     whole_share: views that are windows of the photo, as in the first look. plane_share: views that flatten the film by
     a homography, as in the second; the others flatten it by a bent map. zoom: range of the windows' scale. roll_deg,
     shift: one sigma of their rotation and of their shift (in parts of their side). margin: around a flattened film.
@@ -28,6 +29,7 @@ class AugmentConfig:
     Every view is turned by any number of quarter turns and mirrored or not. colours: whether they are disturbed.
     """
 
+    empty_share: float = 0.04
     whole_share: float = 0.4
     plane_share: float = 0.3
     zoom: tuple[float, float] = (0.55, 1.25)
@@ -110,6 +112,8 @@ def random_view(
     film: BackwardMap, size: tuple[int, int], rng: np.random.Generator, config: AugmentConfig
 ) -> tuple[BackwardMap, float]:
     """A view of a film in a photo of ``size`` (height, width), and its weight."""
+    if rng.random() < config.empty_share and (view := _without_film(film, size, rng)) is not None:
+        return view.turned(int(rng.integers(4)), bool(rng.random() < 0.5)), WHOLE_WEIGHT
     kind = rng.random()
     if kind < config.whole_share:
         view = random_window(size, rng, config)
@@ -124,6 +128,18 @@ def random_view(
     return view.turned(int(rng.integers(4)), bool(rng.random() < 0.5)), (
         WHOLE_WEIGHT if kind < config.whole_share else FLATTENED_WEIGHT
     )
+
+
+def _without_film(film: BackwardMap, size: tuple[int, int], rng: np.random.Generator) -> BackwardMap | None:
+    """A window of the photo that shows no film, or None where a few tries find none."""
+    points = film.nodes.reshape(-1, 2)
+    for _ in range(12):
+        side = max(size) * rng.uniform(0.2, 0.5)
+        corner = rng.uniform(0, 1, 2) * (np.array([size[1], size[0]]) - side)
+        if not ((points > corner) & (points < corner + side)).all(axis=1).any():
+            x, y = (corner + side / 2).tolist()
+            return square_view((x, y), side)
+    return None
 
 
 def random_window(size: tuple[int, int], rng: np.random.Generator, config: AugmentConfig) -> BackwardMap:

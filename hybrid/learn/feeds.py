@@ -48,7 +48,7 @@ def _film_test(network: nn.Module, places: Sequence[Any], px: int, device: str) 
     kinds = {"whole": (1.0, 0.0), "plane": (0.0, 1.0), "bent": (0.0, 0.0)}
     row: dict[str, float] = {}
     for kind, (whole, plane) in kinds.items():
-        augment = replace(AugmentConfig(), whole_share=whole, plane_share=plane, colours=False)
+        augment = replace(AugmentConfig(), whole_share=whole, plane_share=plane, empty_share=0.0, colours=False)
         rng = np.random.default_rng(0)
         scores = []
         for start in range(0, len(places), TEST_BATCH):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypeVar
 
 import torch
 from jaxtyping import Float
@@ -10,6 +11,8 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from hybrid.coords import film_centres_1d
+
+Network = TypeVar("Network", bound=nn.Module)
 
 STRIDE = 4
 """Input pixels per output pixel and axis: the uv map varies slowly, so a quarter of the resolution loses nothing."""
@@ -122,8 +125,8 @@ def view_coordinates(maps: Float[Tensor, "b c h w"]) -> Float[Tensor, "b 2 h w"]
     return torch.stack([x.expand(h, w), y[:, None].expand(h, w)]).expand(len(maps), 2, h, w)
 
 
-def fused(network: FilmNet) -> FilmNet:
-    """The network for inference: batch normalisation folded into the convolutions, channels last, no gradients."""
+def fused(network: Network) -> Network:
+    """A network for inference: batch normalisation folded into the convolutions, channels last, no gradients."""
     network = network.eval().requires_grad_(False)
     for module in network.modules():
         if isinstance(module, nn.Sequential):

@@ -11,11 +11,11 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 import torch
-from jaxtyping import Float, Int64
+from jaxtyping import Float, Int64, UInt8
 from torch import Tensor, nn
 from torch.nn import functional
 
-from hybrid.backward import Orientation
+from hybrid.backward import BackwardMap, Orientation
 
 
 @dataclass(frozen=True)
@@ -85,13 +85,24 @@ def standardised(film: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
     return np.clip((grey - mean) / np.sqrt(spread + 1e-4), -4, 4)
 
 
+@dataclass(frozen=True)
+class UprightConfig:
+    """min_probability: a film is turned or mirrored only if the network is as sure as this; most films lie right."""
+
+    min_probability: float = 0.9
+
+
 @torch.inference_mode()
-def read_orientation(network: UprightNet, film: Float[np.ndarray, "h w"]) -> tuple[Orientation, float]:
-    """What makes a flattened film (display grey in [0, 1]) read right, and the probability that it is so."""
-    scale = network.config.film_px / max(film.shape)
-    if scale < 1:
-        size = (max(32, round(film.shape[1] * scale)), max(32, round(film.shape[0] * scale)))
-        film = cv2.resize(film, size, interpolation=cv2.INTER_AREA)
-    chance = functional.softmax(network(torch.from_numpy(standardised(film))[None, None]), dim=1)[0]
+def read_orientation(network: UprightNet, film: UInt8[np.ndarray, "h w 3"]) -> tuple[Orientation, float]:
+    """What makes a flattened film (sRGB) read right, and the probability that it is so."""
+    grey = cv2.cvtColor(film, cv2.COLOR_RGB2GRAY).astype(np.float32) / 255
+    chance = functional.softmax(network(torch.from_numpy(standardised(grey))[None, None]), dim=1)[0]
     best = int(chance.argmax())
     return Orientation.from_index(best), float(chance[best])
+
+
+def reading_size(film: BackwardMap, config: UprightNetConfig) -> tuple[int, int]:
+    """Size (h, w) at which a film is read: the photo's own, but no more than the network is used to."""
+    down, across = film.mean_film_pixels()
+    scale = min(1.0, config.film_px / max(down, across))
+    return max(64, round(down * scale)), max(64, round(across * scale))

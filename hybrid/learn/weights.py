@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import asdict, fields
 from importlib.resources import as_file, files
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import torch
 from safetensors import SafetensorError, safe_open
@@ -16,10 +16,8 @@ from torch import Tensor, nn
 
 from hybrid.coords import CONVENTIONS_VERSION
 from hybrid.errors import DataError, describe
-from hybrid.learn.network import FilmNet, FilmNetConfig
+from hybrid.learn.network import FilmNet, FilmNetConfig, Network
 from hybrid.learn.upright import UprightNet, UprightNetConfig
-
-Network = TypeVar("Network", bound=nn.Module)
 
 
 def save_weights(path: Path, network: nn.Module, config: Any, notes: dict[str, Any]) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
 from hybrid.backward import BackwardMap, spline_weights
-from hybrid.coords import film_centres_1d, opencv_from_photo
+from hybrid.coords import film_centres_1d, opencv_from_photo, photo_from_opencv, sample_bilinear
 
 KEPT_DENSITY = 1.6
 """Photo pixels per film pixel, along an axis, that are left for cubic interpolation where the photo is averaged down.
@@ -63,7 +63,7 @@ def rectify_map(
     backward: BackwardMap,
     size: tuple[int, int],
 ) -> Float[np.ndarray, "gh gw"]:
-    """A map of the network's, with pixels at ``photo_points`` (a regular grid), in film space; NaN where unknown."""
+    """A map of the network's, with pixels at ``photo_points``, in film space; NaN where unknown."""
     column, row = index_in_grid(photo_points, backward.dense(size).astype(np.float64))
     return cv2.remap(
         values.astype(np.float32),
@@ -76,14 +76,25 @@ def rectify_map(
 
 
 def index_in_grid(
-    photo_points: Float[np.ndarray, "h w 2"], points: Float[np.ndarray, "*n 2"]
+    photo_points: Float[np.ndarray, "h w 2"], points: Float[np.ndarray, "*n 2"], iterations: int = 8
 ) -> tuple[Float[np.ndarray, "*n"], Float[np.ndarray, "*n"]]:
-    """Fractional (column, row) of photo points in a map whose pixel centres lie at ``photo_points``, a regular grid."""
+    """Fractional (column, row) of photo points in a map whose pixel centres lie at ``photo_points``.
+
+    Exact at once where these are a regular grid, as of a window of the photo; a view of the film that is flattened by a
+    map bends them, and a few corrections by the grid's mean slope follow that. Beyond the grid it goes on linearly.
+    """
     corners = photo_points.astype(np.float64)
-    origin = corners[0, 0]
-    across = (corners[0, -1] - origin) / (corners.shape[1] - 1)
-    down = (corners[-1, 0] - origin) / (corners.shape[0] - 1)
-    index = (points - origin) @ np.linalg.inv(np.stack([across, down], axis=1)).T
+    origin, last = corners[0, 0], np.array(corners.shape[1::-1]) - 1
+    slope = np.stack([(corners[0, -1] - origin) / last[0], (corners[-1, 0] - origin) / last[1]], axis=1)
+    back = np.linalg.inv(slope).T
+    flat = points.reshape(1, -1, 2)
+    index = (flat - origin) @ back
+    for _ in range(iterations):
+        inside = np.clip(index, 0, last)
+        at = photo_from_opencv(inside)
+        seen = np.dstack([sample_bilinear(np.ascontiguousarray(corners[..., k], np.float32), at) for k in range(2)])
+        index = index + (flat - seen - (index - inside) @ slope.T) @ back
+    index = index.reshape(points.shape)
     return index[..., 0], index[..., 1]
 
 
