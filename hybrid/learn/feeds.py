@@ -1,4 +1,7 @@
-"""Feeds: where a network's batches come from, and how it is tested. Batches are pure functions of places and a seed."""
+"""Feeds: where a network's batches come from, how it is tested and what it is shown to do.
+
+Batches are pure functions of places and a seed.
+"""
 
 from __future__ import annotations
 
@@ -15,6 +18,7 @@ from hybrid.learn.data import AugmentConfig, batch_of, training_view
 from hybrid.learn.losses import Targets, masked_mean
 from hybrid.learn.paper_data import PaperView, paper_batch
 from hybrid.learn.paper_targets import PaperTargets
+from hybrid.learn.pictures import PICTURE_VIEWS, Picture, lines_of_backward, lines_of_uv, sample_sheet
 from hybrid.learn.samples import open_places
 from hybrid.learn.upright_data import PrintAugment, print_paths, read_print, upright_view
 
@@ -32,6 +36,7 @@ class Feed:
     open: Callable[[Sequence[Path]], list[Any]]
     batch: Callable[[Sequence[Any], int, np.random.Generator], tuple[Tensor, Any]]
     test: Callable[[nn.Module, Sequence[Any], int, str], dict[str, float]]
+    picture: Callable[[nn.Module, Sequence[Any], int, str], Picture] | None = None
 
 
 # ---------------------------------------------------------------- FilmNet
@@ -72,7 +77,22 @@ def _film_scores(network: nn.Module, images: Tensor, targets: Targets, device: s
     return torch.stack([error, overlap, (guess == targets.orientation).float()], dim=1).numpy()
 
 
-FILM_FEED = Feed(open_places, _film_batch, _film_test)
+@torch.inference_mode()
+def _film_picture(network: nn.Module, places: Sequence[Any], px: int, device: str) -> Picture:
+    """Whole photos, then films that a bent map has flattened, each with the lines of its uv map."""
+    rng, views = np.random.default_rng(0), []
+    for k, place in enumerate(places[:PICTURE_VIEWS]):
+        whole = 1.0 if k < PICTURE_VIEWS // 2 else 0.0
+        views.append(training_view(place, px, rng, replace(_UNDISTURBED, whole_share=whole, plane_share=0.0)))
+    images, targets = batch_of(views)
+    output = network(images.to(device))
+    true = [lines_of_uv(*pair) for pair in zip(targets.uv, targets.mask, strict=True)]
+    return sample_sheet(images, true, [lines_of_uv(*p) for p in zip(output.uv, output.mask_logit > 0, strict=True)])
+
+
+_UNDISTURBED = replace(AugmentConfig(), colours=False)
+
+FILM_FEED = Feed(open_places, _film_batch, _film_test, _film_picture)
 
 
 # ---------------------------------------------------------------- the paper's networks
@@ -96,10 +116,13 @@ def paper_feed(nodes: Callable[[int], int], inputs: Callable[[Tensor, Any], Tens
             rows.append(_paper_scores(output, targets))
         return {name: float(np.mean([row[name] for row in rows])) for name in rows[0]}
 
-    return Feed(open_places, batch, test)
+    @torch.inference_mode()
+    def picture(network: nn.Module, places: Sequence[Any], px: int, device: str) -> Picture:
+        view = PaperView(px, nodes(px))
+        images, targets = paper_batch(places[:PICTURE_VIEWS], view, np.random.default_rng(0), _UNDISTURBED)
+        return _paper_picture(images, targets, network(inputs(images.to(device), targets.to(device))))
 
-
-_UNDISTURBED = replace(AugmentConfig(), colours=False)
+    return Feed(open_places, batch, test, picture)
 
 
 def _paper_scores(output: Any, targets: PaperTargets) -> dict[str, float]:
@@ -113,6 +136,20 @@ def _paper_scores(output: Any, targets: PaperTargets) -> dict[str, float]:
         error = (output.xyz.cpu() - targets.xyz).norm(dim=1)
         row["test_xyz_percent"] = 100 * float(masked_mean(error, targets.mask))
     return row
+
+
+def _paper_picture(images: Tensor, targets: PaperTargets, output: Any) -> Picture:
+    """Lines of the predicted uv map, else of the backward map; the true ones alone for a network with neither."""
+    uv, backward = getattr(output, "uv", None), getattr(output, "backward", None)
+    if uv is None and backward is not None:
+        return sample_sheet(
+            images, *([lines_of_backward(one) for one in maps] for maps in (targets.backward, backward))
+        )
+    logit = getattr(output, "mask_logit", None)
+    masks = targets.mask if logit is None else logit > 0
+    true = [lines_of_uv(*pair) for pair in zip(targets.uv, targets.mask, strict=True)]
+    found = [[]] * len(images) if uv is None else [lines_of_uv(*pair) for pair in zip(uv, masks, strict=True)]
+    return sample_sheet(images, true, found)
 
 
 # ---------------------------------------------------------------- UprightNet

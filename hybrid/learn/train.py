@@ -23,6 +23,7 @@ from torch.utils.data import DataLoader, Dataset
 from tqdm import tqdm
 
 from hybrid.errors import ConfigError, describe
+from hybrid.image_io import write_rgb
 from hybrid.learn.presets import Preset, preset, weighted_sum
 from hybrid.learn.weights import load_into, save_weights
 
@@ -36,8 +37,8 @@ class TrainConfig:
     input_px: side of the network's input, if not the preset's. start: weights to start from, as for fine-tuning.
     passes: images shown in all. coarse_share: share of them shown at ``coarse_px``, which costs less, before the rest
     at the network's own input size (networks with one input size only: none). held_out: the first samples of the data,
-    only tested on. batch, learning_rate: of AdamW with one cosine cycle and a warm-up, if not the preset's.
-    ema: decay of the averaged weights, which are the ones saved. loaders: processes that prepare views.
+    only tested on (0: no tests). batch, learning_rate: of AdamW with one cosine cycle and a warm-up, if not the
+    preset's. ema: decay of the averaged weights, which are the ones saved. loaders: processes that prepare views.
     device: cpu or cuda.
     """
 
@@ -133,7 +134,7 @@ class _Batches(Dataset):
 
 
 def train(config: TrainConfig) -> None:
-    """Run or resume a training; writes ``PRESET.safetensors``, ``curves.csv`` and ``checkpoint.pt`` to ``out``.
+    """Run or resume a training; writes ``PRESET.safetensors``, ``checkpoint.pt``, ``curves.csv`` and ``samples.png``.
 
     Raises:
         ConfigError: an option that cannot be; fewer samples than are held out. DataError: data that cannot be read.
@@ -169,12 +170,22 @@ def _run(state: _State, loader: DataLoader, held_out: list[Any]) -> None:
                 continue
             last = state.step == plan.steps
             if state.step % config.steps_per_test == 0 or last:
-                figures = plan.preset.feed.test(state.averaged, held_out, plan.preset.config.input_px, config.device)
+                figures = _test(state, held_out)
                 _log(config.out / "curves.csv", {"passes": state.step * plan.batch} | terms | figures)
                 bar.set_postfix({name.removeprefix("test_"): f"{value:.3g}" for name, value in figures.items()})
             if time.monotonic() - saved > 60 * config.minutes_per_save or last:
                 state.save()
                 saved = time.monotonic()
+
+
+def _test(state: _State, held_out: list[Any]) -> dict[str, float]:
+    """Figures of the averaged network on the samples held out; writes what it makes of some of them."""
+    config, feed, px = state.plan.config, state.plan.preset.feed, state.plan.preset.config.input_px
+    if not held_out:
+        return {}
+    if feed.picture is not None:
+        write_rgb(config.out / "samples.png", feed.picture(state.averaged, held_out, px, config.device))
+    return feed.test(state.averaged, held_out, px, config.device)
 
 
 class _State:

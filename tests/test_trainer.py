@@ -1,0 +1,95 @@
+"""The trainer's honesty: averages, several processes, samples shown, one sample learnt by heart."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+
+import data_gen.generate
+import data_gen.work
+from data_gen.generate import GenerateConfig, generate
+from hybrid.image_io import read_photo
+from hybrid.learn import train as train_module
+from hybrid.learn.network import FilmNet, FilmNetConfig
+from hybrid.learn.presets import PRESETS
+from hybrid.learn.train import TrainConfig, train
+from hybrid.learn.weights import load_weights
+from tests.simple_samples import CONFIG, simple_film
+
+ROOT = Path(__file__).parents[1]
+TINY = FilmNetConfig(widths=(4, 8, 8, 8), blocks=(1, 1, 1), input_px=64)
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory):
+    """Twelve samples of rolled sheets."""
+    out = tmp_path_factory.mktemp("data")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(data_gen.work, "film_samples", simple_film)
+        patch.setattr(data_gen.generate, "write_card", lambda folder: None)
+        generate(GenerateConfig(count=12, out=out, size=48, map_size=32, workers=0, shard_size=6, sample=CONFIG))
+    return out
+
+
+@pytest.fixture
+def tiny(monkeypatch):
+    """The preset of FilmNet, of a size for tests."""
+    monkeypatch.setitem(PRESETS, "filmnet", replace(PRESETS["filmnet"], config=TINY, batch=4))
+
+
+def quick_run(dataset: Path, out: Path, **options) -> TrainConfig:
+    short = {"passes": 16, "held_out": 2, "loaders": 0, "steps_per_test": 4, "minutes_per_save": 0.0}
+    return TrainConfig(**{"data": (dataset,), "out": out} | short | options)
+
+
+# ---------------------------------------------------------------- tests on the way
+
+
+@pytest.mark.usefixtures("tiny")
+def test_every_test_shows_samples(dataset, tmp_path):
+    train(quick_run(dataset, tmp_path, held_out=9))
+    assert read_photo(tmp_path / "samples.png").std() > 10
+
+
+@pytest.mark.parametrize("name", ["firenet_uv_only", "dewarpnet_shape", "net_bw"])
+def test_the_papers_networks_show_samples(dataset, name):
+    chosen = PRESETS[name].at_width(0.03).at_input(128)
+    feed = chosen.feed
+    assert feed.picture is not None
+    picture = feed.picture(chosen.network().eval(), feed.open([dataset])[:3], 128, "cpu")
+    assert picture.std() > 10
+
+
+@pytest.mark.usefixtures("tiny")
+def test_a_training_without_held_out_samples_is_not_tested(dataset, tmp_path):
+    train(quick_run(dataset, tmp_path, held_out=0))
+    assert "test_" not in (tmp_path / "curves.csv").read_text()
+    assert (tmp_path / "filmnet.safetensors").exists()
+
+
+# ---------------------------------------------------------------- averaged weights
+
+
+@pytest.mark.usefixtures("tiny")
+def test_the_saved_weights_are_the_average_over_the_steps(dataset, tmp_path, monkeypatch):
+    """a_k = d a_(k-1) + (1 - d) w_k with d = min(ema, (1 + k) / (10 + k)), from a_0 = w_0."""
+    original, states = train_module._State.update, []
+
+    def recorded(self, images, targets):
+        if not states:
+            states.append(self.network.head.weight.detach().clone())
+        terms = original(self, images, targets)
+        states.append(self.network.head.weight.detach().clone())
+        return terms
+
+    monkeypatch.setattr(train_module._State, "update", recorded)
+    train(quick_run(dataset, tmp_path, passes=24, ema=0.3))
+    average = states[0]
+    for k, weights in enumerate(states[1:], start=1):
+        decay = min(0.3, (1 + k) / (10 + k))
+        average = decay * average + (1 - decay) * weights
+    saved = load_weights(tmp_path / "filmnet.safetensors", FilmNet, FilmNetConfig).head.weight
+    torch.testing.assert_close(saved, average, atol=1e-4, rtol=1e-3)  # stored in half precision
