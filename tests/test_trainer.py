@@ -2,22 +2,29 @@
 
 from __future__ import annotations
 
+import os
+import socket
+import subprocess
+import sys
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import torch
+from simple_samples import CONFIG, simple_film
 
 import data_gen.generate
 import data_gen.work
 from data_gen.generate import GenerateConfig, generate
+from hybrid.errors import ConfigError
 from hybrid.image_io import read_photo
 from hybrid.learn import train as train_module
+from hybrid.learn.firenet import FiReNet, FiReNetConfig
 from hybrid.learn.network import FilmNet, FilmNetConfig
 from hybrid.learn.presets import PRESETS
-from hybrid.learn.train import TrainConfig, train
+from hybrid.learn.train import Rank, TrainConfig, train
 from hybrid.learn.weights import load_weights
-from tests.simple_samples import CONFIG, simple_film
 
 ROOT = Path(__file__).parents[1]
 TINY = FilmNetConfig(widths=(4, 8, 8, 8), blocks=(1, 1, 1), input_px=64)
@@ -93,3 +100,48 @@ def test_the_saved_weights_are_the_average_over_the_steps(dataset, tmp_path, mon
         average = decay * average + (1 - decay) * weights
     saved = load_weights(tmp_path / "filmnet.safetensors", FilmNet, FilmNetConfig).head.weight
     torch.testing.assert_close(saved, average, atol=1e-4, rtol=1e-3)  # stored in half precision
+
+
+# ---------------------------------------------------------------- several processes
+
+
+def in_two_processes(dataset: Path, out: Path, *options: str) -> subprocess.CompletedProcess[str]:
+    """``hybrid train`` of a tiny network under torchrun on this machine."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    launcher = ["torch.distributed.run", "--nproc-per-node=2", "--master-addr=127.0.0.1", f"--master-port={port}"]
+    network = ["--preset", "firenet_uv_only", "--width", "0.03", "--input-px", "64", "--held-out", "2"]
+    speed = ["--loaders", "0", "--steps-per-test", "2", "--minutes-per-save", "0"]
+    command = ["hybrid.cli", "train", "--data", str(dataset), "--out", str(out), *network, *speed, *options]
+    return subprocess.run(
+        [sys.executable, "-m", *launcher, "-m", *command],
+        env=os.environ | {"OMP_NUM_THREADS": "1", "PYTHONPATH": str(ROOT), "GLOO_SOCKET_IFNAME": "lo"},
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=300,
+    )
+
+
+def test_two_processes_train_one_network_and_resume(dataset, tmp_path):
+    for passes, rows in ((8, 1), (16, 2)):
+        done = in_two_processes(dataset, tmp_path, "--batch", "4", "--passes", str(passes))
+        assert done.returncode == 0, done.stderr[-3000:]
+        assert {path.name for path in tmp_path.iterdir()} == {
+            "checkpoint.pt",
+            "curves.csv",
+            "firenet_uv_only.safetensors",
+            "samples.png",
+        }
+        assert torch.load(tmp_path / "checkpoint.pt", weights_only=True)["step"] == passes // 4
+        assert len((tmp_path / "curves.csv").read_text().splitlines()) == 1 + rows
+        network = load_weights(tmp_path / "firenet_uv_only.safetensors", FiReNet, FiReNetConfig)
+        assert all(bool(torch.isfinite(value).all()) for value in network.state_dict().values())
+
+
+@pytest.mark.usefixtures("tiny")
+def test_a_batch_that_the_processes_cannot_share_is_refused(dataset, tmp_path, monkeypatch):
+    monkeypatch.setattr(train_module, "_processes", lambda device: nullcontext(Rank(0, 3)))
+    with pytest.raises(ConfigError, match="multiples of the 3 processes"):
+        train(quick_run(dataset, tmp_path))

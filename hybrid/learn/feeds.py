@@ -23,6 +23,7 @@ from hybrid.learn.samples import open_places
 from hybrid.learn.upright_data import PrintAugment, print_paths, read_print, upright_view
 
 TEST_BATCH = 32
+_UNDISTURBED = replace(AugmentConfig(), empty_share=0.0, colours=False)
 
 
 @dataclass(frozen=True)
@@ -31,6 +32,7 @@ class Feed:
 
     open: the places (samples, or prints) of some folders. batch: images and targets of some places for an input of so
     many pixels, disturbed at random. test: figures of a network on places that it was not trained on, by name.
+    picture: the network on some of these places, drawn; None where there is nothing to draw.
     """
 
     open: Callable[[Sequence[Path]], list[Any]]
@@ -53,7 +55,7 @@ def _film_test(network: nn.Module, places: Sequence[Any], px: int, device: str) 
     kinds = {"whole": (1.0, 0.0), "plane": (0.0, 1.0), "bent": (0.0, 0.0)}
     row: dict[str, float] = {}
     for kind, (whole, plane) in kinds.items():
-        augment = replace(AugmentConfig(), whole_share=whole, plane_share=plane, empty_share=0.0, colours=False)
+        augment = replace(_UNDISTURBED, whole_share=whole, plane_share=plane)
         rng = np.random.default_rng(0)
         scores = []
         for start in range(0, len(places), TEST_BATCH):
@@ -89,8 +91,6 @@ def _film_picture(network: nn.Module, places: Sequence[Any], px: int, device: st
     true = [lines_of_uv(*pair) for pair in zip(targets.uv, targets.mask, strict=True)]
     return sample_sheet(images, true, [lines_of_uv(*p) for p in zip(output.uv, output.mask_logit > 0, strict=True)])
 
-
-_UNDISTURBED = replace(AugmentConfig(), colours=False)
 
 FILM_FEED = Feed(open_places, _film_batch, _film_test, _film_picture)
 

@@ -146,6 +146,9 @@ def train(config: TrainConfig) -> None:
         raise ConfigError(describe(what="train", got=got, allowed=allowed, do="Make more data."))
     config.out.mkdir(parents=True, exist_ok=True)
     with _processes(config.device) as rank:
+        if plan.batch % rank.count:
+            got, allowed = f"{plan.batch} images", f"multiples of the {rank.count} processes"
+            raise ConfigError(describe(what="batch", got=got, allowed=allowed, do="Choose another --batch."))
         state = _State(plan, rank)
         loader = DataLoader(
             _Batches(plan, places[config.held_out :], rank),
