@@ -16,10 +16,10 @@ from jaxtyping import Float
 
 from data_gen.gloss import ALBEDO_COSINES, gloss
 from data_gen.lamps import Lamp
-from data_gen.lighting import Material
+from data_gen.lighting import Material, room_from_film
 from data_gen.rooms import Environment, sample_environment
 from data_gen.scene import Scene
-from data_gen.shade import light_box_lamp, room_from_film
+from data_gen.shade import light_box_lamp
 from hybrid.coords import film_centres, node_centres_1d
 from hybrid.mesh.camera import Camera
 from hybrid.mesh.film import FilmMesh, lattice_triangles

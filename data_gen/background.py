@@ -11,9 +11,11 @@ import numpy as np
 from jaxtyping import Float
 
 from data_gen.ground import Ground, film_shade, ground_below, ground_light, ground_material, place_things
+from data_gen.lamps import lamp_seen
+from data_gen.lighting import room_from_film
 from data_gen.rooms import FilteredEnvironment, sample_environment
 from data_gen.scene import Scene
-from data_gen.shade import light_box_lamp, room_from_film
+from data_gen.shade import light_box_lamp
 from hybrid.coords import film_centres
 from hybrid.mesh.camera import Camera
 from hybrid.mesh.film import FilmMesh
@@ -53,13 +55,18 @@ def _environment_pixel(camera: Camera, room: FilteredEnvironment) -> float:
 def _room(
     scene: Scene, camera: Camera, film: FilmMesh, room: FilteredEnvironment, base: np.ndarray
 ) -> Float[np.ndarray, "h w 3"]:
-    """The environment itself."""
+    """The environment, and the lamps that stand farther away than the film."""
     small = camera.resized((max(4, camera.size[0] // 4), max(4, camera.size[1] // 4)))
-    rays = (small.pixel_rays() @ camera.camera_from_world[:3, :3] @ room_from_film(scene.light).T).astype(np.float32)
+    rays = (small.pixel_rays() @ camera.camera_from_world[:3, :3]).astype(np.float32)
     rays = cv2.resize(rays, camera.size[::-1], interpolation=cv2.INTER_LINEAR)
-    return sample_environment(room.environment, rays / np.linalg.norm(rays, axis=-1, keepdims=True)) * np.float32(
-        scene.light.front
-    )
+    rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
+    turn = room_from_film(scene.light).T.astype(np.float32)
+    picture = sample_environment(room.environment, rays @ turn) * np.float32(scene.light.front)
+    farther = camera.camera_points(film.vertices.reshape(-1, 3))[:, 2].max()
+    for lamp in (one.placed(camera.centre_world) for one in scene.light.lamps):
+        if camera.camera_points(np.array([lamp.centre_mm]))[0, 2] > farther:
+            picture[lamp_seen(lamp, np.broadcast_to(camera.centre_world, rays.shape), rays)] = lamp.radiance
+    return picture
 
 
 def _dark(

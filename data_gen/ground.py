@@ -12,10 +12,10 @@ from data_gen._clutter import ON_PANEL, ON_TABLE, ON_WALL, PX_PER_MM, VARIANTS, 
 from data_gen._materials import TILE, tile
 from data_gen.backdrop import Backdrop
 from data_gen.lamps import surface_irradiance, vector_irradiance
+from data_gen.lighting import room_from_film
 from data_gen.patches import Box, blurred, filled, frame_box
 from data_gen.rooms import FilteredEnvironment, sample_filtered, sample_irradiance
 from data_gen.scene import Scene
-from data_gen.shade import room_from_film
 from hybrid.coords import centres_1d, film_centres, node_centres_1d, opencv_from_photo
 from hybrid.mesh.camera import Camera
 from hybrid.mesh.film import FilmMesh

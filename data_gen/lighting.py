@@ -98,6 +98,15 @@ class Light:
         return np.array([0.0, 0.0, -1.0] if self.lying else [0.0, -1.0, 0.0])
 
 
+def room_from_film(light: Light) -> Float[np.ndarray, "3 3"]:
+    """Rotation from the film's world (x right, y down, z away) to the room's (z up)."""
+    upright = np.array([[1.0, 0, 0], [0, 0, 1.0], [0, -1.0, 0]])  # down is the floor, away is horizontal
+    lying = np.array([[1.0, 0, 0], [0, -1.0, 0], [0, 0, -1.0]])  # away is the floor
+    turn = np.deg2rad(light.turn_deg)
+    azimuth = np.array([[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1]])
+    return azimuth @ (lying if light.lying else upright)
+
+
 # ---------------------------------------------------------------- at random
 
 

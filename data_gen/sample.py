@@ -14,11 +14,12 @@ from data_gen.composite import PrintLevels, at_photo_scale, composite, on_film, 
 from data_gen.develop import develop, displayed
 from data_gen.patches import hidden_share, put_over
 from data_gen.prints import FilmPrint, PrintConfig, make_print
-from data_gen.rooms import prefilter
+from data_gen.rooms import FilteredEnvironment, prefilter
 from data_gen.scene import Scene, SceneConfig, sample_scene
-from data_gen.shade import FilmLight, film_light
+from data_gen.shade import FilmLight, light_before, light_through, lit_film, room_behind
 from data_gen.sources import SourceConfig, draw_environment, draw_volume
-from data_gen.surroundings import surroundings
+from data_gen.surroundings import Surroundings, surroundings
+from data_gen.through import behind_film
 from data_gen.viewpoint import view_parameters
 from hybrid.backward import BackwardMap
 from hybrid.coords import film_centres_1d
@@ -105,15 +106,13 @@ def film_samples(seed: int, number: int, config: SampleConfig) -> Iterator[Sampl
 
 
 def _photograph(
-    caster: FilmCaster, film_print: FilmPrint, levels: PrintLevels, scene: Scene, room: Any, rng: np.random.Generator,
-    map_size: tuple[int, int],
+    caster: FilmCaster, film_print: FilmPrint, levels: PrintLevels, scene: Scene, room: FilteredEnvironment,
+    rng: np.random.Generator, map_size: tuple[int, int],
 ) -> Sample:  # fmt: skip
     """One photo of a bent film."""
     film, camera = caster.film, scene.camera
-    light = film_light(film, scene, room)
+    light, around = _lit(film, scene, room, float(np.median(levels.reflectance[-1])))
     backward = true_backward_map(film, camera)
-    base = np.median(light.veil + light.gain * np.median(levels.reflectance[-1]), axis=(0, 1))
-    around = surroundings(scene, film, room, base)
     reflectance = at_photo_scale(levels.reflectance, backward.mean_film_pixels())
     seen = caster.annotate(camera.resized(map_size))
     view = caster.view(camera, seen if camera.size == map_size else None)
@@ -141,6 +140,21 @@ def _photograph(
         | {"print": film_print.parameters, "rows": film_print.rows, "cols": film_print.cols, "style": film_print.style}
         | {"view": view_parameters(film, camera, backward), "film_light": _light_statistics(light, maps, glare)},
     )
+
+
+def _lit(film: FilmMesh, scene: Scene, room: FilteredEnvironment, grey: float) -> tuple[FilmLight, Surroundings]:
+    """Light that leaves the film, and all around it, which shines and shows through the film but for a light box.
+
+    grey: the print's usual reflectance. A dark background follows what the film shows without it.
+    """
+    lit = lit_film(film, scene)
+    light = light_before(lit, room)
+    if scene.light.box:
+        light = light + light_through(lit, room_behind(lit, room))
+    around = surroundings(scene, film, room, np.median(light.veil + light.gain * np.float32(grey), axis=(0, 1)))
+    if not scene.light.box:
+        light = light + light_through(lit, behind_film(lit, room, around.behind))
+    return light, around
 
 
 def _albedo(

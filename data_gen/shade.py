@@ -22,28 +22,19 @@ to the print; the lattice is the finer, the more the film is a mirror.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import cv2
 import numpy as np
-from jaxtyping import Float, Float32
-from scipy.interpolate import make_interp_spline
+from jaxtyping import Float
 
-from data_gen.gloss import Gloss, cross, dot, gloss, smith, unit
-from data_gen.gloss import fresnel as fresnel_reflectance
-from data_gen.lamps import Lamp, highlight, lamp_seen, surface_irradiance, vector_irradiance
-from data_gen.lighting import Light, LightBox, Material
-from data_gen.rooms import (
-    FilteredEnvironment,
-    directions,
-    sample_environment,
-    sample_filtered,
-    sample_irradiance,
-    solid_angles,
-)
+from data_gen.gloss import Gloss, dot, gloss
+from data_gen.lamps import Lamp, lamp_seen, surface_irradiance, vector_irradiance
+from data_gen.lighting import LightBox, Material, room_from_film
+from data_gen.reflections import lamp_highlight, reflection
+from data_gen.rooms import FilteredEnvironment, sample_environment, sample_irradiance
 from data_gen.scene import Scene
+from data_gen.seen_film import SeenFilm, seen_film
 from data_gen.shadows import film_shadow
-from hybrid.coords import film_centres_1d
 from hybrid.mesh.film import FilmMesh
 
 SMOOTH_LATTICE = 48
@@ -63,85 +54,88 @@ class FilmLight:
     gain: Float[np.ndarray, "n n 3"]
     veil: Float[np.ndarray, "n n 3"]
 
+    def __add__(self, other: FilmLight) -> FilmLight:
+        return FilmLight(self.gain + other.gain, self.veil + other.veil)
+
+
+Sources = tuple[tuple[Lamp, ...], tuple[Lamp, LightBox] | None]
+"""The lamps of a scene, in the film's world, and its light box with the rectangle that it shines from."""
+
 
 @dataclass(frozen=True, eq=False)
-class SeenFilm:
-    """A lattice of film points as one camera sees them; float32.
+class LitFilm:
+    """The film of a scene, ready to be lit from either side.
 
-    points: mm. normals: unit, of the side that is seen. view: unit, towards the camera. cosine: between those two.
+    film: bent. smooth: the points at which matt light is evaluated. fine: those of reflections, n x n. surface: its
+    gloss. sources: near it. inside: (m, m, 1) share of even light that comes out through the surface, on the smooth
+    points. shadow: (n, n, 1) factor on matt light.
     """
 
-    points: Float[np.ndarray, "m n 3"]
-    normals: Float[np.ndarray, "m n 3"]
-    view: Float[np.ndarray, "m n 3"]
-    cosine: Float[np.ndarray, "m n 1"]
+    film: FilmMesh
+    scene: Scene
+    smooth: SeenFilm
+    fine: SeenFilm
+    surface: Gloss
+    sources: Sources
+    inside: Float[np.ndarray, "m m 1"]
+    shadow: Float[np.ndarray, "n n 1"]
 
-    @property
-    def mirror(self) -> Float[np.ndarray, "m n 3"]:
-        """Unit directions from which a mirror would send light to the camera."""
-        return 2 * self.cosine * self.normals - self.view
-
-    def part(self, rows: slice, cols: slice) -> SeenFilm:
-        return SeenFilm(*(getattr(self, name)[rows, cols] for name in ("points", "normals", "view", "cosine")))
+    def matt(self, values: Float[np.ndarray, "m m 3"]) -> Float[np.ndarray, "n n 3"]:
+        """Matt light on the fine points, shadows in it."""
+        size = self.shadow.shape[1::-1]
+        return cv2.resize(values.astype(np.float32), size, interpolation=cv2.INTER_LINEAR) * self.shadow
 
 
-def seen_film(film: FilmMesh, camera_mm: Float[np.ndarray, "3"], n: int) -> SeenFilm:
-    """The n x n lattice of film pixel centres on the smooth (bicubic) film, seen from ``camera_mm``.
+@dataclass(frozen=True, eq=False)
+class Behind:
+    """What reaches the film's far side.
 
-    The bicubic surface through the vertices is a product of two interpolations: matrices, fast on fine lattices.
+    straight: (k, k, 3) radiance that a clear film shows, over the film. irradiance: (m, m, 3) that enters the print,
+    over pi, on the smooth points.
     """
-    (u, du), (v, dv) = (_spline_matrices(tuple(lines.tolist()), n) for lines in (film.u_lines, film.v_lines))
-    grid = np.ascontiguousarray(film.vertices.transpose(2, 0, 1), dtype=np.float32)
 
-    def lattice(rows: np.ndarray, cols: np.ndarray) -> np.ndarray:
-        return np.ascontiguousarray(np.moveaxis(rows @ (grid @ cols.T), 0, -1))
-
-    points, normals = lattice(v, u), unit(cross(lattice(dv, u), lattice(v, du)))
-    view = unit(camera_mm.astype(np.float32) - points)
-    towards = dot(view, normals)[..., None]
-    normals *= np.where(towards < 0, np.float32(-1), np.float32(1))
-    return SeenFilm(points, normals, view, np.maximum(np.abs(towards), np.float32(0.01)))
-
-
-@lru_cache(maxsize=64)
-def _spline_matrices(lines: tuple[float, ...], n: int) -> tuple[Float32[np.ndarray, "n m"], Float32[np.ndarray, "n m"]]:
-    """What takes values on the m lattice lines of one axis to the cubic spline, and its slope, at n pixel centres."""
-    spline, t = make_interp_spline(np.array(lines), np.eye(len(lines))), film_centres_1d(n)
-    return spline(t).astype(np.float32), spline(t, nu=1).astype(np.float32)
-
-
-def room_from_film(light: Light) -> Float[np.ndarray, "3 3"]:
-    """Rotation from the film's world (x right, y down, z away) to the room's (z up)."""
-    upright = np.array([[1.0, 0, 0], [0, 0, 1.0], [0, -1.0, 0]])  # down is the floor, away is horizontal
-    lying = np.array([[1.0, 0, 0], [0, -1.0, 0], [0, 0, -1.0]])  # away is the floor
-    turn = np.deg2rad(light.turn_deg)
-    azimuth = np.array([[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1]])
-    return azimuth @ (lying if light.lying else upright)
+    straight: Float[np.ndarray, "k k 3"]
+    irradiance: Float[np.ndarray, "m m 3"]
 
 
 def film_light(film: FilmMesh, scene: Scene, room: FilteredEnvironment) -> FilmLight:
-    """Gain and veil over the film for one scene."""
+    """Gain and veil over the film for one scene whose room, lamps and light box are all there is behind it."""
+    lit = lit_film(film, scene)
+    return light_before(lit, room) + light_through(lit, room_behind(lit, room))
+
+
+def lit_film(film: FilmMesh, scene: Scene) -> LitFilm:
+    """The lattices of film points for one scene, its surface, and what shines near it."""
     material, light, camera_mm = scene.material, scene.light, scene.camera.centre_world
     surface = gloss(material.roughness, material.ior, material.surfaces)
     lamps = tuple(patch for lamp in light.lamps for patch in lamp.placed(camera_mm).patches())
-    smooth = seen_film(film, camera_mm, SMOOTH_LATTICE)
     panel = light_box_lamp(light.box, film, camera_mm) if light.box else None
-    front, back = matt_light(smooth, light, room, surface, (lamps, panel))
-    inside = 1 - surface.reflected(smooth.cosine)
-    gain = inside * (material.diffuse * front + material.transmission * back)
-    veil = inside * (material.haze * (front + back))
+    smooth = seen_film(film, camera_mm, SMOOTH_LATTICE)
     n = max(glossy_lattice(material, scene.camera.size), SHADOW_LATTICE if scene.shadows else 0)
-    fine = seen_film(film, camera_mm, n)
-    gain, veil = (cv2.resize(x.astype(np.float32), (n, n), interpolation=cv2.INTER_LINEAR) for x in (gain, veil))
-    if scene.shadows:
-        shadow = film_shadow(scene.shadows, film.size_mm, n)[..., None]
-        gain, veil = gain * shadow, veil * shadow
-    if material.clear:
-        gain += material.clear * (1 - surface.reflected(fine.cosine)) * light_behind(fine, light, room, (lamps, panel))
-    veil += reflection(fine, light, room, surface)
+    shadow = film_shadow(scene.shadows, film.size_mm, n)[..., None]
+    inside = np.asarray(1 - surface.reflected(smooth.cosine))
+    return LitFilm(film, scene, smooth, seen_film(film, camera_mm, n), surface, (lamps, panel), inside, shadow)
+
+
+def light_before(lit: LitFilm, room: FilteredEnvironment) -> FilmLight:
+    """What the light on the seen side does: scattered by the print, and reflected by the surface."""
+    material, light, (lamps, _) = lit.scene.material, lit.scene.light, lit.sources
+    entering = lit.inside * entering_light(lit, lit.smooth.normals, room)
+    veil = lit.matt(material.haze * entering) + reflection(lit.fine, light, room, lit.surface)
     for lamp in lamps:
-        veil += lamp_highlight(lamp, fine, surface)[..., None] * np.array(lamp.radiance, np.float32)
-    return FilmLight(gain, veil)
+        veil += lamp_highlight(lamp, lit.fine, lit.surface)[..., None] * np.array(lamp.radiance, np.float32)
+    return FilmLight(lit.matt(material.diffuse * entering), veil)
+
+
+def light_through(lit: LitFilm, behind: Behind) -> FilmLight:
+    """What the light on the far side does: scattered by the print on its way, or straight through it."""
+    material = lit.scene.material
+    entering = lit.inside * behind.irradiance
+    gain = lit.matt(material.transmission * entering)
+    if material.clear:
+        straight = cv2.resize(behind.straight, gain.shape[1::-1], interpolation=cv2.INTER_LINEAR)
+        gain += np.float32(material.clear) * (1 - lit.surface.reflected(lit.fine.cosine)) * straight
+    return FilmLight(gain, lit.matt(material.haze * entering))
 
 
 def glossy_lattice(material: Material, photo_size: tuple[int, int]) -> int:
@@ -153,54 +147,51 @@ def glossy_lattice(material: Material, photo_size: tuple[int, int]) -> int:
     return int(np.clip(4.0 / material.roughness**2, SMOOTH_LATTICE, max(0.3 * max(photo_size), 96)))
 
 
-# ---------------------------------------------------------------- matt light
-
-Sources = tuple[tuple[Lamp, ...], tuple[Lamp, LightBox] | None]
-"""The lamps of a scene, in the film's world, and its light box with the rectangle that it shines from."""
+# ---------------------------------------------------------------- light on either side
 
 
-def matt_light(
-    seen: SeenFilm, light: Light, room: FilteredEnvironment, surface: Gloss, sources: Sources
-) -> tuple[Float[np.ndarray, "m n 3"], Float[np.ndarray, "m n 3"]]:
-    """Irradiance that enters the print, over pi (1 for even light of radiance 1), from the seen side and the other."""
-    lamps, panel = sources
+def entering_light(
+    lit: LitFilm, normals: Float[np.ndarray, "m m 3"], room: FilteredEnvironment
+) -> Float[np.ndarray, "m m 3"]:
+    """Irradiance on one side that enters the print, over pi (1 for even light of radiance 1). normals: of that side."""
+    (lamps, panel), points, light = lit.sources, lit.smooth.points, lit.scene.light
     turn = room_from_film(light).T.astype(np.float32)
-    sides = []
-    for normals in (seen.normals, -seen.normals):
-        received = sample_irradiance(room, normals @ turn, surface.entry) * np.float32(light.front / np.pi)
-        if panel:
-            lamp, box = panel
-            share, _ = surface_irradiance(vector_irradiance(lamp, seen.points), normals)
-            share = share[..., None] / np.float32(np.pi)
-            bright = box.brightness(_panel_uv(lamp, seen.points))[..., None] * np.array(lamp.radiance, np.float32)
-            received = received * (1 - share) + share * bright
-        sides.append(received)
+    entering = sample_irradiance(room, normals @ turn, lit.surface.entry) * np.float32(light.front / np.pi)
+    if panel:
+        lamp, box = panel
+        share, _ = surface_irradiance(vector_irradiance(lamp, points), normals)
+        share = share[..., None] / np.float32(np.pi)
+        bright = box.brightness(_panel_uv(lamp, points))[..., None] * np.array(lamp.radiance, np.float32)
+        entering = entering * (1 - share) + share * bright
     for lamp in lamps:
-        vector = vector_irradiance(lamp, seen.points)
+        vector = vector_irradiance(lamp, points)
         filled = np.sqrt(dot(vector, vector)) / np.float32(np.pi)
-        for side, normals in enumerate((seen.normals, -seen.normals)):
-            received, cosine = surface_irradiance(vector, normals)
-            # Entry is taken at the lamp's mean direction; a lamp that fills the hemisphere enters like even light.
-            received *= (surface.entering(np.maximum(cosine, 0)) * (1 - filled) + filled) / np.float32(np.pi)
-            sides[side] = sides[side] + received[..., None] * np.array(lamp.radiance, np.float32)
-    return sides[0], sides[1]
+        received, cosine = surface_irradiance(vector, normals)
+        # Entry is taken at the lamp's mean direction; a lamp that fills the hemisphere enters like even light.
+        received *= (lit.surface.entering(np.maximum(cosine, 0)) * (1 - filled) + filled) / np.float32(np.pi)
+        entering = entering + received[..., None] * np.array(lamp.radiance, np.float32)
+    return entering
 
 
-def light_behind(
-    seen: SeenFilm, light: Light, room: FilteredEnvironment, sources: Sources
-) -> Float[np.ndarray, "m n 3"]:
-    """Radiance that comes straight through the film: the room, lamps or the light box behind it."""
-    lamps, panel = sources
-    rays = -seen.view
+def room_behind(lit: LitFilm, room: FilteredEnvironment) -> Behind:
+    """The room, lamps and the light box behind the film, with nothing in between."""
+    return Behind(_room_straight(lit, room), entering_light(lit, -lit.smooth.normals, room))
+
+
+def _room_straight(lit: LitFilm, room: FilteredEnvironment) -> Float[np.ndarray, "n n 3"]:
+    """Radiance that comes straight through the film; nothing is looked up for a film that is not clear."""
+    if not lit.scene.material.clear:
+        return np.zeros((1, 1, 3), np.float32)
+    (lamps, panel), light, points, rays = lit.sources, lit.scene.light, lit.fine.points, -lit.fine.view
     behind = sample_environment(room.environment, rays @ room_from_film(light).T.astype(np.float32))
     behind *= np.float32(light.front)
     for lamp in lamps:
-        behind[lamp_seen(lamp, seen.points, rays)] = lamp.radiance
+        behind[lamp_seen(lamp, points, rays)] = lamp.radiance
     if panel:
         lamp, box = panel
-        hit = lamp_seen(lamp, seen.points, rays)
-        depth = (np.array(lamp.centre_mm) - seen.points) @ np.array(lamp.axis) / (rays @ np.array(lamp.axis))
-        uv = _panel_uv(lamp, (seen.points + rays * depth[..., None])[hit])
+        hit = lamp_seen(lamp, points, rays)
+        depth = (np.array(lamp.centre_mm) - points) @ np.array(lamp.axis) / (rays @ np.array(lamp.axis))
+        uv = _panel_uv(lamp, (points + rays * depth[..., None])[hit])
         behind[hit] = box.brightness(uv)[..., None] * np.array(lamp.radiance, np.float32)
     return behind
 
@@ -219,68 +210,3 @@ def _panel_uv(lamp: Lamp, points: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray
     """Where on the panel, (0, 0) to (1, 1), points lie that are moved onto it along its normal."""
     offset = (points - np.array(lamp.centre_mm))[..., :2] / np.array(lamp.half_mm)
     return np.clip((1 + offset) / 2, 0, 1)
-
-
-# ---------------------------------------------------------------- reflections
-
-
-def reflection(seen: SeenFilm, light: Light, room: FilteredEnvironment, surface: Gloss) -> Float[np.ndarray, "n n 3"]:
-    """Radiance of the room in the film's glossy surface; even light comes out as the directional albedo times it."""
-    n = len(seen.points)
-    turn = room_from_film(light).T.astype(np.float32)
-    if surface.alpha >= WIDE_ALPHA:
-        stride = max(1, -(-n // int(np.clip(3.0 / surface.alpha, 10, 16))))
-        every = slice(stride // 2, None, stride)
-        around = wide_reflection(seen.part(every, every), room, turn, surface)
-        around = cv2.resize(around, (n, n), interpolation=cv2.INTER_CUBIC)
-    else:
-        round_lobe = surface.alpha * float(np.sqrt(seen.cosine.mean()))  # the solid angle of a lobe falls with c_o
-        around = sample_filtered(room, seen.mirror @ turn, float(np.sqrt(round_lobe)))
-    return surface.reflected(seen.cosine) * np.float32(light.front) * np.maximum(around, 0)
-
-
-WIDE_ALPHA = 0.1
-"""Lobes from this width on are summed over the whole sphere. Narrower ones are nearly round, and are looked up blurred
-about the mirror's direction: against sums of 1500 samples in six rooms the reflection differs by 4 % at roughness 0.2,
-by 7 % at 0.3, and by 10 to 20 % from 0.5 on, where horizon and Fresnel term cut into the lobe; summed by 5 to 7 %."""
-
-
-def wide_reflection(
-    seen: SeenFilm, room: FilteredEnvironment, turn: Float[np.ndarray, "3 3"], surface: Gloss
-) -> Float[np.ndarray, "m m 3"]:
-    """Mean radiance of the room under a wide lobe, weighted by the BSDF, over a coarse image of all directions."""
-    size = room.coarse.shape[:2]
-    towards = directions(size).reshape(-1, 3) @ turn.T
-    eye, normals = seen.view.reshape(-1, 3), seen.normals.reshape(-1, 3)
-    o_h = np.sqrt(np.maximum((1 + eye @ towards.T) / 2, np.float32(1e-4)))
-    n_i = normals @ towards.T
-    n_h = (seen.cosine.reshape(-1, 1) + n_i) / (2 * o_h)
-    alpha_sq = np.float32(surface.alpha**2)
-    weight = smith(n_i, surface.alpha) * fresnel_reflectance(o_h, surface.ior, surface.surfaces)
-    weight /= (n_h**2 * (alpha_sq - 1) + 1) ** 2  # f times c_i, without the factors of o alone: G1 is 0 below
-    weight *= np.repeat(solid_angles(size), size[1]).astype(np.float32)
-    total = weight @ room.coarse.reshape(-1, 3)
-    return (total / np.maximum(weight.sum(axis=1, keepdims=True), 1e-12)).reshape(seen.points.shape)
-
-
-def lamp_highlight(lamp: Lamp, seen: SeenFilm, surface: Gloss) -> Float[np.ndarray, "n n"]:
-    """Reflection of a lamp of radiance 1, on a coarse lattice and, where that cannot hold it, finer near its middle."""
-    n = len(seen.points)
-    stride = max(1, n // HIGHLIGHT_LATTICE)
-    every = slice(stride // 2, None, stride)
-    coarse = seen.part(every, every)
-    wide = max(surface.alpha, 0.5 / len(coarse.points))  # half vectors turn by about 1 rad over the film
-    rough = highlight(lamp, coarse.points, coarse.normals, coarse.view, surface, wide)
-    if stride == 1:
-        return rough
-    values = cv2.resize(rough, (n, n), interpolation=cv2.INTER_LINEAR)
-    if rough.max() > 0 and surface.alpha < 2.0 / len(rough):
-        rows, cols = (np.flatnonzero((rough > 0.02 * rough.max()).any(axis=axis)) for axis in (1, 0))
-        block = tuple(slice(max(int(k[0]) - 1, 0) * stride, (int(k[-1]) + 2) * stride) for k in (rows, cols))
-        part = seen.part(*block)
-        values[block] = highlight(lamp, part.points, part.normals, part.view, surface, max(surface.alpha, 0.5 / n))
-    return values
-
-
-HIGHLIGHT_LATTICE = 32
-"""Film points along each side at which highlights of lamps are looked for."""

@@ -8,11 +8,11 @@ import numpy as np
 from jaxtyping import Float
 
 from data_gen.background import background
+from data_gen.lighting import room_from_film
 from data_gen.lit_sphere import lit_sphere, with_lamps
 from data_gen.patches import Patch, put_over
 from data_gen.rooms import FilteredEnvironment
 from data_gen.scene import Scene
-from data_gen.shade import room_from_film
 from data_gen.things import patches_before, patches_behind
 from hybrid.mesh.film import FilmMesh
 

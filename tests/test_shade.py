@@ -9,10 +9,11 @@ from hypothesis import strategies as st
 
 from data_gen.gloss import ALBEDO_COSINES, GRAZING_MEAN, fresnel, gloss, smith
 from data_gen.lamps import Lamp
-from data_gen.lighting import Light, LightBox, Material, sample_light, sample_material
+from data_gen.lighting import Light, LightBox, Material, room_from_film, sample_light, sample_material
 from data_gen.rooms import Environment, directions, prefilter, procedural_room
 from data_gen.scene import Scene, SceneConfig, sample_scene
-from data_gen.shade import FilmLight, film_light, glossy_lattice, room_from_film, seen_film
+from data_gen.seen_film import seen_film
+from data_gen.shade import FilmLight, film_light, glossy_lattice
 from hybrid.coords import film_centres_1d
 from hybrid.mesh.camera import Camera, look_at
 from hybrid.mesh.film import FilmMesh, film_mesh

@@ -1,0 +1,76 @@
+"""What a glossy film shows as a mirror does: the room by its lobe's width, and lamps one by one."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from jaxtyping import Float
+
+from data_gen.gloss import Gloss, smith
+from data_gen.gloss import fresnel as fresnel_reflectance
+from data_gen.lamps import Lamp, highlight
+from data_gen.lighting import Light, room_from_film
+from data_gen.rooms import FilteredEnvironment, directions, sample_filtered, solid_angles
+from data_gen.seen_film import SeenFilm
+
+
+def reflection(seen: SeenFilm, light: Light, room: FilteredEnvironment, surface: Gloss) -> Float[np.ndarray, "n n 3"]:
+    """Radiance of the room in the film's glossy surface; even light comes out as the directional albedo times it."""
+    n = len(seen.points)
+    turn = room_from_film(light).T.astype(np.float32)
+    if surface.alpha >= WIDE_ALPHA:
+        stride = max(1, -(-n // int(np.clip(3.0 / surface.alpha, 10, 16))))
+        every = slice(stride // 2, None, stride)
+        around = wide_reflection(seen.part(every, every), room, turn, surface)
+        around = cv2.resize(around, (n, n), interpolation=cv2.INTER_CUBIC)
+    else:
+        round_lobe = surface.alpha * float(np.sqrt(seen.cosine.mean()))  # the solid angle of a lobe falls with c_o
+        around = sample_filtered(room, seen.mirror @ turn, float(np.sqrt(round_lobe)))
+    return surface.reflected(seen.cosine) * np.float32(light.front) * np.maximum(around, 0)
+
+
+WIDE_ALPHA = 0.1
+"""Lobes from this width on are summed over the whole sphere. Narrower ones are nearly round, and are looked up blurred
+about the mirror's direction: against sums of 1500 samples in six rooms the reflection differs by 4 % at roughness 0.2,
+by 7 % at 0.3, and by 10 to 20 % from 0.5 on, where horizon and Fresnel term cut into the lobe; summed by 5 to 7 %."""
+
+
+def wide_reflection(
+    seen: SeenFilm, room: FilteredEnvironment, turn: Float[np.ndarray, "3 3"], surface: Gloss
+) -> Float[np.ndarray, "m m 3"]:
+    """Mean radiance of the room under a wide lobe, weighted by the BSDF, over a coarse image of all directions."""
+    size = room.coarse.shape[:2]
+    towards = directions(size).reshape(-1, 3) @ turn.T
+    eye, normals = seen.view.reshape(-1, 3), seen.normals.reshape(-1, 3)
+    o_h = np.sqrt(np.maximum((1 + eye @ towards.T) / 2, np.float32(1e-4)))
+    n_i = normals @ towards.T
+    n_h = (seen.cosine.reshape(-1, 1) + n_i) / (2 * o_h)
+    alpha_sq = np.float32(surface.alpha**2)
+    weight = smith(n_i, surface.alpha) * fresnel_reflectance(o_h, surface.ior, surface.surfaces)
+    weight /= (n_h**2 * (alpha_sq - 1) + 1) ** 2  # f times c_i, without the factors of o alone: G1 is 0 below
+    weight *= np.repeat(solid_angles(size), size[1]).astype(np.float32)
+    total = weight @ room.coarse.reshape(-1, 3)
+    return (total / np.maximum(weight.sum(axis=1, keepdims=True), 1e-12)).reshape(seen.points.shape)
+
+
+def lamp_highlight(lamp: Lamp, seen: SeenFilm, surface: Gloss) -> Float[np.ndarray, "n n"]:
+    """Reflection of a lamp of radiance 1, on a coarse lattice and, where that cannot hold it, finer near its middle."""
+    n = len(seen.points)
+    stride = max(1, n // HIGHLIGHT_LATTICE)
+    every = slice(stride // 2, None, stride)
+    coarse = seen.part(every, every)
+    wide = max(surface.alpha, 0.5 / len(coarse.points))  # half vectors turn by about 1 rad over the film
+    rough = highlight(lamp, coarse.points, coarse.normals, coarse.view, surface, wide)
+    if stride == 1:
+        return rough
+    values = cv2.resize(rough, (n, n), interpolation=cv2.INTER_LINEAR)
+    if rough.max() > 0 and surface.alpha < 2.0 / len(rough):
+        rows, cols = (np.flatnonzero((rough > 0.02 * rough.max()).any(axis=axis)) for axis in (1, 0))
+        block = tuple(slice(max(int(k[0]) - 1, 0) * stride, (int(k[-1]) + 2) * stride) for k in (rows, cols))
+        part = seen.part(*block)
+        values[block] = highlight(lamp, part.points, part.normals, part.view, surface, max(surface.alpha, 0.5 / n))
+    return values
+
+
+HIGHLIGHT_LATTICE = 32
+"""Film points along each side at which highlights of lamps are looked for."""
