@@ -72,6 +72,18 @@ class Rectifier:
         with _blas().limit(limits=1, user_api="blas"):
             return self._rectified(source)
 
+    def network_map(self, source: str | Path | np.ndarray) -> BackwardMap | None:
+        """What the network alone makes of a photo, before refinement: the map of the film as it lies in the photo.
+
+        None where it sees no film. For comparing networks, and for training better ones.
+
+        Raises:
+            PhotoError: the source cannot be read as a photo.
+        """
+        with _blas().limit(limits=1, user_api="blas"):
+            _, inversion = self._see(as_photo(source), _Clock())
+        return None if isinstance(inversion, NotInverted) else inversion.backward
+
     def _rectified(self, source: str | Path | np.ndarray) -> RectifyResult:
         """All stages, one after the other, until one says that there is no film."""
         clock = _Clock()

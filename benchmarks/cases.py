@@ -1,0 +1,101 @@
+"""Photos to score methods on: a photo and its true map, from a data set's shards or from a folder of photos."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, UInt8
+from torch import Tensor
+
+from benchmarks.photos import load_photos
+from hybrid.backward import BackwardMap, Orientation
+from hybrid.coords import film_nodes, pixel_centres, rescale_points
+from hybrid.errors import DataError, describe
+from hybrid.image_io import read_photo
+from hybrid.learn.dewarpnet import coordinate_code
+from hybrid.learn.samples import Place, film_of, open_places, photo_of, truth_at
+
+CORNERS = (2, 2)
+"""Film points that tell the eight ways of reading a film apart."""
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """A photo whose truth is known.
+
+    source: its file, or its place in a data set. backward: the true map of the film that reads right, in pixels.
+    """
+
+    name: str
+    source: Path | Place
+    backward: BackwardMap
+
+    def photo(self) -> UInt8[np.ndarray, "h w 3"]:
+        """The photo itself, RGB."""
+        return read_photo(self.source) if isinstance(self.source, Path) else photo_of(self.source)
+
+
+def photo_cases(folder: Path) -> list[Case]:
+    """The photos with truth of a folder.
+
+    Raises:
+        DataError: there are none, or one is incomplete.
+    """
+    return [Case(truth.name, truth.path, truth.backward) for truth in load_photos(folder)]
+
+
+def sample_cases(folders: Sequence[Path]) -> list[Case]:
+    """The samples of some data sets.
+
+    Raises:
+        DataError: a data set that cannot be read.
+    """
+    places = open_places(folders)
+    return [Case(f"{shard.entry.first + k:06d}", (shard, k), film_of((shard, k))) for shard, k in places]
+
+
+@dataclass(frozen=True, eq=False)
+class TrueShape:
+    """What networks of 3D maps are given: the code of the true 3D map, its mask, and the photo's size (h, w)."""
+
+    code: Float[Tensor, "1 3 n n"]
+    mask: Bool[np.ndarray, "n n"]
+    photo_size: tuple[int, int]
+
+
+def true_shape(case: Case, px: int) -> TrueShape:
+    """The 3D map of a sample at px x px.
+
+    Raises:
+        DataError: the case is no sample of a data set.
+    """
+    if isinstance(case.source, Path):
+        raise DataError(
+            describe(what="3D map", where=case.name, got="a photo without one", do="Use a data set's samples.")
+        )
+    height, width = case.photo().shape[:2]
+    points = rescale_points(pixel_centres((px, px)), (px, px), (height, width))
+    truth = truth_at(case.source, points, (height, width))
+    xyz = torch.from_numpy(truth.xyz).permute(2, 0, 1)[None]
+    return TrueShape(coordinate_code(xyz, torch.from_numpy(truth.mask)[None]), truth.mask, (height, width))
+
+
+def read_alike(found: BackwardMap, true: BackwardMap) -> tuple[BackwardMap, Orientation]:
+    """A map turned and mirrored so that it comes nearest to the true one, and the turn that this took.
+
+    Geometry is scored apart from orientation: networks that see a small film as it lies cannot know how it reads,
+    and a film at 45 degrees lies either way.
+    """
+    points = true.photo_from_film(film_nodes(CORNERS))
+    ways = [Orientation.from_index(index) for index in range(8)]
+    maps = [found.turned(way.turns, way.mirrored) for way in ways]
+    errors = [float(np.linalg.norm(m.photo_from_film(film_nodes(CORNERS)) - points, axis=-1).mean()) for m in maps]
+    best = int(np.argmin(errors))
+    return maps[best], ways[best]
+
+
+__all__ = ["Case", "TrueShape", "photo_cases", "read_alike", "sample_cases", "true_shape"]
