@@ -29,9 +29,14 @@ GRID_DECIMALS = {"film": 7, "world": 4, "camera": 4, "photo": 4}
 
 
 def sample_bytes(sample: Sample, number: int) -> bytes:
-    """The part of a tar file that holds sample ``number``: a header and the padded content of each member."""
+    """The part of a tar file that holds sample ``number``."""
+    return packed(members(sample), number)
+
+
+def packed(files: dict[str, bytes], number: int) -> bytes:
+    """The files of sample ``number``, by the part of their names that follows the key: headers and padded contents."""
     key = key_of(number)
-    return b"".join(_member(f"{key}.{suffix}", content) for suffix, content in members(sample).items())
+    return b"".join(_member(f"{key}.{suffix}", content) for suffix, content in files.items())
 
 
 def members(sample: Sample) -> dict[str, bytes]:
@@ -48,7 +53,7 @@ def members(sample: Sample) -> dict[str, bytes]:
         "backward": sample.backward.nodes.astype(np.float32),
     }
     record = _record(sample) | {"coding": {"xyz": xyz_coding}}
-    maps = {f"{name}.npy": _npy(array) for name, array in arrays.items()}
+    maps = {f"{name}.npy": npy_bytes(array) for name, array in arrays.items()}
     return {"photo.jpg": sample.photo} | maps | {"json": json.dumps(record).encode()}
 
 
@@ -72,7 +77,7 @@ def _record(sample: Sample) -> dict[str, Any]:
     }
 
 
-def _npy(array: np.ndarray) -> bytes:
+def npy_bytes(array: np.ndarray) -> bytes:
     """An array as a .npy file."""
     array = np.ascontiguousarray(array)
     return _npy_header(array.dtype.str, array.shape) + array.tobytes()

@@ -57,7 +57,7 @@ def random_case(seed=0, b=2, n=8):
 def targets_of(mask, uv, xyz, albedo, normal) -> Targets:
     """Targets of upright films that weigh alike."""
     b = len(mask)
-    return Targets(mask, uv, xyz, albedo, normal, torch.zeros(b, dtype=torch.int64), torch.ones(b))
+    return Targets(mask, uv, xyz, albedo, normal, torch.zeros(b, dtype=torch.int64), *torch.ones(3, b))
 
 
 # ---------------------------------------------------------------- network

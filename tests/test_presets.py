@@ -53,6 +53,8 @@ def test_weights_stand_for_terms_that_there_are():
         albedo=torch.zeros(2, 16, 16),
         orientation=torch.zeros(2, dtype=torch.int64),
         weight=torch.ones(2),
+        has_shape=torch.ones(2),
+        has_print=torch.ones(2),
         **{name: torch.zeros(2, count, 16, 16) for name, count in maps.items()},
     )
     assert set(chosen.losses(network(torch.rand(2, 3, 64, 64)), targets)) == set(chosen.weights)

@@ -52,7 +52,7 @@ class View:
     """A training view: image (n, n, 3) uint8 and the truth on the pixel centres of the network's output.
 
     uv: film coordinates of the film as seen in the view. orientation: index of what makes the film read right.
-    weight: of the view in the loss.
+    weight: of the view in the loss. has_shape, has_print: whether xyz and normal, and albedo, are known.
     """
 
     image: UInt8[np.ndarray, "n n 3"]
@@ -63,6 +63,8 @@ class View:
     normal: np.ndarray
     orientation: int
     weight: float
+    has_shape: bool
+    has_print: bool
 
 
 def training_view(place: Place, px: int, rng: np.random.Generator, config: AugmentConfig | None) -> View:
@@ -84,6 +86,8 @@ def training_view(place: Place, px: int, rng: np.random.Generator, config: Augme
         turned_axes(truth.normal, axes),
         way.index,
         weight,
+        truth.has_shape,
+        truth.has_print,
     )
 
 
@@ -102,6 +106,8 @@ def batch_of(views: list[View]) -> tuple[torch.Tensor, Targets]:
         normal=stacked("normal").permute(0, 3, 1, 2),
         orientation=torch.tensor([v.orientation for v in views]),
         weight=torch.tensor([v.weight for v in views]),
+        has_shape=torch.tensor([float(v.has_shape) for v in views]),
+        has_print=torch.tensor([float(v.has_print) for v in views]),
     )
 
 

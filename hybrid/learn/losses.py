@@ -17,6 +17,7 @@ class Targets:
     """Truth at the network's output resolution; 0 where the mask is False.
 
     uv: of the film as seen. orientation: index of what makes it read right. weight: of each view in the loss.
+    has_shape, has_print: 1 where xyz and normal, and albedo, are known; 0 where they are not and teach nothing.
     """
 
     mask: Bool[Tensor, "b h w"]
@@ -26,6 +27,8 @@ class Targets:
     normal: Float[Tensor, "b 3 h w"]
     orientation: Int64[Tensor, " b"]
     weight: Float[Tensor, " b"]
+    has_shape: Float[Tensor, " b"]
+    has_print: Float[Tensor, " b"]
 
     def to(self, device: str) -> Targets:
         """The same on another device."""
@@ -79,7 +82,7 @@ def normal_loss(output: FilmNetOutput, targets: Targets) -> Float[Tensor, ""]:
     """Mean absolute error of the normal, where one is predicted."""
     if output.normal is None:
         return output.uv.new_zeros(())
-    return masked_mean((output.normal - targets.normal).abs().sum(dim=1), targets.mask)
+    return masked_mean((output.normal - targets.normal).abs().sum(dim=1), targets.mask, targets.has_shape)
 
 
 def loss_terms(output: FilmNetOutput, targets: Targets) -> dict[str, Tensor]:
@@ -87,8 +90,8 @@ def loss_terms(output: FilmNetOutput, targets: Targets) -> dict[str, Tensor]:
     return {
         "uv": uv_loss(output, targets),
         "mask": functional.binary_cross_entropy_with_logits(output.mask_logit, targets.mask.to(output.uv.dtype)),
-        "xyz": masked_mean((output.xyz - targets.xyz).abs().sum(dim=1), targets.mask),
-        "albedo": masked_mean((output.albedo - targets.albedo).abs(), targets.mask),
+        "xyz": masked_mean((output.xyz - targets.xyz).abs().sum(dim=1), targets.mask, targets.has_shape),
+        "albedo": masked_mean((output.albedo - targets.albedo).abs(), targets.mask, targets.has_print),
         "slope": slope_loss(output, targets),
         "scale": scale_loss(output, targets),
         "normal": normal_loss(output, targets),

@@ -16,6 +16,7 @@ from torch import Tensor
 
 from hybrid.backward import BackwardMap, orientation
 from hybrid.coords import film_nodes
+from hybrid.errors import DataError, describe
 from hybrid.learn.data import AugmentConfig, axes_of, disturbed, random_window, turned_axes
 from hybrid.learn.paper_targets import PaperTargets
 from hybrid.learn.samples import Place, film_of, photo_of, truth_at
@@ -56,6 +57,9 @@ def _sample(
     if config.colours:
         image = disturbed(image, rng)
     truth = truth_at(place, window.dense((view.px, view.px)), size)
+    if not (truth.has_shape and truth.has_print):
+        do = "Train FilmNet on these, or this network on data made by python -m data_gen.generate."
+        raise DataError(describe(what="sample", where=place[0].path, got="no xyz, normal or albedo", do=do))
     way, axes = orientation(film), axes_of(window)
     seen_film = film.turned(way.inverse.turns, way.inverse.mirrored)
     return image, {

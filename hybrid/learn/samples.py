@@ -19,13 +19,17 @@ from hybrid.learn.shards import Shard, open_dataset
 Place = tuple[Shard, int]
 """A sample: its shard and its number in it."""
 
+CHANNELS = {"uv": 2, "xyz": 3, "albedo": 1}
+"""Numbers for each pixel of the maps whose means are taken."""
+
 
 @dataclass(frozen=True, eq=False)
 class Truth:
     """The maps of a sample at some photo points; 0 where the mask is False.
 
     uv: film coordinates. xyz: camera axes, relative to the film's centre, in film diagonals. normal: unit, camera axes.
-    albedo: display grey of the print.
+    albedo: display grey of the print. A map that the sample lacks is 0 everywhere; has_shape: whether it has xyz and
+    normal; has_print: whether it has albedo.
     """
 
     mask: Bool[np.ndarray, "h w"]
@@ -33,6 +37,8 @@ class Truth:
     xyz: Float[np.ndarray, "h w 3"]
     albedo: Float[np.ndarray, "h w"]
     normal: Float[np.ndarray, "h w 3"]
+    has_shape: bool
+    has_print: bool
 
 
 def open_places(folders: Sequence[Path]) -> list[Place]:
@@ -71,12 +77,13 @@ def truth_at(place: Place, points: Float[np.ndarray, "h w 2"], photo_size: tuple
     """
     shard, index = place
     mask = shard.stored("mask", index)
-    maps = [shard.stored(name, index) for name in ("uv", "xyz", "albedo")]
+    maps = {name: shard.stored(name, index) for name in CHANNELS if shard.has(name)}
     at = opencv_from_photo(rescale_points(points, photo_size, (mask.shape[0], mask.shape[1])))
     corner = np.floor(at).astype(np.int64)
     part = (at - corner).astype(np.float32)
     inside = np.zeros(at.shape[:2], np.float32)
-    sums = [np.zeros((*at.shape[:2], k), np.float32) for k in (2, 3, 1, 2)]
+    sums = {name: np.zeros((*at.shape[:2], k), np.float32) for name, k in CHANNELS.items()}
+    place_of_mean = np.zeros((*at.shape[:2], 2), np.float32)
     for dy in (0, 1):
         for dx in (0, 1):
             x, y = corner[..., 0] + dx, corner[..., 1] + dy
@@ -85,22 +92,25 @@ def truth_at(place: Place, points: Float[np.ndarray, "h w 2"], photo_size: tuple
             film = within & mask[y, x]
             share = (part[..., 0] if dx else 1 - part[..., 0]) * (part[..., 1] if dy else 1 - part[..., 1]) * film
             inside += share
-            for total, stored in zip(sums, maps, strict=False):
+            for name, stored in maps.items():
                 values = stored[y, x].reshape(*film.shape, -1)
-                total += share[..., None] * np.where(film[..., None], values, 0)
-            sums[3] += share[..., None] * np.stack([x, y], axis=-1)
+                sums[name] += share[..., None] * np.where(film[..., None], values, 0)
+            place_of_mean += share[..., None] * np.stack([x, y], axis=-1)
     seen = inside > 0.5
     uv, xyz, albedo, place_of_mean = (
-        np.where(seen[..., None], t / np.maximum(inside, 0.5)[..., None], 0) for t in sums
+        np.where(seen[..., None], t / np.maximum(inside, 0.5)[..., None], 0) for t in (*sums.values(), place_of_mean)
     )
     off = np.where(seen[..., None], at - place_of_mean, 0).astype(np.float32)
     uv, xyz = (_carried_on(values, off, at, seen) for values in (uv, xyz))
+    has_shape, nothing = "xyz" in maps and shard.has("normal"), np.zeros((*seen.shape, 3), np.float32)
     return Truth(
         seen,
         uv / np.float32(UV_LEVELS),
-        _relative(xyz, seen, shard.record(index)),
+        _relative(xyz, seen, shard.record(index)) if has_shape else nothing,
         albedo[..., 0] / np.float32(ALBEDO_LEVELS),
-        _nearest_normal(place, at, seen),
+        _nearest_normal(place, at, seen) if has_shape else nothing,
+        has_shape,
+        has_print="albedo" in maps,
     )
 
 

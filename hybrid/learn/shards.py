@@ -69,6 +69,10 @@ class Shard:
         dtype, shape = _npy_layout(raw[:start].tobytes())
         return raw[start:].view(dtype).reshape(shape)
 
+    def has(self, name: str) -> bool:
+        """Whether the samples hold a map: photos of one's own (data_gen/own_photos.py) lack some."""
+        return f"{name}.npy" in self._index
+
     def field(self, name: str, k: int) -> np.ndarray:
         """A map as the conventions have it: float32, NaN where the mask is False; mask and glare are boolean.
 
