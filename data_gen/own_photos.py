@@ -26,8 +26,8 @@ from data_gen.manifest import describe_dataset, shard_name, sole_writer, write_m
 from data_gen.shards import npy_bytes, packed
 from hybrid import __version__
 from hybrid.backward import MIN_NODES, BackwardMap
-from hybrid.coords import CONVENTIONS_VERSION, pixel_centres, rescale_points, rgb_from_bgr
-from hybrid.draw import resized
+from hybrid.coords import CONVENTIONS_VERSION, opencv_from_photo, pixel_centres, rescale_points, rgb_from_bgr
+from hybrid.draw import outline_curve, resized
 from hybrid.errors import ConfigError, DataError, HybridError, describe
 from hybrid.image_io import read_photo
 from hybrid.learn.coding import encode_uv
@@ -130,7 +130,7 @@ def pair_members(pair: Pair) -> dict[str, bytes]:
     size = (pair.photo.shape[0], pair.photo.shape[1])
     scale = min(1.0, MAX_MAP_SIZE / max(size))
     maps = (max(1, round(scale * size[0])), max(1, round(scale * size[1])))
-    uv = pair.backward.film_from_photo(rescale_points(pixel_centres(maps), maps, size))
+    uv = _film_seen(pair.backward.cropped((0.0, 0.0), (maps[1] / size[1], maps[0] / size[0])), maps)
     mask = np.asarray(np.isfinite(uv).all(axis=-1))
     if not mask.any():
         do = "Check that the points are (x, y) in pixels of this photo."
@@ -144,6 +144,16 @@ def pair_members(pair: Pair) -> dict[str, bytes]:
     record = {"name": pair.name, "coverage": float(mask.mean())}
     files = {f"{name}.npy": npy_bytes(array) for name, array in arrays.items()}
     return {"photo.jpg": encoded.tobytes()} | files | {"json": json.dumps(record).encode()}
+
+
+def _film_seen(backward: BackwardMap, size: tuple[int, int]) -> Float[np.ndarray, "h w 2"]:
+    """Film uv of all pixel centres of an image of ``size``; NaN off the film. Only what is near it is inverted."""
+    outline = np.rint(opencv_from_photo(outline_curve(backward))).astype(np.int32)
+    near = cv2.dilate(cv2.fillPoly(np.zeros(size, np.uint8), [outline], (1,)), np.ones((5, 5), np.uint8)) > 0
+    uv = np.full((*size, 2), np.nan)
+    if near.any():
+        uv[near] = backward.film_from_photo(pixel_centres(size)[near])
+    return uv
 
 
 def make_dataset(config: OwnPhotosConfig) -> int:
