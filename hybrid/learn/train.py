@@ -182,8 +182,9 @@ def _run(state: _State, loader: DataLoader, held_out: list[Any]) -> None:
 
 
 def _test(state: _State, held_out: list[Any]) -> dict[str, float]:
-    """Figures of the averaged network on the samples held out; writes what it makes of some of them."""
-    config, feed, px = state.plan.config, state.plan.preset.feed, state.plan.preset.config.input_px
+    """Figures of the averaged network on the samples held out, at the size that it is being trained for; writes what
+    it makes of some of them."""
+    config, feed, px = state.plan.config, state.plan.preset.feed, state.plan.px_at(state.step - 1)
     if not held_out:
         return {}
     if feed.picture is not None:
