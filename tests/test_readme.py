@@ -10,6 +10,7 @@ import pytest
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text()
 GUIDE = (ROOT / "docs" / "how_it_works.md").read_text()
+TRAINING = (ROOT / "docs" / "training.md").read_text()
 PYTHON_BLOCKS = re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL)
 
 
@@ -42,7 +43,7 @@ def test_python_blocks_run(block: str, monkeypatch: pytest.MonkeyPatch) -> None:
     assert names["film"] is not None, "the example photo gives a film"
 
 
-@pytest.mark.parametrize("text", [README, GUIDE], ids=["README.md", "how_it_works.md"])
+@pytest.mark.parametrize("text", [README, GUIDE, TRAINING], ids=["README.md", "how_it_works.md", "training.md"])
 def test_commands_exist(text: str) -> None:
     targets = set(re.findall(r"^([a-z]+):", (ROOT / "Makefile").read_text(), flags=re.MULTILINE))
     assert set(re.findall(r"\bmake (demo|test|setup|lint|types|clean)\b", text)) <= targets
@@ -50,7 +51,10 @@ def test_commands_exist(text: str) -> None:
         assert (ROOT / Path(*module.split("."))).with_suffix(".py").exists(), f"python -m {module}"
 
 
-@pytest.mark.parametrize("page", ["README.md", "docs/how_it_works.md", "docs/conventions.md", "CHANGELOG.md"])
+PAGES = ["README.md", "docs/how_it_works.md", "docs/training.md", "docs/conventions.md", "CHANGELOG.md"]
+
+
+@pytest.mark.parametrize("page", PAGES)
 def test_links_lead_somewhere(page: str) -> None:
     path = ROOT / page
     for link in re.findall(r"\]\(([^)#]+)[^)]*\)", path.read_text()):
@@ -62,7 +66,7 @@ def test_links_lead_somewhere(page: str) -> None:
 
 
 def test_code_named_in_the_guide_exists() -> None:
-    for name in re.findall(r"`((?:rectify|learn)/\w+\.py|\w+\.py)`", GUIDE):
+    for name in re.findall(r"`((?:rectify|learn)/\w+\.py|\w+\.py)`", GUIDE + TRAINING):
         places = [ROOT / "hybrid" / name, ROOT / "data_gen" / name]
         assert any(place.exists() for place in places), name
 
