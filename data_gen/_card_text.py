@@ -45,7 +45,7 @@ Each shard is a plain tar file in the WebDataset layout. The files of a sample s
 | KEY.normal.npy | unit normal, camera axes, towards the side that reads right | int16 (h, w, 2) |
 | KEY.albedo.npy | display grey of the print | uint8 (h, w) |
 | KEY.glare.npy | film clipped or veiled beyond recovery | bool (h, w) |
-| KEY.backward.npy | photo point of film nodes, edges included | float32 (33, 33, 2) |
+| KEY.backward.npy | photo point of film nodes, edges included | float32 (65, 65, 2) |
 | KEY.json | size of the film, camera, grid vertices, coding, every parameter | JSON |
 
 {coding}

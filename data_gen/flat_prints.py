@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import cv2
@@ -20,19 +20,19 @@ class FlatPrintsConfig:
     """Write flat prints as grey JPEG files.
 
     count: prints to make; those that are there already stay. out: their folder. seed: the same seed gives the same
-    prints. ct: folder with CT volumes and DICOM files; without it embedded phantoms are printed.
+    prints. sources: of CT volumes.
     """
 
     count: int
     out: Path
     seed: int = 0
-    ct: Path | None = None
+    sources: tyro.conf.OmitArgPrefixes[SourceConfig] = field(default_factory=SourceConfig)
 
 
 def flat_prints(config: FlatPrintsConfig) -> None:
     """Write the prints that are missing, those with texts only: a film without any may be read either way up."""
     config.out.mkdir(parents=True, exist_ok=True)
-    sources = SourceConfig(ct=config.ct)
+    sources = config.sources
     for k in tqdm(range(config.count), unit="print"):
         path = config.out / f"{k:06d}.jpg"
         if path.exists():

@@ -123,8 +123,6 @@ class RectifyResult:
     rectified: (h, w, 3) uint8 sRGB: flat, light kept.
     backward: the map from film uv to photo points.
     grid: the slice grid, or None where none was found.
-    orientation: how the film had to be moved to read right: as it lay in the photo, mirrored first if it was seen from
-        behind, then turned. All other fields are of the film that reads right.
     glare: (h, w) bool, where nothing could be recovered.
     confidence: (h, w) float32 in [0, 1], how far the film can be trusted.
     """
@@ -135,7 +133,6 @@ class RectifyResult:
     rectified: UInt8[np.ndarray, "h w 3"] | None = field(default=None, repr=False)
     backward: BackwardMap | None = field(default=None, repr=False)
     grid: SliceGrid | None = field(default=None, repr=False)
-    orientation: Orientation | None = None
     glare: Bool[np.ndarray, "h w"] | None = field(default=None, repr=False)
     confidence: Float[np.ndarray, "h w"] | None = field(default=None, repr=False)
 

@@ -76,27 +76,23 @@ def upright_losses(logits: Float[Tensor, "b 8"], truth: Int64[Tensor, " b"]) -> 
     return {"orientation": functional.cross_entropy(logits, truth)}
 
 
-def standardised(film: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
-    """A film's grey without slow changes of the light: less its local mean, over its local spread, within +-4."""
+def standardised(film: Float[np.ndarray, "h w"], longer_px: float) -> Float[np.ndarray, "h w"]:
+    """The grey of a film (or of a part of one) whose longer side has ``longer_px``, without slow changes of the light:
+    less its local mean, over its local spread, within +-4."""
     grey = film.astype(np.float32)
-    sigma = max(grey.shape) / 24
-    mean = cv2.GaussianBlur(grey, (0, 0), sigma)
-    spread = cv2.GaussianBlur((grey - mean) ** 2, (0, 0), sigma)
+    side = max(3, 2 * round(longer_px / 32) + 1)
+    mean = cv2.blur(grey, (side, side))
+    spread = cv2.blur((grey - mean) ** 2, (side, side))
     return np.clip((grey - mean) / np.sqrt(spread + 1e-4), -4, 4)
-
-
-@dataclass(frozen=True)
-class UprightConfig:
-    """min_probability: a film is turned or mirrored only if the network is as sure as this; most films lie right."""
-
-    min_probability: float = 0.9
 
 
 @torch.inference_mode()
 def read_orientation(network: UprightNet, film: UInt8[np.ndarray, "h w 3"]) -> tuple[Orientation, float]:
     """What makes a flattened film (sRGB) read right, and the probability that it is so."""
     grey = cv2.cvtColor(film, cv2.COLOR_RGB2GRAY).astype(np.float32) / 255
-    chance = functional.softmax(network(torch.from_numpy(standardised(grey))[None, None]), dim=1)[0]
+    chance = functional.softmax(
+        network(torch.from_numpy(standardised(grey, float(max(grey.shape))))[None, None]), dim=1
+    )[0]
     best = int(chance.argmax())
     return Orientation.from_index(best), float(chance[best])
 

@@ -61,20 +61,29 @@ def upright_view(
     flat: UInt8[np.ndarray, "h w"], px: int, rng: np.random.Generator, config: PrintAugment
 ) -> tuple[Float[np.ndarray, "px px"], int]:
     """A random part of a print as a flattened photo shows it, standardised, and the index of its orientation."""
-    scale = rng.uniform(*config.longer_px) / max(flat.shape)
-    size = (round(flat.shape[0] * scale), round(flat.shape[1] * scale))
-    film = _lit(_warped(flat, size, rng, config), rng, config)
+    longer = rng.uniform(*config.longer_px)
+    part = _part(flat, longer / max(flat.shape), px, rng)
+    film = standardised(_lit(_warped(part, longer, rng, config), rng, config), longer)
+    film = np.pad(film, [(0, px - side) for side in film.shape])
     way = Orientation.from_index(int(rng.integers(8)))
     seen = way.inverse  # the film that ``way`` would make read right
-    film = np.rot90(film[:, ::-1] if seen.mirrored else film, -seen.turns)
-    return _part(standardised(np.ascontiguousarray(film)), px, rng), way.index
+    return np.rot90(film[:, ::-1] if seen.mirrored else film, -seen.turns).copy(), way.index
 
 
-def _warped(flat: np.ndarray, size: tuple[int, int], rng: np.random.Generator, config: PrintAugment) -> np.ndarray:
-    """The print at ``size``, area-averaged, slightly bent as by an imperfect map; display grey in [0, 1]."""
-    small = cv2.resize(flat, size[::-1], interpolation=cv2.INTER_AREA).astype(np.float32) / 255
-    nodes = film_nodes((5, 5)) + rng.normal(0, config.warp, (5, 5, 2))
-    return sample_bilinear(small, pixel_from_film(BackwardMap(nodes).dense(size), size))
+def _part(flat: np.ndarray, scale: float, px: int, rng: np.random.Generator) -> np.ndarray:
+    """A random part of the print, reduced by ``scale`` with area averaging to at most ``px`` pixels a side."""
+    side = px / scale
+    top, left = (rng.uniform(0, max(n - side, 0)) for n in flat.shape)
+    part = flat[round(top) : round(top + side), round(left) : round(left + side)]
+    size = [min(px, max(1, round(n * scale))) for n in part.shape]
+    return cv2.resize(part, (size[1], size[0]), interpolation=cv2.INTER_AREA).astype(np.float32) / 255
+
+
+def _warped(part: np.ndarray, longer_px: float, rng: np.random.Generator, config: PrintAugment) -> np.ndarray:
+    """A part of a film of ``longer_px``, slightly bent as by an imperfect map; display grey in [0, 1]."""
+    size = (part.shape[0], part.shape[1])
+    nodes = film_nodes((4, 4)) + rng.normal(0, config.warp, (4, 4, 2)) * (longer_px / max(size))
+    return sample_bilinear(part, pixel_from_film(BackwardMap(nodes).dense(size), size))
 
 
 def _lit(film: np.ndarray, rng: np.random.Generator, config: PrintAugment) -> np.ndarray:
@@ -85,7 +94,7 @@ def _lit(film: np.ndarray, rng: np.random.Generator, config: PrintAugment) -> np
         coarse = rng.normal(0, 1, (4, 4)).astype(np.float32)
         return cv2.resize(coarse, size, interpolation=cv2.INTER_CUBIC)
 
-    gain = np.exp2(0.7 * field())
+    gain = np.exp2(0.5 * field())
     veil = rng.uniform(0, config.veil) * rng.random() / (1 + np.exp(-2 * field()))
     film = np.clip(gain * rng.uniform(0.3, 1.1) * film ** np.exp2(rng.normal(0, config.gamma)) + veil, 0, 1)
     film = cv2.GaussianBlur(film.astype(np.float32), (0, 0), rng.uniform(*config.blur_px))
@@ -94,11 +103,3 @@ def _lit(film: np.ndarray, rng: np.random.Generator, config: PrintAugment) -> np
     quality = [cv2.IMWRITE_JPEG_QUALITY, int(rng.integers(40, 97))]
     decoded = cv2.imdecode(cv2.imencode(".jpg", pixels, quality)[1], cv2.IMREAD_GRAYSCALE)
     return np.asarray(decoded, np.float32) / 255
-
-
-def _part(film: np.ndarray, px: int, rng: np.random.Generator) -> np.ndarray:
-    """A random square of ``px`` pixels; where the film is smaller, it is surrounded by zeros."""
-    h, w = film.shape
-    top, left = (int(rng.integers(0, max(side - px, 0) + 1)) for side in (h, w))
-    part = film[top : top + px, left : left + px]
-    return np.pad(part, ((0, px - part.shape[0]), (0, px - part.shape[1])))
