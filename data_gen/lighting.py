@@ -8,12 +8,18 @@ import numpy as np
 from jaxtyping import Float
 
 from data_gen.lamps import Lamp, Shape, Vector, planckian, vector_irradiance
+from hybrid.mesh.film import FilmMesh
 
-LAMP_SHARE = 0.35
+Vector3 = Float[np.ndarray, "3"]
+
+LAMP_SHARE = 0.5
 """Share of photos in rooms with lamps near the film."""
 
 FLASH_SHARE = 0.25
 """Share of those in which the phone's flash is one of them."""
+
+MIRRORED_SHARE = 0.8
+"""Share of lamps, flashes aside, that stand where some point of the film mirrors them."""
 
 _FLASH_AT_MM = 500.0
 """Distance at which a flash gives the irradiance that was drawn for it."""
@@ -146,10 +152,48 @@ def sample_light(rng: np.random.Generator, light_box_share: float) -> Light:
     if boxed or rng.random() >= LAMP_SHARE:
         return light
     lamps = [_flash(rng)] if rng.random() < FLASH_SHARE else []
-    kinds = (_ceiling_lamp, _ceiling_lamp, _desk_lamp, _desk_lamp, _window)
+    kinds = (_ceiling_lamp, _ceiling_lamp, _desk_lamp, _desk_lamp, _window, _window)
     for _ in range(int(rng.integers(0 if lamps else 1, 3))):
         lamps.append(kinds[int(rng.integers(len(kinds)))](rng, light.up))
     return replace(light, lamps=tuple(lamps))
+
+
+def some_mirrored(light: Light, film: FilmMesh, camera_mm: Vector3, rng: np.random.Generator) -> Light:
+    """The light with a share of its lamps turned about the film's middle to where the camera sees them in the film."""
+    lamps = []
+    for lamp in light.lamps:
+        if lamp.at_camera or rng.random() >= MIRRORED_SHARE:
+            lamps.append(lamp)
+            continue
+        u, v = rng.uniform(0.15, 0.85, (2, 1))
+        lamps.append(mirrored(lamp, film.surface(u, v)[0, 0], film.normals(u, v)[0, 0], camera_mm))
+    return replace(light, lamps=tuple(lamps))
+
+
+def mirrored(lamp: Lamp, point: Vector3, normal: Vector3, camera_mm: Vector3) -> Lamp:
+    """The lamp turned about the world's origin, the film's middle, until a mirror at ``point`` shows it to the camera.
+
+    It lights the film's middle as before. A lamp that is nearer to the origin than the point is moved away.
+    """
+    view = (camera_mm - point) / np.linalg.norm(camera_mm - point)
+    towards = 2 * (view @ normal) * normal - view
+    old = np.array(lamp.centre_mm)
+    reach = max(float(old @ old), 1.2 * float(point @ point))
+    along = float(point @ towards)
+    centre = point + (np.sqrt(along**2 - point @ point + reach) - along) * towards
+    turn = _rotation(old / np.linalg.norm(old), centre / np.linalg.norm(centre))
+    axis, across = np.array([lamp.axis, lamp.across]) @ turn.T
+    return replace(lamp, centre_mm=_vector(centre), axis=_vector(axis), across=_vector(across))
+
+
+def _rotation(start: Vector3, stop: Vector3) -> Float[np.ndarray, "3 3"]:
+    """The smallest rotation that takes one unit vector to another (any half turn between opposite ones)."""
+    both = start + stop
+    if both @ both < 1e-12:
+        both = np.cross(start, np.eye(3)[np.argmin(np.abs(start))])
+        return 2 * np.outer(both, both) / (both @ both) - np.eye(3)
+    first = 2 * np.outer(start, start) - np.eye(3)
+    return (2 * np.outer(both, both) / (both @ both) - np.eye(3)) @ first
 
 
 def _light_box(rng: np.random.Generator) -> LightBox:
@@ -216,8 +260,8 @@ def _flash(rng: np.random.Generator) -> Lamp:
 
 
 def _bright(rng: np.random.Generator, lamp: Lamp, kelvin: tuple[float, float]) -> Lamp:
-    """The lamp at a random colour, lighting the film's middle 0.25 to 4 times as much as an even room does."""
-    strength = np.exp(rng.uniform(np.log(0.25), np.log(4.0))) * np.pi
+    """The lamp at a random colour, lighting the film's middle 0.4 to 6 times as much as an even room does."""
+    strength = np.exp(rng.uniform(np.log(0.4), np.log(6.0))) * np.pi
     received = float(np.linalg.norm(vector_irradiance(lamp, np.zeros((1, 3)))))
     return replace(lamp, radiance=_vector(planckian(float(rng.uniform(*kelvin))) * strength / received))
 

@@ -9,7 +9,16 @@ from hypothesis import strategies as st
 
 from data_gen.gloss import ALBEDO_COSINES, GRAZING_MEAN, fresnel, gloss, smith
 from data_gen.lamps import Lamp
-from data_gen.lighting import Light, LightBox, Material, room_from_film, sample_light, sample_material
+from data_gen.lighting import (
+    LAMP_SHARE,
+    Light,
+    LightBox,
+    Material,
+    mirrored,
+    room_from_film,
+    sample_light,
+    sample_material,
+)
 from data_gen.rooms import Environment, directions, prefilter, procedural_room
 from data_gen.scene import Scene, SceneConfig, sample_scene
 from data_gen.seen_film import seen_film
@@ -185,6 +194,21 @@ def test_a_lamp_shows_where_its_mirror_image_stands(at: tuple[float, float]):
     assert np.abs(brightest(light) - expected).max() < 1.0 / len(light.veil)
 
 
+@settings(max_examples=15, deadline=None)
+@given(st.tuples(st.floats(0.15, 0.85), st.floats(0.15, 0.85)), st.integers(0, 50))
+def test_a_mirrored_lamp_shows_at_its_point_and_lights_the_middle_as_before(uv: tuple[float, float], seed: int):
+    film, eye = bent(), camera().centre_world
+    u, v = np.array(uv[:1]), np.array(uv[1:])
+    drawn = np.random.default_rng(seed).normal(0, 1, 3) * [1, 1, 0] - [0, 0, 3]
+    bulb = replace(BULB, centre_mm=tuple((drawn * 300).tolist()), half_mm=(6.0, 6.0))
+    lamp = mirrored(bulb, film.surface(u, v)[0, 0], film.normals(u, v)[0, 0], eye)
+    assert np.linalg.norm(lamp.centre_mm) == pytest.approx(np.linalg.norm(bulb.centre_mm))
+    light = film_light(film, scene(MIRROR, replace(LIGHT, front=0.0, lamps=(lamp,)), camera()), EVEN)
+    v_near, u_near = (int(x * len(light.veil)) for x in (uv[1], uv[0]))
+    near = light.veil[max(v_near - 2, 0) : v_near + 3, max(u_near - 2, 0) : u_near + 3]
+    assert near.max() > 0.5 * light.veil.max()
+
+
 def test_the_sun_shows_where_the_mirrored_ray_meets_it():
     eye, target = np.array([100.0, -50.0, -700.0]), np.array([40.0, 30.0, 0.0])
     mirrored = (target - eye) * [1, 1, -1] / np.linalg.norm(target - eye)
@@ -237,7 +261,7 @@ def test_light_is_drawn_in_the_shares_that_are_promised():
     lights = [sample_light(np.random.default_rng(seed), 0.2) for seed in range(2000)]
     rooms = [light for light in lights if not light.light_box]
     assert len(rooms) / len(lights) == pytest.approx(0.8, abs=0.04)
-    assert np.mean([bool(light.lamps) for light in rooms]) == pytest.approx(0.35, abs=0.04)
+    assert np.mean([bool(light.lamps) for light in rooms]) == pytest.approx(LAMP_SHARE, abs=0.04)
     assert any(lamp.at_camera for light in rooms for lamp in light.lamps)
     assert not any(light.lamps for light in lights if light.light_box)
     glossy = np.mean([sample_material(np.random.default_rng(seed)).roughness < 0.3 for seed in range(1000)])
