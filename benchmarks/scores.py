@@ -33,7 +33,8 @@ class CaseScore:
 
     end_point_px: mean distance of found from true photo points, for a photo of REFERENCE_PX. end_point_percent: the
     same in percent of the film's diagonal as it is seen. paper: scores of the unwarped photo. map: of the backward map
-    as an image. up: whether the film reads right, mirrored neither. seconds: from what the method is given to its map.
+    as an image. up: whether the map is of the film that reads right, neither turned nor mirrored. seconds: from what
+    the method is given to its map.
     """
 
     name: str

@@ -60,6 +60,8 @@ class Options:
             raise ConfigError(describe(what="--methods", got=", ".join(unknown), allowed=allowed, do="Name these."))
         if not self.data and self.photos is None:
             raise ConfigError(describe(what="tables", got="nothing to score on", do="Give --data or --photos."))
+        if self.count is not None and self.count < 1:
+            raise ConfigError(describe(what="--count", got=self.count, allowed=">= 1", do="Choose another."))
 
 
 def score_method(method: Method, cases: Sequence[Case]) -> list[CaseScore]:

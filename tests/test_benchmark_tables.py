@@ -178,6 +178,8 @@ def test_wrong_options_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture
         Options(tmp_path / "t.json", (tmp_path,), methods=("unet",))
     with pytest.raises(ConfigError, match="Give --data or --photos"):
         Options(tmp_path / "t.json")
+    with pytest.raises(ConfigError, match="--count"):
+        Options(tmp_path / "t.json", (tmp_path,), count=0)
     assert main(["--json", str(tmp_path / "t.json"), "--data", str(tmp_path)]) == 1
     assert "data_gen.generate" in capsys.readouterr().err
 
