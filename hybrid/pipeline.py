@@ -75,7 +75,7 @@ class Rectifier:
     def network_map(self, source: str | Path | np.ndarray) -> BackwardMap | None:
         """What the network alone makes of a photo, before refinement: the map of the film as it lies in the photo.
 
-        None where it sees no film. For comparing networks, and for training better ones.
+        None where it sees no film. For comparing networks, which refinement would make alike.
 
         Raises:
             PhotoError: the source cannot be read as a photo.
