@@ -29,11 +29,15 @@ REFERENCE_SIDE = 1000.0
 """Photo side, in pixels, to which blur radii refer."""
 
 
+White = float | Float[np.ndarray, "3"]
+"""Radiance that is exposed to the level ``Lens.exposure``, grey or RGB."""
+
+
 @dataclass(frozen=True)
 class Lens:
     """What the camera does to the light, all at random.
 
-    exposure: linear level that the film's bright parts (95th percentile) reach. temperature: log2 red/blue gain.
+    exposure: linear level that what is metered as white reaches. temperature: log2 red/blue gain.
     tint: log2 green gain. tone: 'srgb', 'filmic' or 'punchy'. vignette: loss in the corners. bloom: share of light
     scattered. defocus_px, motion_px: blur in pixels of a 1000 px photo. sharpen: unsharp amount.
     noise: of read and shot. jpeg: quality.
@@ -68,8 +72,8 @@ def sample_lens(rng: np.random.Generator) -> Lens:
     )
 
 
-def develop(linear: Float[np.ndarray, "h w 3"], lens: Lens, white: float, rng: np.random.Generator) -> bytes:
-    """JPEG bytes of a photo. ``white`` is the radiance that is exposed to the level ``lens.exposure``."""
+def develop(linear: Float[np.ndarray, "h w 3"], lens: Lens, white: White, rng: np.random.Generator) -> bytes:
+    """JPEG bytes of a photo."""
     size = linear.shape[:2]
     exposed = cv2.transform(
         _blurred(linear, lens, max(size) / REFERENCE_SIDE, rng), np.diag(_gains(lens, white)).astype(np.float32)
@@ -86,7 +90,7 @@ def develop(linear: Float[np.ndarray, "h w 3"], lens: Lens, white: float, rng: n
 
 
 def displayed(
-    radiance: Float[np.ndarray, "h w 3"], place: Float[np.ndarray, "h w 2"], lens: Lens, white: float
+    radiance: Float[np.ndarray, "h w 3"], place: Float[np.ndarray, "h w 2"], lens: Lens, white: White
 ) -> Float32[np.ndarray, "h w 3"]:
     """Display values in [0, 1] that the camera gives to radiances at points of the photo, blur and noise left aside.
 
@@ -96,10 +100,10 @@ def displayed(
     return _toned((radiance * _gains(lens, white) * np.maximum(fall, 0)).astype(np.float32), lens.tone)
 
 
-def _gains(lens: Lens, white: float) -> Float[np.ndarray, "3"]:
+def _gains(lens: Lens, white: White) -> Float[np.ndarray, "3"]:
     """Exposure and white balance: display-linear level for each unit of radiance."""
     balance = np.exp2(np.array([lens.temperature / 2, lens.tint, -lens.temperature / 2]))
-    return balance * lens.exposure / max(white, 1e-6)
+    return balance * lens.exposure / np.maximum(white, 1e-6)
 
 
 def _vignette(lens: Lens, size: tuple[int, int]) -> Float32[np.ndarray, "h w"]:

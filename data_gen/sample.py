@@ -39,6 +39,15 @@ GLARE_LEVELS = 12
 """Display levels, of 255, between print black and print white below which a pixel counts as glare."""
 
 
+METERING = 0.5
+"""Power by which a photo brighter than the film's white lowers the exposure: 0 none, 1 as if it were all background."""
+
+CLIPPED = 6.0
+"""Times the film's white: what is brighter counts no more in metering."""
+
+COLOUR_TAKEN_OUT = 0.6
+"""Power by which white balance follows the light's colour."""
+
 PLACES = (32, 32)
 """Film points whose place in the photo, and so their vignetting, is looked up; it varies slowly."""
 
@@ -117,7 +126,7 @@ def _photograph(
     seen = caster.annotate(camera.resized(map_size))
     view = caster.view(camera, seen if camera.size == map_size else None)
     linear = put_over(composite(view, reflectance, light, around.behind), around.before)
-    white = float(np.percentile(light.gain, 90)) + float(np.percentile(light.veil, 50))
+    white = _metered(light, linear)
     photo = develop(linear, scene.lens, white, rng)
 
     covered = cv2.resize(hidden_share(around.before, camera.size), map_size[::-1], interpolation=cv2.INTER_AREA) > 0.02
@@ -157,6 +166,18 @@ def _lit(film: FilmMesh, scene: Scene, room: FilteredEnvironment, grey: float) -
     return light, around
 
 
+def _metered(light: FilmLight, linear: Float[np.ndarray, "h w 3"]) -> Float[np.ndarray, "3"]:
+    """RGB radiance that the camera takes for white: of the film's bright parts, with regard to the rest of the photo.
+
+    Phones meter all they see, so a bright background darkens the film; and take out most of the light's colour.
+    """
+    bright = np.percentile(light.gain, 90, axis=(0, 1)) + np.percentile(light.veil, 50, axis=(0, 1))
+    level = max(float(bright.mean()), 1e-6)
+    around = float(np.minimum(linear, CLIPPED * level).mean())
+    metered = level * max(around / level, 1.0) ** METERING
+    return metered * np.maximum(bright / level, 1e-2) ** COLOUR_TAKEN_OUT
+
+
 def _albedo(
     levels: PrintLevels, maps: AnnotationMaps, backward: BackwardMap, photo_size: tuple[int, int]
 ) -> Float[np.ndarray, "h w"]:
@@ -169,7 +190,7 @@ def _albedo(
 
 
 def _glare(
-    maps: AnnotationMaps, film: FilmMesh, light: FilmLight, scene: Scene, white: float
+    maps: AnnotationMaps, film: FilmMesh, light: FilmLight, scene: Scene, white: Float[np.ndarray, "3"]
 ) -> Bool[np.ndarray, "h w"]:
     """Film pixels that cannot be recovered: print black and print white come out less than ``GLARE_LEVELS`` apart.
 
