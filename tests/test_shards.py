@@ -3,7 +3,9 @@
 import io
 import json
 import pickle
+import re
 import tarfile
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,7 +13,7 @@ from simple_samples import CONFIG, simple_film
 
 from data_gen.generate import GenerateConfig
 from data_gen.manifest import describe_dataset, write_manifest, write_shard
-from data_gen.shards import sample_bytes
+from data_gen.shards import members, sample_bytes
 from hybrid.coords import CONVENTIONS_VERSION
 from hybrid.errors import ConfigError, DataError
 from hybrid.learn import coding
@@ -110,6 +112,24 @@ def test_the_record_keeps_every_parameter(samples, folder):
 
 
 # ---------------------------------------------------------------- readers
+
+
+GUIDE = Path(__file__).parents[1] / "docs" / "data.md"
+
+
+@pytest.mark.filterwarnings("ignore:Exception ignored in.*FileIO:pytest.PytestUnraisableExceptionWarning")
+def test_the_guides_ways_to_read_a_data_set_run_and_agree(folder):
+    pytest.importorskip("webdataset")
+    names = {"folder": folder}
+    for block in re.findall(r"```python\n(.*?)```", GUIDE.read_text(), flags=re.DOTALL):
+        exec(compile(block, GUIDE.name, "exec"), names)
+    mask = open_dataset(folder)[0].field("mask", 0)
+    np.testing.assert_allclose(names["xyz_mm"][mask][:, 2], names["depth_mm"][mask], rtol=1e-6)
+
+
+def test_the_guide_names_every_member(samples):
+    for member in members(samples[0]):
+        assert f"`{member}`" in GUIDE.read_text()
 
 
 # webdataset leaves it to the garbage collector to close the file.
