@@ -25,7 +25,7 @@ class FilmNetConfig:
 
     widths: tuple[int, int, int, int] = (32, 80, 160, 320)
     blocks: tuple[int, int, int] = (1, 2, 3)
-    input_px: int = 192
+    input_px: int = 128
 
 
 @dataclass(frozen=True, eq=False)
