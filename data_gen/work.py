@@ -20,6 +20,7 @@ from typing import Any
 import cv2
 from threadpoolctl import threadpool_limits
 
+from data_gen._clutter import draw_sprites
 from data_gen.sample import SampleConfig, film_samples
 from data_gen.shards import sample_bytes
 from data_gen.sources import SourceConfig, loaded
@@ -45,7 +46,7 @@ def film_bytes(seed: int, number: int, config: SampleConfig) -> list[bytes]:
     Raises:
         DataError: a source that cannot be read.
     """
-    _one_thread()
+    _start()
     first = number * config.photos_per_film
     return [sample_bytes(sample, first + k) for k, sample in enumerate(film_samples(seed, number, config))]
 
@@ -57,10 +58,14 @@ def source_names(config: SourceConfig) -> dict[str, list[str]]:
 
 
 @lru_cache(maxsize=1)
-def _one_thread() -> None:
-    """One thread in this process from now on: the tasks are the parallelism, and sums keep their order."""
+def _start() -> None:
+    """One thread in this process from now on: the tasks are the parallelism, and sums keep their order.
+
+    Pictures of things are drawn at once, in a quarter of a second: memory would grow with them for hundreds of samples.
+    """
     cv2.setNumThreads(1)
     threadpool_limits(1)
+    draw_sprites()
 
 
 # ---------------------------------------------------------------- who does them
@@ -113,7 +118,7 @@ def _processes(count: int) -> Iterator[Workers]:
     executor = ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), initializer=_leave_with_parent)
     try:
         with _starting_processes():
-            executor.submit(_one_thread)  # the first task starts them all
+            executor.submit(_start)  # the first task starts them all
         yield Workers(executor.submit, lambda: 2 * count + 1)
     except BrokenProcessPool as error:
         do = f"Take fewer --workers if memory is short. {_AGAIN}"
