@@ -25,7 +25,7 @@ from hybrid.rectify.film_size import FilmSizeConfig, film_size
 from hybrid.rectify.invert import Inversion, InvertConfig, NotInverted, agreed, fit_backward
 from hybrid.rectify.refine import RefineConfig, Refinement, refine
 from hybrid.rectify.resample import rectify_photo
-from hybrid.rectify.survey import SurveyConfig, survey_maps, survey_photo
+from hybrid.rectify.survey import SurveyConfig, expected_error, survey_maps, survey_photo
 
 Photo = UInt8[np.ndarray, "H W 3"]
 
@@ -116,6 +116,8 @@ class Rectifier:
             for last in (False, True):
                 if isinstance(inversion, NotInverted) or inversion.backward.folds((9, 9)):
                     break
+                if last and expected_error(maps) > config.survey.max_expected_error:
+                    break  # no film, it seems: a further look would only flatter it
                 flat = inversion.backward if last else plane_of(inversion.backward)
                 sides = config.predict.sides if last else config.predict.sides[:1]
                 looks = look_from_sides(self._network, photo, film_view(flat, config.predict.margin), sides)

@@ -22,6 +22,7 @@ class CoarseMaps:
     xyz: 3D coordinates in camera axes, relative to the film's centre, in units of the film's diagonal.
     albedo: display grey of the print in [0, 1], blurred to the network's resolution.
     photo_points: (h, w, 2) photo points (full-resolution pixels) of the pixel centres.
+    expected_error: how wrong the network expects uv to be, in film units; None where it does not say.
     """
 
     mask: Float[np.ndarray, "h w"]
@@ -29,6 +30,7 @@ class CoarseMaps:
     xyz: Float[np.ndarray, "h w 3"]
     albedo: Float[np.ndarray, "h w"]
     photo_points: Float[np.ndarray, "h w 2"]
+    expected_error: Float[np.ndarray, "h w"] | None = None
 
 
 # ---------------------------------------------------------------- what the print says

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -35,9 +35,10 @@ def look(network: FilmNet, photo: UInt8[np.ndarray, "H W 3"], views: Sequence[Ba
         output = network(images.float().div_(255).contiguous(memory_format=torch.channels_last))
         mask = torch.sigmoid(output.mask_logit).numpy()
     uv, xyz = (maps.permute(0, 2, 3, 1).numpy() for maps in (output.uv, output.xyz))
-    albedo = output.albedo.clamp(0, 1).numpy()
+    albedo, error = output.albedo.clamp(0, 1).numpy(), torch.exp(output.log_scale).numpy()
     return [
-        CoarseMaps(mask[k], uv[k], xyz[k], albedo[k], output_points(view, n, STRIDE)) for k, view in enumerate(views)
+        CoarseMaps(mask[k], uv[k], xyz[k], albedo[k], output_points(view, n, STRIDE), error[k])
+        for k, view in enumerate(views)
     ]
 
 
@@ -47,7 +48,4 @@ def look_from_sides(
     """The maps of one view, turned and mirrored in several ways for the network; uv as in the view itself."""
     ways = [Orientation.from_index(side) for side in sides]
     looks = look(network, photo, [view.turned(way.turns, way.mirrored) for way in ways])
-    return [
-        CoarseMaps(maps.mask, way.seen_from_film(maps.uv), maps.xyz, maps.albedo, maps.photo_points)
-        for maps, way in zip(looks, ways, strict=True)
-    ]
+    return [replace(maps, uv=way.seen_from_film(maps.uv)) for maps, way in zip(looks, ways, strict=True)]

@@ -36,6 +36,8 @@ class SurveyConfig:
     """Least share of the sheet that is seen."""
     min_overlap: float = 0.8
     """Least intersection over union of the mask with the outline of the flattened film."""
+    max_expected_error: float = 0.0145
+    """Largest median of the errors that the network expects of film coordinates; of what is no film it is unsure."""
     max_stretch: float = 60.0
     """Largest ratio of the areas that equal pieces of the film cover in the photo."""
     plane_tolerance_px: float = 0.1
@@ -85,9 +87,11 @@ def survey_maps(maps: CoarseMaps, inversion: Inversion | NotInverted, config: Su
     size = float(np.sqrt(np.prod(inversion.backward.mean_film_pixels())))
     residual = inversion.residual_px / max(size, 1e-9)
     overlap = mask_overlap(maps, inversion.backward)
+    unsure = expected_error(maps)
     evidence = (
         f"film on {share:.0%} of the picture, {inversion.coverage:.0%} of the sheet seen, one shape explains "
-        f"{inversion.inlier_share:.0%} to {residual:.1%} of its size, outline and mask agree to {overlap:.0%}"
+        f"{inversion.inlier_share:.0%} to {residual:.1%} of its size, outline and mask agree to {overlap:.0%}, "
+        f"{unsure:.1%} error expected"
     )
     failed = (
         share < config.min_mask_share
@@ -95,10 +99,17 @@ def survey_maps(maps: CoarseMaps, inversion: Inversion | NotInverted, config: Su
         or residual > config.max_residual
         or inversion.coverage < config.min_coverage
         or overlap < config.min_overlap
+        or unsure > config.max_expected_error
     )
     if failed:
         return Verdict(StatusCode.NO_FILM, evidence)
     return _shape_verdict(inversion.backward, evidence, config)
+
+
+def expected_error(maps: CoarseMaps) -> float:
+    """Median error that the network expects of the film coordinates it gives; 0 where it says nothing."""
+    film = maps.mask >= 0.5
+    return float(np.median(maps.expected_error[film])) if maps.expected_error is not None and film.any() else 0.0
 
 
 def _shape_verdict(backward: BackwardMap, evidence: str, config: SurveyConfig) -> Verdict:
