@@ -12,13 +12,13 @@ from hybrid.mesh.film import FilmMesh
 
 Vector3 = Float[np.ndarray, "3"]
 
-LAMP_SHARE = 0.5
+LAMP_SHARE = 0.7
 """Share of photos in rooms with lamps near the film."""
 
 FLASH_SHARE = 0.25
 """Share of those in which the phone's flash is one of them."""
 
-MIRRORED_SHARE = 0.8
+MIRRORED_SHARE = 0.85
 """Share of lamps, flashes aside, that stand where some point of the film mirrors them."""
 
 _FLASH_AT_MM = 500.0
@@ -259,11 +259,16 @@ def _flash(rng: np.random.Generator) -> Lamp:
     )
 
 
+BRIGHTEST = {"rectangle": 120.0, "disc": 300.0, "sphere": 2000.0}
+"""Radiance over the environment's mean, about 100 cd/m^2 in a room: panels, tubes and windows; reflectors; bulbs."""
+
+
 def _bright(rng: np.random.Generator, lamp: Lamp, kelvin: tuple[float, float]) -> Lamp:
-    """The lamp at a random colour, lighting the film's middle 0.4 to 6 times as much as an even room does."""
+    """The lamp at a random colour, lighting the film's middle 0.4 to 6 times as an even room does if it can."""
     strength = np.exp(rng.uniform(np.log(0.4), np.log(6.0))) * np.pi
     received = float(np.linalg.norm(vector_irradiance(lamp, np.zeros((1, 3)))))
-    return replace(lamp, radiance=_vector(planckian(float(rng.uniform(*kelvin))) * strength / received))
+    level = min(strength / received, BRIGHTEST[lamp.kind])
+    return replace(lamp, radiance=_vector(planckian(float(rng.uniform(*kelvin))) * level))
 
 
 def _aside(rng: np.random.Generator, axis: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
