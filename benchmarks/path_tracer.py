@@ -45,8 +45,8 @@ class TraceConfig:
 @lru_cache(maxsize=1)
 def mitsuba(threads: int = 1) -> Any:
     """The module with its vectorised CPU variant set and the film's BSDF known."""
-    import drjit
-    import mitsuba as mi
+    import drjit  # pyright: ignore[reportMissingImports]  (an extra, "bench")
+    import mitsuba as mi  # pyright: ignore[reportMissingImports]
 
     mi.set_variant("llvm_ad_rgb")
     drjit.set_thread_count(threads)

@@ -1,6 +1,6 @@
 """The network, its losses, its views and its weights files."""
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,11 +14,11 @@ from hybrid.coords import film_centres, pixel_centres, rescale_points
 from hybrid.errors import ConfigError, DataError
 from hybrid.learn import train as train_module
 from hybrid.learn.data import AugmentConfig, random_view, training_view
-from hybrid.learn.losses import LossWeights, Targets, loss_terms, masked_mean, slope_loss, total_loss, uv_loss
+from hybrid.learn.losses import LossWeights, Targets, loss_terms, masked_mean, slope_loss, uv_loss
 from hybrid.learn.network import STRIDE, FilmNet, FilmNetConfig, FilmNetOutput, fused
 from hybrid.learn.paper_data import PaperView, paper_batch
 from hybrid.learn.predict import look, look_from_sides
-from hybrid.learn.presets import PRESETS
+from hybrid.learn.presets import PRESETS, weighted_sum
 from hybrid.learn.samples import film_of, open_places
 from hybrid.learn.train import TrainConfig, train
 from hybrid.learn.upright import UprightNet, UprightNetConfig
@@ -133,7 +133,7 @@ def test_losses_do_not_see_the_background():
     before, after = loss_terms(output, targets), loss_terms(noisy, targets)
     for name, value in before.items():
         assert float(after[name]) == pytest.approx(float(value), rel=1e-5)
-    assert float(total_loss(before, LossWeights())) > 0
+    assert float(weighted_sum(before, asdict(LossWeights()))) > 0
 
 
 # ---------------------------------------------------------------- views

@@ -97,8 +97,3 @@ def loss_terms(output: FilmNetOutput, targets: Targets) -> dict[str, Tensor]:
         "normal": normal_loss(output, targets),
         "orientation": functional.cross_entropy(output.orientation, targets.orientation),
     }
-
-
-def total_loss(terms: dict[str, Tensor], weights: LossWeights) -> Tensor:
-    """Weighted sum of the terms."""
-    return torch.stack([getattr(weights, name) * term for name, term in terms.items()]).sum()

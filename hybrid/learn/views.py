@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from hybrid.backward import BackwardMap
-from hybrid.coords import film_nodes, opencv_from_photo, rescale_points
+from hybrid.coords import film_nodes, rescale_points, sample_bilinear
 
 PLANE_NODES = (9, 9)
 """Film points to which a homography is fitted."""
@@ -66,9 +66,7 @@ def view_image(photo: UInt8[np.ndarray, "H W 3"], view: BackwardMap, n: int) -> 
         size = (max(1, round(part.shape[0] / scale)), max(1, round(part.shape[1] / scale)))
         points = rescale_points(points, (part.shape[0], part.shape[1]), size)
         part = cv2.resize(part, size[::-1], interpolation=cv2.INTER_AREA)
-    at = opencv_from_photo(points.astype(np.float32))
-    x, y = np.ascontiguousarray(at[..., 0]), np.ascontiguousarray(at[..., 1])
-    return cv2.remap(part, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return sample_bilinear(part, points)
 
 
 def output_points(view: BackwardMap, n: int, stride: int) -> Float[np.ndarray, "m m 2"]:
