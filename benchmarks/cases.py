@@ -92,7 +92,7 @@ def read_alike(found: BackwardMap, true: BackwardMap) -> tuple[BackwardMap, Orie
     """
     points = true.photo_from_film(film_nodes(CORNERS))
     ways = [Orientation.from_index(index) for index in range(8)]
-    maps = [found.turned(way.turns, way.mirrored) for way in ways]
+    maps = [found.turned(way) for way in ways]
     errors = [float(np.linalg.norm(m.photo_from_film(film_nodes(CORNERS)) - points, axis=-1).mean()) for m in maps]
     best = int(np.argmin(errors))
     return maps[best], ways[best]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Shaped
 from scipy.interpolate import RectBivariateSpline, make_interp_spline
 
 from hybrid.coords import film_centres_1d, film_nodes, node_centres_1d
@@ -128,10 +128,9 @@ class BackwardMap:
         """The map into a photo that was cropped at ``offset_xy`` and then scaled by ``scale_xy``."""
         return BackwardMap((self.nodes - np.asarray(offset_xy)) * np.asarray(scale_xy))
 
-    def turned(self, quarter_turns: int, mirrored: bool) -> BackwardMap:
-        """The map of the film read after ``quarter_turns`` clockwise turns, mirrored left to right first if asked."""
-        nodes = self.nodes[:, ::-1] if mirrored else self.nodes
-        return BackwardMap(np.rot90(nodes, -quarter_turns))
+    def turned(self, way: Orientation) -> BackwardMap:
+        """The map of the film read after it was moved as ``way`` says."""
+        return BackwardMap(way.moved(self.nodes))
 
     def mean_film_pixels(self) -> tuple[float, float]:
         """Mean height and width in photo pixels of the film: lengths of the lattice lines, averaged."""
@@ -150,7 +149,7 @@ class Orientation:
     """How a film that is seen in a photo must be moved to read right: mirrored left to right first, then turned.
 
     turns: quarter turns clockwise, 0 to 3. mirrored: the film is seen from behind. ``seen`` coordinates are film uv as
-    if the film were read the way it appears in the photo; ``BackwardMap.turned`` takes the same two numbers.
+    if the film were read the way it appears in the photo.
     """
 
     turns: int
@@ -168,8 +167,12 @@ class Orientation:
 
     @property
     def inverse(self) -> Orientation:
-        """What undoes it: ``seen = true.turned(inverse.turns, inverse.mirrored)``. A reflection undoes itself."""
+        """What undoes it: ``seen = true.turned(way.inverse)``. A reflection undoes itself."""
         return self if self.mirrored else Orientation(-self.turns % 4, False)
+
+    def moved(self, picture: Shaped[np.ndarray, "h w *c"]) -> Shaped[np.ndarray, "h2 w2 *c"]:
+        """A picture (or nodes, or vertices) of a film, moved as the film is; a view where it can be."""
+        return np.rot90(picture[:, ::-1] if self.mirrored else picture, -self.turns)
 
     def film_from_seen(self, uv: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n 2"]:
         """Film uv of coordinates of the film as seen."""
@@ -209,10 +212,26 @@ def orientation_of(across: Float[np.ndarray, "2"], down: Float[np.ndarray, "2"])
     return Orientation(int(np.rint(-2 * clockwise / np.pi)) % 4, mirrored)
 
 
+def film_as_seen(backward: BackwardMap) -> BackwardMap:
+    """The map of the film as it lies in the photo: its top is the side nearest to the photo's, and it is not mirrored.
+
+    ``orientation(backward)`` makes the true map of it.
+    """
+    return backward.turned(orientation(backward).inverse)
+
+
 def end_point_error(predicted: BackwardMap, true_points: Float[np.ndarray, "n n 2"]) -> Float[np.ndarray, "n n"]:
     """Distance in photo pixels between predicted and true photo points of a film lattice, edges included."""
     uv = film_nodes(true_points.shape[:2])
     return np.linalg.norm(predicted.photo_from_film(uv) - true_points, axis=-1)
 
 
-__all__ = ["BackwardMap", "Orientation", "end_point_error", "orientation", "orientation_of", "spline_weights"]
+__all__ = [
+    "BackwardMap",
+    "Orientation",
+    "end_point_error",
+    "film_as_seen",
+    "orientation",
+    "orientation_of",
+    "spline_weights",
+]

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from hybrid.backward import BackwardMap
-from hybrid.coords import opencv_from_photo, rescale_points
+from hybrid.coords import film_nodes, opencv_from_photo, rescale_points
 
 PAPER_SIZE = (256, 256)
 """Height and width at which the paper compares everything."""
@@ -192,6 +192,29 @@ def end_point_statistics(distances_px: Float[np.ndarray, "*n"], photo_size: tupl
     )
 
 
+DISTORTION_AREA_PX = 598_400
+"""Pixels of the flat picture in which local distortion is quoted (Ma et al., DocUNet, CVPR 2018)."""
+
+
+def local_distortion(predicted: BackwardMap, true: BackwardMap, lattice: tuple[int, int] = (65, 65)) -> float:
+    """How far what the flat film shows lies from where it belongs: mean distance in pixels of a film of 598,400.
+
+    The distance that DocUNet's benchmark calls local distortion and estimates by SIFT flow; here it comes from the
+    maps, without a matcher's own errors, so it is not to be compared with published figures. Photo points that the
+    prediction reads beyond the sheet's edges are placed to first order.
+    """
+    uv = film_nodes(lattice)
+    read = predicted.photo_from_film(uv)
+    shown = true.film_from_photo(read)
+    off = np.isnan(shown).any(axis=-1)
+    # A sheet seen edge-on has directions of no extent in the photo; the cut keeps them from becoming infinite.
+    inverse = np.linalg.pinv(true.jacobian(uv[off]), rcond=1e-2)
+    shown[off] = uv[off] + np.einsum("nij,nj->ni", inverse, read[off] - true.photo_from_film(uv[off]))
+    aspect = np.divide(*true.mean_film_pixels())
+    width = float(np.sqrt(DISTORTION_AREA_PX / aspect))
+    return float(np.linalg.norm((shown - uv) * np.array([width, width * aspect]), axis=-1).mean())
+
+
 # ---------------------------------------------------------------- film against print
 
 
@@ -215,6 +238,7 @@ __all__ = [
     "PaperScores",
     "end_point_statistics",
     "image_scores",
+    "local_distortion",
     "ms_ssim",
     "paper_protocol",
     "psnr",

@@ -63,10 +63,7 @@ class SliceGrid:
 
     def turned(self, way: Orientation) -> SliceGrid:
         """The grid of the film read after it was moved as ``way`` says; see ``BackwardMap.turned``."""
-        vertices, photo = (
-            np.rot90(points[:, ::-1] if way.mirrored else points, -way.turns)
-            for points in (way.film_from_seen(self.vertices), self.vertices_photo)
-        )
+        vertices, photo = (way.moved(points) for points in (way.film_from_seen(self.vertices), self.vertices_photo))
         rows, cols = photo.shape[0] - 1, photo.shape[1] - 1
         return SliceGrid(rows, cols, vertices.copy(), photo.copy(), self.confidence)
 

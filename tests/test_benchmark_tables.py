@@ -51,7 +51,7 @@ def test_the_truth_scores_perfect_from_whatever_side_it_is_read(cases: list[Case
     case = cases[0]
     for index in range(8):
         way = Orientation.from_index(index)
-        one = score(Method("truth", lambda photo, way=way: case.backward.turned(way.turns, way.mirrored)), case)
+        one = score(Method("truth", lambda photo, way=way: case.backward.turned(way)), case)
         assert one.paper is not None
         assert one.map is not None
         assert one.end_point_px is not None
@@ -72,7 +72,7 @@ def test_a_shift_is_measured_for_a_photo_of_1080_px_and_in_parts_of_the_film(cas
 def test_the_turn_that_is_taken_back_is_the_one_that_was_made(cases: list[Case]) -> None:
     true = cases[0].backward
     for way in map(Orientation.from_index, range(8)):
-        seen, undone = read_alike(true.turned(way.turns, way.mirrored), true)
+        seen, undone = read_alike(true.turned(way), true)
         np.testing.assert_allclose(seen.nodes, true.nodes, atol=EXACT_PX)
         assert undone == way.inverse
 

@@ -20,16 +20,16 @@ def seen_map() -> BackwardMap:
 def test_orientation_is_what_makes_the_seen_film_upright(index):
     way = Orientation.from_index(index)
     assert way.index == index
-    true = seen_map().turned(way.turns, way.mirrored)
+    true = seen_map().turned(way)
     assert orientation(true) == way
-    back = true.turned(way.inverse.turns, way.inverse.mirrored)
+    back = true.turned(way.inverse)
     np.testing.assert_allclose(back.nodes, seen_map().nodes)
 
 
 @pytest.mark.parametrize("index", range(8))
 def test_coordinates_agree_with_the_turned_map(index):
     way, seen = Orientation.from_index(index), seen_map()
-    true = seen.turned(way.turns, way.mirrored)
+    true = seen.turned(way)
     uv_seen = np.random.default_rng(index).random((50, 2))
     np.testing.assert_allclose(
         true.photo_from_film(way.film_from_seen(uv_seen)), seen.photo_from_film(uv_seen), atol=1e-9
@@ -53,7 +53,7 @@ def test_a_grid_turns_with_its_film(index):
     way, seen = Orientation.from_index(index), seen_map()
     vertices = film_nodes((4, 3))
     grid = SliceGrid(3, 2, vertices, seen.photo_from_film(vertices), 0.9).turned(way)
-    film = seen.turned(way.turns, way.mirrored)
+    film = seen.turned(way)
     np.testing.assert_allclose(film.photo_from_film(grid.vertices), grid.vertices_photo, atol=1e-9)
     assert (np.diff(grid.vertices[..., 0], axis=1) > 0).all()  # columns to the right, rows down, as ever
     assert (np.diff(grid.vertices[..., 1], axis=0) > 0).all()

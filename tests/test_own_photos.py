@@ -45,7 +45,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     pairs, out = tmp_path_factory.mktemp("pairs"), tmp_path_factory.mktemp("made")
     write_pair(pairs, "a")
     write_pair(pairs, "bb", ".jpg")
-    turned = BackwardMap(photo_from_film(film_nodes((21, 17)))).turned(1, True).nodes
+    turned = BackwardMap(photo_from_film(film_nodes((21, 17)))).turned(Orientation(1, True)).nodes
     write_pair(pairs, "ccc", lattice=turned)
     assert make_dataset(OwnPhotosConfig(pairs, out, size=100)) == 3
     return out

@@ -14,11 +14,6 @@ CLEAN = PrintAugment(
 )
 
 
-def moved(film: np.ndarray, way: Orientation) -> np.ndarray:
-    """A film read after it was moved as ``way`` says."""
-    return np.rot90(film[:, ::-1] if way.mirrored else film, -way.turns)
-
-
 def test_slow_changes_of_the_light_are_taken_out():
     rng = np.random.default_rng(0)
     film = rng.random((300, 240))
@@ -35,7 +30,7 @@ def test_the_label_of_a_view_makes_it_read_right():
     for seed in range(40):
         small = replace(CLEAN, longer_px=(240.0, 241.0))
         view, index = upright_view(flat, 256, np.random.default_rng([3, seed]), small)
-        ink = np.abs(moved(view, Orientation.from_index(index)))
+        ink = np.abs(Orientation.from_index(index).moved(view))
         assert ink[:115, :90].mean() > 5 * ink[130:].mean()
         assert ink[:115, :90].mean() > 5 * ink[:, 110:].mean()
         labels.add(index)

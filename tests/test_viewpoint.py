@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from data_gen.viewpoint import LEAST_COSINE, ViewConfig, mean_cosine, sample_camera, view_parameters
+from hybrid.backward import Orientation
 from hybrid.coords import node_centres_1d
 from hybrid.mesh.film import film_mesh
 from hybrid.mesh.raycast import true_backward_map
@@ -52,7 +53,7 @@ def test_labels_are_the_truth():
     for camera, view in zip(cameras, labels, strict=True):
         assert view["mirrored"] == view["behind"]
         backward = true_backward_map(film, camera, (9, 9))
-        seen = backward.turned(-view["turns"] if not view["mirrored"] else view["turns"], view["mirrored"]).nodes
+        seen = backward.turned(Orientation(view["turns"], view["mirrored"]).inverse).nodes
         down = (seen[-1] - seen[0]).mean(axis=0)
         assert down[1] > 0
         assert np.linalg.norm(camera.centre_world - film.surface(T, T).mean(axis=(0, 1))) == pytest.approx(

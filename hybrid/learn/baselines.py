@@ -12,7 +12,14 @@ from jaxtyping import Float, UInt8
 from torch import Tensor
 
 from hybrid.backward import BackwardMap
-from hybrid.coords import photo_from_opencv, rescale_points, sample_bilinear, sample_photo
+from hybrid.coords import (
+    film_nodes,
+    photo_from_opencv,
+    pixel_from_film,
+    rescale_points,
+    sample_bilinear,
+    sample_photo,
+)
 from hybrid.learn.dewarpnet import NODES, DewarpNet
 from hybrid.learn.firenet import FiReNet
 from hybrid.learn.uv_recovery import interpolated, joined, points_of_deformation, points_of_uv
@@ -46,15 +53,30 @@ def published_points(backward: BackwardMap, size: tuple[int, int]) -> Float[np.n
     return photo_from_opencv(resized.astype(np.float64) * np.array([width - 1, height - 1]))
 
 
+def published_image(backward: BackwardMap, photo: UInt8[np.ndarray, "H W 3"]) -> Float[np.ndarray, "H W 3"]:
+    """The film image that the published inference makes: of the photo's size, sRGB in [0, 1], in double precision.
+
+    backward: in units of the photo's sides.
+    """
+    points = published_points(backward, (photo.shape[0], photo.shape[1]))
+    image = torch.from_numpy(photo).permute(2, 0, 1)[None].double().div_(255)
+    return _hwc(sample_photo(image, torch.from_numpy(points)[None]))
+
+
+def published_map(backward: BackwardMap, size: tuple[int, int]) -> BackwardMap:
+    """What ``published_points`` reads in a photo of ``size``, at the nodes of a film, edges included."""
+    blurred = cv2.blur(backward.dense((NODES, NODES)), (3, 3))
+    at = pixel_from_film(film_nodes((NODES, NODES)), (NODES, NODES))
+    read = np.stack([sample_bilinear(np.ascontiguousarray(blurred[..., k]), at) for k in range(2)], axis=-1)
+    return BackwardMap(photo_from_opencv(read.astype(np.float64) * np.array([size[1] - 1, size[0] - 1])))
+
+
 def as_published(network: DewarpNet, photo: UInt8[np.ndarray, "H W 3"]) -> Float[np.ndarray, "H W 3"]:
     """DewarpNet's released inference, steps and precision alike: a film image of the photo's size, sRGB in [0, 1].
 
     256 px image -> 3D map -> 128 x 128 map -> mean -> resize -> bilinear lookup in double precision.
     """
-    size = (photo.shape[0], photo.shape[1])
-    points = published_points(dewarpnet_map(network, photo, cv2.INTER_LINEAR), size)
-    image = torch.from_numpy(photo).permute(2, 0, 1)[None].double().div_(255)
-    return _hwc(sample_photo(image, torch.from_numpy(points)[None]))
+    return published_image(dewarpnet_map(network, photo, cv2.INTER_LINEAR), photo)
 
 
 # ---------------------------------------------------------------- FiReNet

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from jaxtyping import Float, UInt8
 
-from hybrid.backward import MIN_NODES, BackwardMap, Orientation, orientation, orientation_of
+from hybrid.backward import MIN_NODES, BackwardMap, Orientation, film_as_seen, orientation_of
 from hybrid.coords import film_centres, film_nodes
 from hybrid.learn.losses import Targets
 from hybrid.learn.network import STRIDE
@@ -119,21 +119,23 @@ def random_view(
 ) -> tuple[BackwardMap, float]:
     """A view of a film in a photo of ``size`` (height, width), and its weight."""
     if rng.random() < config.empty_share and (view := _without_film(film, size, rng)) is not None:
-        return view.turned(int(rng.integers(4)), bool(rng.random() < 0.5)), WHOLE_WEIGHT
+        return _turned_anyhow(view, rng), WHOLE_WEIGHT
     kind = rng.random()
     if kind < config.whole_share:
         view = random_window(size, rng, config)
     else:
-        way = orientation(film).inverse
-        seen = film.turned(way.turns, way.mirrored)
+        seen = film_as_seen(film)
         if kind < config.whole_share + config.plane_share:
             seen = _disturbed_map(plane_of(seen), 2, _log_uniform(rng, config.plane_error), rng)
         else:
             seen = _disturbed_map(seen, BEND_ERROR_NODES, _log_uniform(rng, config.bend_error), rng)
         view = film_view(seen, rng.uniform(*config.margin))
-    return view.turned(int(rng.integers(4)), bool(rng.random() < 0.5)), (
-        WHOLE_WEIGHT if kind < config.whole_share else FLATTENED_WEIGHT
-    )
+    return _turned_anyhow(view, rng), WHOLE_WEIGHT if kind < config.whole_share else FLATTENED_WEIGHT
+
+
+def _turned_anyhow(view: BackwardMap, rng: np.random.Generator) -> BackwardMap:
+    """A view in one of the eight ways to hold it."""
+    return view.turned(Orientation(int(rng.integers(4)), bool(rng.random() < 0.5)))
 
 
 def _without_film(film: BackwardMap, size: tuple[int, int], rng: np.random.Generator) -> BackwardMap | None:

@@ -14,7 +14,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from hybrid.backward import BackwardMap, orientation
+from hybrid.backward import BackwardMap, film_as_seen, orientation
 from hybrid.coords import film_nodes
 from hybrid.errors import DataError, describe
 from hybrid.learn.data import AugmentConfig, axes_of, disturbed, random_window, turned_axes
@@ -61,14 +61,13 @@ def _sample(
         do = "Train FilmNet on these, or this network on data made by python -m data_gen.generate."
         raise DataError(describe(what="sample", where=place[0].path, got="no xyz, normal or albedo", do=do))
     way, axes = orientation(film), axes_of(window)
-    seen_film = film.turned(way.inverse.turns, way.inverse.mirrored)
     return image, {
         "mask": truth.mask,
         "uv": np.where(truth.mask[..., None], way.seen_from_film(truth.uv), np.float32(0)),
         "xyz": turned_axes(truth.xyz, axes).astype(np.float32),
         "normal": turned_axes(truth.normal, axes).astype(np.float32),
         "albedo": truth.albedo,
-        "backward": backward_in_window(seen_film, window, max(view.nodes, 4)),
+        "backward": backward_in_window(film_as_seen(film), window, max(view.nodes, 4)),
     }
 
 

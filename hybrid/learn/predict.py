@@ -47,5 +47,5 @@ def look_from_sides(
 ) -> list[CoarseMaps]:
     """The maps of one view, turned and mirrored in several ways for the network; uv as in the view itself."""
     ways = [Orientation.from_index(side) for side in sides]
-    looks = look(network, photo, [view.turned(way.turns, way.mirrored) for way in ways])
+    looks = look(network, photo, [view.turned(way) for way in ways])
     return [replace(maps, uv=way.seen_from_film(maps.uv)) for maps, way in zip(looks, ways, strict=True)]

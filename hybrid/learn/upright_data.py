@@ -66,8 +66,7 @@ def upright_view(
     film = standardised(_lit(_warped(part, longer, rng, config), rng, config), longer)
     film = np.pad(film, [(0, px - side) for side in film.shape])
     way = Orientation.from_index(int(rng.integers(8)))
-    seen = way.inverse  # the film that ``way`` would make read right
-    return np.rot90(film[:, ::-1] if seen.mirrored else film, -seen.turns).copy(), way.index
+    return way.inverse.moved(film).copy(), way.index  # the film that ``way`` would make read right
 
 
 def _part(flat: np.ndarray, scale: float, px: int, rng: np.random.Generator) -> np.ndarray:
