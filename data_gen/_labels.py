@@ -36,12 +36,14 @@ FIELDS = (
 class Marks:
     """What else stands in every cell, None or 0 for nothing.
 
-    ruler: a scale bar, upright at the right or lying at the bottom. cross: a plus sign in the middle. wedge: greys at
-    the left edge. ticks_px: length of the strokes at the middles of the four edges.
+    ruler: a scale bar, upright at the right or lying at the bottom; at the left or the top if ``ruler_first``. cross: a
+    plus sign in the middle. wedge: greys at the left edge. ticks_px: length of the strokes at the middles of the four
+    edges.
     """
 
     ruler: Sprite | None
     ruler_vertical: bool
+    ruler_first: bool
     cross: Sprite | None
     wedge: Float[np.ndarray, "_ _"] | None
     ticks_px: int
@@ -80,8 +82,8 @@ class Labels:
             "font": asdict(self.font), "corners": [list(lines) for lines in self.corners], "values": self.values,
             "letters": list(self.letters), "style": self.style, "grey": self.grey, "pad_px": self.pad_px,
             "leading": self.leading, "first_image": self.first_image, "first_mm": self.first_mm,
-            "ruler": marks.ruler is not None, "ruler_vertical": marks.ruler_vertical, "cross": marks.cross is not None,
-            "wedge": marks.wedge is not None, "ticks_px": marks.ticks_px,
+            "ruler": marks.ruler is not None, "ruler_vertical": marks.ruler_vertical, "ruler_first": marks.ruler_first,
+            "cross": marks.cross is not None, "wedge": marks.wedge is not None, "ticks_px": marks.ticks_px,
         }  # fmt: skip
 
 
@@ -134,15 +136,18 @@ def _random_corners(rng: np.random.Generator) -> tuple[tuple[str, ...], ...]:
 
 
 def _random_marks(rng: np.random.Generator, cell_px: tuple[int, int], px_per_mm: float, share: float) -> Marks:
-    """A scale bar on half of the prints; wedges, crosses and ticks each on ``share`` of them."""
+    """A scale bar on half of the prints, its ticks on either side; wedges, crosses and ticks on ``share`` of them."""
     ruler, vertical = _random_ruler(rng, cell_px, px_per_mm)
     cross, wedge, ticks = rng.random(3) < share
     height, width = cell_px
     thick = max(1, round(0.003 * width))
     steps = int(rng.choice([0, 8, 11, 16]))
+    if ruler is not None and rng.random() < 0.5:
+        ruler = ruler[:, ::-1] if vertical else ruler[::-1]
     return Marks(
         ruler,
         vertical,
+        bool(rng.random() < 0.3),
         cross_sprite(max(2, round(rng.uniform(0.01, 0.03) * width)), thick) if cross else None,
         wedge_greys(int(rng.uniform(0.25, 0.5) * height), max(3, round(0.02 * width)), steps, 0.95) if wedge else None,
         max(2, round(rng.uniform(0.01, 0.025) * width)) if ticks else 0,
@@ -195,9 +200,9 @@ def _draw_marks(inside: Float[np.ndarray, "h w"], marks: Marks, labels: Labels) 
     height, width = inside.shape
     if marks.ruler is not None:
         tall, wide = marks.ruler.shape
-        at = (width - labels.pad_px - wide, (height - tall) // 2)
-        if not marks.ruler_vertical:
-            at = ((width - wide) // 2, height - labels.pad_px - tall)
+        across, down = width - wide, height - tall
+        along = labels.pad_px if marks.ruler_first else (across if marks.ruler_vertical else down) - labels.pad_px
+        at = (along, down // 2) if marks.ruler_vertical else (across // 2, along)
         stamp(inside, marks.ruler, *at, labels.grey)
     if marks.cross is not None:
         stamp(
