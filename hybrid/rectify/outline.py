@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 from scipy.ndimage import gaussian_filter1d, uniform_filter1d
 
 from hybrid.backward import BackwardMap
-from hybrid.coords import film_centres_1d
+from hybrid.coords import film_centres_1d, linear_from_srgb
 from hybrid.rectify.curves import best_paths, parabola_peak, smooth_curve_weights
 from hybrid.rectify.film_view import view_film
 from hybrid.rectify.sightings import Sightings
@@ -240,7 +240,10 @@ def subpixel_edge(strip: Strip, path: Int[np.ndarray, " p"], reach: int = 4) -> 
     if np.median(excess.max(axis=0)) > max(12.0, 0.7 * float(np.median(contrast))):
         rows = path - reach - 1 + parabola_peak(gaussian_filter1d(excess, 0.7, axis=0)) - RULE_HALF_PX
     else:
-        direction = (outer - inner) / np.maximum(contrast, 1e-6)[:, None]
+        # Blur adds up light, not grey levels: in these the steepest place of a blurred step lies on its dark side.
+        local = linear_from_srgb(local / 255.0)
+        step = local[: middle - 3].mean(axis=0) - local[middle + 4 :].mean(axis=0)
+        direction = step / np.maximum(np.linalg.norm(step, axis=1, keepdims=True), 1e-6)
         slope = -gaussian_filter1d(np.einsum("dpc,pc->dp", local, direction), 1.0, axis=0, order=1)[near]
         rows = path - reach - 1 + parabola_peak(slope)
     return np.interp(rows, np.arange(len(strip.depth)), strip.depth)
