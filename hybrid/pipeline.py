@@ -13,18 +13,19 @@ import numpy as np
 from jaxtyping import UInt8
 from threadpoolctl import ThreadpoolController
 
-from hybrid.backward import BackwardMap
+from hybrid.backward import BackwardMap, Orientation
 from hybrid.image_io import as_photo
 from hybrid.learn.network import FilmNet, FilmNetConfig, fused
 from hybrid.learn.predict import PredictConfig, look, look_from_sides
-from hybrid.learn.views import film_view, plane_of, whole_view
-from hybrid.learn.weights import load_weights, packaged_film_net
+from hybrid.learn.upright import UprightConfig, UprightNet, orientation_chances, upright_way
+from hybrid.learn.views import film_view, plane_of, reduced, whole_view
+from hybrid.learn.weights import load_weights, packaged_film_net, packaged_upright_net
 from hybrid.records import CoarseMaps, RectifyResult, SliceGrid, StageReport, Status, StatusCode
-from hybrid.rectify.deilluminate import DeilluminateConfig, deilluminate, film_guide
+from hybrid.rectify.deilluminate import DeilluminateConfig, deilluminate
 from hybrid.rectify.film_size import FilmSizeConfig, film_size
 from hybrid.rectify.invert import Inversion, InvertConfig, NotInverted, agreed, fit_backward
 from hybrid.rectify.refine import RefineConfig, Refinement, refine
-from hybrid.rectify.resample import rectify_photo
+from hybrid.rectify.resample import Rectified, rectify_photo
 from hybrid.rectify.survey import SurveyConfig, expected_error, survey_maps, survey_photo
 
 Photo = UInt8[np.ndarray, "H W 3"]
@@ -43,6 +44,7 @@ class RectifyConfig:
     invert: InvertConfig = field(default_factory=InvertConfig)
     refine: RefineConfig = field(default_factory=RefineConfig)
     size: FilmSizeConfig = field(default_factory=FilmSizeConfig)
+    upright: UprightConfig = field(default_factory=UprightConfig)
     light: DeilluminateConfig = field(default_factory=DeilluminateConfig)
 
 
@@ -59,6 +61,7 @@ class Rectifier:
         self._network: FilmNet = fused(
             packaged_film_net() if weights is None else load_weights(weights, FilmNet, FilmNetConfig)
         )
+        self._reader: UprightNet = fused(packaged_upright_net())
 
     def __call__(self, source: str | Path | np.ndarray) -> RectifyResult:
         """The flat film of a photo.
@@ -110,6 +113,7 @@ class Rectifier:
         """What the network makes of the photo: the whole, then the film ever better flattened by what is known."""
         config = self.config
         with clock.stage("network") as report:
+            photo, factor = reduced(photo, config.predict.least_px)
             (maps,) = look(self._network, photo, [whole_view((photo.shape[0], photo.shape[1]))])
             inversion = fit_backward(maps, config.invert)
             shapes = [inversion]
@@ -123,23 +127,27 @@ class Rectifier:
                 looks = look_from_sides(self._network, photo, film_view(flat, config.predict.margin), sides)
                 maps, inversion = looks[0], agreed([fit_backward(maps, config.invert) for maps in looks])
                 shapes.append(inversion)
-            report.reason = (
-                inversion.reason
-                if isinstance(inversion, NotInverted)
-                else f"{len(shapes)} looks, the last explained to {inversion.residual_px:.1f} px"
-            )
-        return maps, inversion
+            if isinstance(inversion, NotInverted):
+                report.reason = inversion.reason
+            else:
+                inversion = inversion.enlarged(factor)
+                report.reason = f"{len(shapes)} looks, the last explained to {inversion.residual_px:.1f} px"
+        return maps.enlarged(factor), inversion
 
     def _finish(self, photo: Photo, maps: CoarseMaps, refinement: Refinement, clock: _Clock) -> RectifyResult:
-        """Read the photo once through the map, then take the light out."""
+        """Read the photo once through the map, turn the film upright, then take the light out."""
         backward: BackwardMap = refinement.backward
         grid: SliceGrid | None = refinement.grid
         with clock.stage("resample") as report:
             size = film_size(backward, maps, grid, self.config.size)
             flat = rectify_photo(photo, backward, size)
             report.reason = f"to {size[1]} x {size[0]} pixels"
+        with clock.stage("upright") as report:
+            way, probability = self._read(flat, report)
+            if way.index:
+                flat, backward, grid = flat.turned(way), backward.turned(way), grid and grid.turned(way)
         with clock.stage("light") as report:
-            light = deilluminate(flat.image, flat.valid, film_guide(maps, backward), grid, self.config.light)
+            light = deilluminate(flat.image, flat.valid, grid, self.config.light)
             report.ran, report.reason = light.ran, light.reason
         return RectifyResult(
             status=Status(StatusCode.OK),
@@ -148,9 +156,21 @@ class Rectifier:
             rectified=flat.image,
             backward=backward,
             grid=grid,
+            orientation=way,
+            upright_probability=probability,
             glare=light.glare,
             confidence=light.confidence,
         )
+
+    def _read(self, flat: Rectified, report: _Report) -> tuple[Orientation, float | None]:
+        """How the flat film has to be moved to read right, by what is written on it, and how sure that is then."""
+        config = self.config.upright
+        if max(flat.valid.shape) < config.min_film_px:
+            report.ran, report.reason = False, "left as it lies: writing this small cannot be read"
+            return Orientation(0, False), None
+        chances = orientation_chances(self._reader, flat.image, config.prior)
+        way, report.reason = upright_way(chances, config)
+        return way, float(chances[way.index])
 
 
 @lru_cache(maxsize=1)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 
 import numpy as np
@@ -31,6 +31,10 @@ class CoarseMaps:
     albedo: Float[np.ndarray, "h w"]
     photo_points: Float[np.ndarray, "h w 2"]
     expected_error: Float[np.ndarray, "h w"] | None = None
+
+    def enlarged(self, factor: int) -> CoarseMaps:
+        """The same for the photo enlarged ``factor`` times."""
+        return replace(self, photo_points=self.photo_points * factor)
 
 
 # ---------------------------------------------------------------- what the print says
@@ -122,6 +126,8 @@ class RectifyResult:
     rectified: (h, w, 3) uint8 sRGB: flat, light kept.
     backward: the map from film uv to photo points.
     grid: the slice grid, or None where none was found.
+    orientation: how the film as it lay in the photo was moved to read right; not at all where that is not sure.
+    upright_probability: that the film as it is given reads right; None where nothing could be read.
     glare: (h, w) bool, where nothing could be recovered.
     confidence: (h, w) float32 in [0, 1], how far the film can be trusted.
     """
@@ -132,6 +138,8 @@ class RectifyResult:
     rectified: UInt8[np.ndarray, "h w 3"] | None = field(default=None, repr=False)
     backward: BackwardMap | None = field(default=None, repr=False)
     grid: SliceGrid | None = field(default=None, repr=False)
+    orientation: Orientation | None = None
+    upright_probability: float | None = None
     glare: Bool[np.ndarray, "h w"] | None = field(default=None, repr=False)
     confidence: Float[np.ndarray, "h w"] | None = field(default=None, repr=False)
 

@@ -20,11 +20,13 @@ class PredictConfig:
     """How the network looks at a photo.
 
     margin: around the film (part of the view) in the looks at the film alone. sides: ways in which the last look holds
-    the film (indices of Orientation); their errors differ, so their mean is nearer to the truth.
+    the film (indices of Orientation); their errors differ, so their mean is nearer to the truth. least_px: large
+    photos are reduced, once, to a longer side of this to twice this: several times what the network reads of them.
     """
 
     margin: float = 0.07
     sides: tuple[int, ...] = (0, 2, 5, 7)
+    least_px: int = 512
 
 
 def look(network: FilmNet, photo: UInt8[np.ndarray, "H W 3"], views: Sequence[BackwardMap]) -> list[CoarseMaps]:

@@ -68,6 +68,11 @@ class Inversion:
     coverage: float
     inlier_share: float
 
+    def enlarged(self, factor: int) -> Inversion:
+        """The same for the photo enlarged ``factor`` times."""
+        backward = self.backward.cropped((0.0, 0.0), (factor, factor))
+        return replace(self, backward=backward, residual_px=self.residual_px * factor)
+
 
 @dataclass(frozen=True)
 class NotInverted:
