@@ -15,13 +15,12 @@ from hybrid.coords import (
     film_centres,
     film_nodes,
     linear_from_srgb,
-    pixel_centres,
-    pixel_from_film,
     rgb_from_bgr,
     srgb_from_linear,
 )
-from hybrid.records import CoarseMaps, SliceGrid
-from hybrid.rectify.deilluminate import deilluminate, film_guide, find_glare
+from hybrid.records import SliceGrid
+from hybrid.rectify.deilluminate import DeilluminateConfig, deilluminate, find_clipped
+from hybrid.rectify.reflections import ReflectionConfig
 from hybrid.rectify.resample import rectify_photo
 
 SIZE = (600, 480)
@@ -142,7 +141,7 @@ def test_glare_of_known_extent_is_marked_and_not_trusted():
 def test_thin_white_strokes_at_the_limit_are_print():
     photo = light(0.9)
     photo[200:202, 20:400] = 255
-    assert not find_glare(photo)[195:207, 20:400].any()
+    assert not find_clipped(photo)[195:207, 20:400].any()
 
 
 def test_pixels_outside_the_photo_stay_black_and_do_not_disturb_the_rest():
@@ -158,34 +157,13 @@ def test_pixels_outside_the_photo_stay_black_and_do_not_disturb_the_rest():
 
 
 @pytest.mark.parametrize("value", [0, 128, 255])
-def test_a_film_without_any_print_is_no_crash(value: int):
+def test_a_film_on_which_nothing_is_told_apart_is_lost_as_a_whole(value: int):
     result = deilluminate(np.full((*SIZE, 3), value, np.uint8), everywhere())
     assert np.isfinite(result.film).all()
-    assert result.glare.all() == (value == 255)
+    assert result.glare.all()
+    assert (result.confidence == 0).all()
     nowhere = deilluminate(np.zeros((*SIZE, 3), np.uint8), np.zeros(SIZE, bool))
     assert (nowhere.film == 0).all()
-
-
-def test_the_guide_sets_the_tone_curve():
-    truth = print_of_cells()
-    guide = cv2.resize(truth, (40, 48), interpolation=cv2.INTER_AREA).astype(np.float32)
-    for exponent in (1.0, 2.2):
-        linear = 0.6 * truth**exponent
-        photo = np.rint(255 * srgb_from_linear(np.stack([linear] * 3, axis=-1))).astype(np.uint8)
-        blind = psnr_after_affine(deilluminate(photo, everywhere()).film, truth)
-        guided = psnr_after_affine(deilluminate(photo, everywhere(), guide).film, truth)
-        assert guided > blind + 1
-
-
-def test_the_guide_is_the_networks_albedo_in_film_space():
-    points = pixel_centres((64, 64)) * 10.0
-    u, _ = film_centres((64, 64)).transpose(2, 0, 1)
-    maps = CoarseMaps(np.ones((64, 64)), np.zeros((64, 64, 2)), np.zeros((64, 64, 3)), u, points)
-    backward = BackwardMap.from_function(lambda uv: pixel_from_film(uv, (640, 640)))
-    guide = film_guide(maps, backward, (32, 32))
-    seen = np.isfinite(guide)
-    assert seen.mean() > 0.85
-    np.testing.assert_allclose(guide[seen], film_centres((32, 32))[..., 0][seen], atol=0.01)
 
 
 def test_inputs_are_not_modified():
@@ -215,10 +193,38 @@ def test_cells_without_a_slice_stay_black():
 
 
 def test_the_grid_of_slices_may_lead():
-    nodes = film_nodes((6, 5))
-    grid = SliceGrid(5, 4, nodes, nodes, confidence=0.9)
     photo, truth = light(*uneven()), print_of_cells()
-    assert psnr_after_affine(deilluminate(photo, everywhere(), grid=grid).film, truth) > 26
+    assert psnr_after_affine(deilluminate(photo, everywhere(), grid_of_cells()).film, truth) > 26
+
+
+def grid_of_cells() -> SliceGrid:
+    nodes = film_nodes((6, 5))
+    return SliceGrid(5, 4, nodes, nodes, confidence=0.9)
+
+
+def test_a_window_reflected_across_slices_is_removed_with_its_edges():
+    u, v = film_centres(SIZE).transpose(2, 0, 1)
+    window = (abs(u - 0.5) < 0.07) & (abs(v - 0.41) < 0.12)
+    photo, truth = light(0.5, np.where(window, 0.15, 0.0)), print_of_cells()
+    smooth = deilluminate(photo, everywhere()).film
+    film = deilluminate(photo, everywhere(), grid_of_cells()).film
+    black = window & (truth < 0.06)
+    assert film[black].mean() < 0.15
+    assert film[black].mean() < smooth[black].mean() / 2
+    assert psnr_after_affine(film, truth) > psnr_after_affine(smooth, truth) + 3
+
+
+def test_print_within_one_slice_is_no_reflection():
+    """A scout view where every other slice is black."""
+    film = print_of_cells()
+    film[20:100, 15:105] = 0.4
+    linear = (film**1.6 * 0.5)[..., None].repeat(3, axis=2)
+    photo = np.rint(255 * srgb_from_linear(linear)).astype(np.uint8)
+    unable = DeilluminateConfig(reflections=ReflectionConfig(min_cells=99))
+    np.testing.assert_array_equal(
+        deilluminate(photo, everywhere(), grid_of_cells()).film,
+        deilluminate(photo, everywhere(), grid_of_cells(), unable).film,
+    )
 
 
 @pytest.mark.skipif("HYBRID_SHARED_DATA" not in os.environ, reason="HYBRID_SHARED_DATA names no folder of photos")

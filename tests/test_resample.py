@@ -9,7 +9,7 @@ from bent_sheets import bent_sheet
 
 from hybrid.backward import BackwardMap
 from hybrid.coords import film_centres, pixel_centres, pixel_from_film
-from hybrid.rectify.resample import index_in_grid, photo_per_film_pixel, rectify_map, rectify_photo
+from hybrid.rectify.resample import index_in_grid, photo_per_film_pixel, rectify_photo
 
 
 def whole_photo(size: tuple[int, int]) -> BackwardMap:
@@ -87,11 +87,6 @@ def test_network_maps_are_read_at_their_pixel_centres():
     column, row = index_in_grid(points, points)
     np.testing.assert_allclose(column, np.arange(64)[None].repeat(64, 0), atol=1e-9)
     np.testing.assert_allclose(row, np.arange(64)[:, None].repeat(64, 1), atol=1e-9)
-    backward = BackwardMap.from_function(lambda uv: 200 + 300 * uv)
-    read = rectify_map(points[..., 0].astype(np.float32), points, backward, (20, 30))
-    np.testing.assert_allclose(read, backward.dense((20, 30))[..., 0], atol=0.5)  # remap's steps of 1/32 pixel
-    outside = rectify_map(points[..., 0].astype(np.float32), points, backward.cropped((-9000.0, 0.0)), (20, 30))
-    assert np.isnan(outside).all()
 
 
 def test_places_in_a_bent_grid_of_pixels_are_found():

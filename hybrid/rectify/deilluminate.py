@@ -1,30 +1,33 @@
-"""From the flat film with its light to the print: smooth light and reflections removed, the grey scale kept.
+"""From the flat film with its light to the print: light and reflections removed, the grey scale kept.
 
-In linear light the photo shows ``a * film + b``, with a smooth gain a (light through and onto the sheet) and a smooth
-veil b (the room reflected in it). The black between the slices pins b, the white texts and bone pin a; both are found
-on a small copy, and applied at full resolution so that every detail comes from the photo. One tone curve for the whole
-film then turns light into display grey. Where the photo is clipped nothing is known, and nothing is made up.
+In linear light the photo shows ``a * film + b``, with a smooth gain a (light through and onto the sheet) and a veil b
+(the room reflected in it). The black between the slices pins b, the white texts and bone pin a; both are found on a
+small copy, and applied at full resolution so that every detail comes from the photo. One tone curve for all films then
+turns light into display grey. Where the photo is clipped, or veiled until nothing is left between black and white,
+nothing is known, and nothing is made up.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import Bool, Float, Float32, UInt8
 
-from hybrid.backward import BackwardMap
-from hybrid.coords import linear_from_srgb
-from hybrid.records import CoarseMaps, SliceGrid
-from hybrid.rectify.light import FIELD_SIZE, Light, LightConfig, find_light
-from hybrid.rectify.resample import rectify_map
+from hybrid.coords import linear_from_srgb, srgb_from_linear
+from hybrid.records import SliceGrid
+from hybrid.rectify.light import Light, LightConfig, find_light
+from hybrid.rectify.reflections import ReflectionConfig, find_reflections
 from hybrid.rectify.survey import survey_light
 
 CHANNEL_TRUST = np.array([0.25, 0.6, 0.15])
 """Shares of red, green and blue in the grey: green is the sharpest and least noisy channel of a phone's picture."""
 CLIPPED = 253
 """Channel values from here on say only "at least"."""
+LEAST_CONTRAST = 12 / 255
+"""Display levels between print black and print white below which nothing can be recovered: noise and coding eat it."""
 STRIP_ROWS = 64
 """Rows worked on at a time: few enough that all steps of a strip stay in the processor's cache."""
 
@@ -36,7 +39,9 @@ class DeilluminateConfig:
     work_px: int = 512
     """Longer side of the copy on which the light is estimated."""
     light: LightConfig = field(default_factory=LightConfig)
-    """How gain and veil are found."""
+    """How gain and smooth veil are found."""
+    reflections: ReflectionConfig = field(default_factory=ReflectionConfig)
+    """How reflections with edges are found."""
     even_light: float = 0.03
     """Gain (relative) and veil that vary less are left alone."""
     print_black: float = 0.05
@@ -44,8 +49,8 @@ class DeilluminateConfig:
     print_white: float = 0.95
     """Display grey of the brightest parts."""
     root_share: float = 0.5
-    """Blind tone curve: share of the square root (a print seen by reflection: the display's own gamma) against the
-    straight line (a print whose transmission is proportional to its grey)."""
+    """Tone curve: share of the square root (a print seen by reflection: the display's own gamma) against the straight
+    line (a print whose transmission is proportional to its grey). Which it is, one photo does not tell."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,14 +58,14 @@ class Deillumination:
     """The recovered print.
 
     film: (h, w) float32 display grey in [0, 1]; black where the photo does not reach.
-    glare: (h, w) bool, clipped in the photo: nothing could be recovered.
+    glare: (h, w) bool, clipped or veiled in the photo: nothing could be recovered.
     confidence: (h, w) float32 in [0, 1], how much of what the photo shows there is print; 0 on glare and outside.
     ran: whether the light was uneven, so that something was removed; reason: the evidence, with numbers.
     """
 
-    film: Float[np.ndarray, "h w"]
+    film: Float32[np.ndarray, "h w"]
     glare: Bool[np.ndarray, "h w"]
-    confidence: Float[np.ndarray, "h w"]
+    confidence: Float32[np.ndarray, "h w"]
     ran: bool
     reason: str
 
@@ -73,47 +78,49 @@ class _Tone:
     straight: float
     root: float
 
+    @property
+    def least(self) -> float:
+        """The light at which the curve leaves 0."""
+        if self.black >= 0:
+            return 0.0
+        if self.root == 0:
+            return -self.black / self.straight
+        # the positive root of straight * r^2 + root * r + black, r = sqrt(x), without loss of digits
+        return (2 * self.black / (self.root + np.sqrt(self.root**2 - 4 * self.straight * self.black))) ** 2
+
 
 def deilluminate(
     rectified: UInt8[np.ndarray, "h w 3"],
     valid: Bool[np.ndarray, "h w"],
-    guide: Float[np.ndarray, "gh gw"] | None = None,
     grid: SliceGrid | None = None,
     config: DeilluminateConfig | None = None,
 ) -> Deillumination:
     """The print in display grey from the flat film with its light.
 
-    guide: predicted display grey in film space (``film_guide``), NaN where unknown; it sets the tone curve.
-    grid: the slice grid; its cells then are the tiles in which white is looked for.
+    grid: the slice grid; its cells then are the tiles in which white is looked for, and tell what is black in all.
     """
     config = config or DeilluminateConfig()
     small, small_valid = _small_copy(rectified, valid, config.work_px)
     table = _grey_table(small)
     grey = _linear_grey(small, table)
     light = find_light(grey, small_valid, grid, config.light)
+    light = _with_reflections(light, grey, small_valid, grid, config.reflections)
     decision = survey_light(light.gain, light.veil / max(_white(grey, small_valid), 1e-6), config.even_light)
     if decision.yes:
-        light = Light(np.ones(FIELD_SIZE), np.full(FIELD_SIZE, light.pedestal), light.pedestal)
-    scale, shift, white = _correction(light, grey, small_valid)
-    even = _corrected(grey, scale, shift)
-    tone = _find_tone(even, small_valid, guide, config)
-    film = _apply(rectified, table, (scale, shift), tone)
-    glare = find_glare(rectified) & valid
+        light = Light.even(light.pedestal)
+    white = _white(_corrected(grey, light), small_valid)
+    tone = _find_tone(_corrected(grey, light) / white, small_valid, config)
+    film = _apply(rectified, table, light, white, tone)
+    # Glare wider than a stroke shows on the small copy; most films have none.
+    clipped = find_clipped(rectified) if small.max() >= CLIPPED else np.zeros(film.shape, bool)
+    glare = (clipped | _veiled(light, white - light.pedestal, film.shape)) & valid
     if not valid.all():
         film[~valid] = 0.0
-    confidence = _confidence(light, white, glare, valid)
-    lost = float(glare.mean())
-    note = f"{decision.reason}; {lost:.1%} clipped; tone {'from the predicted print' if guide is not None else 'blind'}"
-    return Deillumination(film, glare, confidence, not decision.yes, note)
+    note = f"{decision.reason}; {clipped.mean():.1%} clipped, {glare.mean():.1%} lost in all"
+    return Deillumination(film, glare, _confidence(light, white - light.pedestal, glare, valid), not decision.yes, note)
 
 
-def film_guide(maps: CoarseMaps, backward: BackwardMap, size: tuple[int, int] = (48, 48)) -> Float[np.ndarray, "gh gw"]:
-    """The network's display grey in film space, (gh, gw) float32 on pixel centres; NaN where it saw no film."""
-    film = np.where(maps.mask >= 0.5, maps.albedo, np.nan).astype(np.float32)
-    return rectify_map(film, maps.photo_points, backward, size)
-
-
-def find_glare(rectified: UInt8[np.ndarray, "h w 3"]) -> Bool[np.ndarray, "h w"]:
+def find_clipped(rectified: UInt8[np.ndarray, "h w 3"]) -> Bool[np.ndarray, "h w"]:
     """Where green and another channel are clipped, over more than the width of a printed stroke.
 
     White strokes that just reach the limit are white by print, and thinner than a hundred and fiftieth of the film.
@@ -149,117 +156,118 @@ def _small_copy(
     return small, share > 0.999
 
 
-def _grey_table(small: UInt8[np.ndarray, "h w 3"]) -> Float[np.ndarray, "1 256 3"]:
+def _grey_table(small: UInt8[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "256 3"]:
     """Each channel's contribution to linear grey, by its 8-bit value; channels that clip count for less.
 
     Any fixed weights keep the form gain * film + veil, and a cast of the light only changes its gain.
     """
-    clipped = (small >= CLIPPED).mean(axis=(0, 1))
+    clipped = np.array([cv2.countNonZero(cv2.inRange(x, CLIPPED, 255)) for x in cv2.split(small)]) / small[..., 0].size
     trust = CHANNEL_TRUST * np.clip(1.0 - 4.0 * (clipped - clipped.min()), 0.1, 1.0)
     linear = linear_from_srgb(np.arange(256) / 255.0)
-    return (linear[:, None] * (trust / trust.sum())).astype(np.float32)[None]
+    return (linear[:, None] * (trust / trust.sum())).astype(np.float32)
 
 
-def _linear_grey(image: UInt8[np.ndarray, "h w 3"], table: Float[np.ndarray, "1 256 3"]) -> Float[np.ndarray, "h w"]:
-    """Linear grey (float32) of sRGB pixels."""
-    return cv2.transform(cv2.LUT(image, table), np.ones((1, 3), np.float32))
-
-
-def _correction(
-    light: Light, grey: Float[np.ndarray, "h w"], valid: Bool[np.ndarray, "h w"]
-) -> tuple[Float[np.ndarray, "n n"], Float[np.ndarray, "n n"], float]:
-    """Fields scale and shift with ``x = scale * grey + shift`` the even light, 1 at white; and white before scaling."""
-    scale = (1.0 / light.gain).astype(np.float32)
-    shift = (light.pedestal - light.veil / light.gain).astype(np.float32)
-    white = _white(_corrected(grey, scale, shift), valid)
-    return scale / np.float32(white), shift / np.float32(white), white
+def _linear_grey(image: UInt8[np.ndarray, "h w 3"], table: Float32[np.ndarray, "256 3"]) -> Float32[np.ndarray, "h w"]:
+    """Linear grey of sRGB pixels."""
+    red, green, blue = (cv2.LUT(x, np.ascontiguousarray(table[:, k])) for k, x in enumerate(cv2.split(image)))
+    return cv2.add(cv2.add(red, green, dst=red), blue, dst=red)
 
 
 def _white(grey: Float[np.ndarray, "h w"], valid: Bool[np.ndarray, "h w"]) -> float:
     """The light of the print's white: all but a few thousandths of the film are darker."""
-    seen = grey[valid]
+    seen = grey[::2, ::2][valid[::2, ::2]]
     return max(float(np.quantile(seen, 0.997)), 1e-4) if seen.size else 1.0
 
 
-def _corrected(
-    grey: Float[np.ndarray, "h w"], scale: Float[np.ndarray, "n n"], shift: Float[np.ndarray, "n n"]
-) -> Float[np.ndarray, "h w"]:
-    """Even light of linear grey on the small copy."""
-    size = grey.shape[::-1]
-    return np.clip(grey * cv2.resize(scale, size) + cv2.resize(shift, size), 0.0, None)
+def _with_reflections(
+    light: Light,
+    grey: Float32[np.ndarray, "h w"],
+    valid: Bool[np.ndarray, "h w"],
+    grid: SliceGrid | None,
+    config: ReflectionConfig,
+) -> Light:
+    """The light with what reflections with edges add to the veil."""
+    shrink = max(grey.shape) / config.side_px
+    size = (max(round(grey.shape[1] / shrink), 1), max(round(grey.shape[0] / shrink), 1))
+    coarse = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
+    seen = cv2.resize(valid.astype(np.float32), size, interpolation=cv2.INTER_AREA) > 0.99
+    white = _white(_corrected(coarse, light), seen)
+    found = find_reflections((_corrected(coarse, light) - light.pedestal) / white, seen, grid, config)
+    if not found.any():
+        return light
+    gain, veil = (cv2.resize(x, size, interpolation=cv2.INTER_LINEAR) for x in (light.gain, light.veil))
+    return replace(light, veil=veil + found * np.float32(white) * gain)
+
+
+def _corrected(grey: Float32[np.ndarray, "h w"], light: Light) -> Float32[np.ndarray, "h w"]:
+    """Even light of linear grey on a small copy."""
+    gain, veil = (cv2.resize(x, grey.shape[::-1], interpolation=cv2.INTER_LINEAR) for x in (light.gain, light.veil))
+    return np.maximum((grey - veil) / gain + np.float32(light.pedestal), np.float32(0))
 
 
 # ---------------------------------------------------------------- tone and output
 
 
-def _find_tone(
-    even: Float[np.ndarray, "h w"],
-    valid: Bool[np.ndarray, "h w"],
-    guide: Float[np.ndarray, "gh gw"] | None,
-    config: DeilluminateConfig,
-) -> _Tone:
-    """The tone curve: blind, or with the share of the root that the predicted print asks for."""
-    share = config.root_share if guide is None else _guided_share(even, valid, guide, config.root_share)
-    seen = np.minimum(even[valid], 1.0) if valid.any() else np.array([0.0, 1.0])
-    black = float(np.quantile(seen, 0.02))
+def _find_tone(even: Float32[np.ndarray, "h w"], valid: Bool[np.ndarray, "h w"], config: DeilluminateConfig) -> _Tone:
+    """The tone curve that takes the film's black and white to those of a print."""
+    valid = valid[::2, ::2]
+    seen = np.minimum(even[::2, ::2][valid], 1.0) if valid.any() else np.array([0.0, 1.0])
+    share, black = config.root_share, float(np.quantile(seen, 0.02))
     low = (1.0 - share) * black + share * np.sqrt(black)
     contrast = (config.print_white - config.print_black) / max(1.0 - low, 0.1)
     return _Tone(config.print_black - contrast * low, contrast * (1.0 - share), contrast * share)
 
 
-def _guided_share(
-    even: Float[np.ndarray, "h w"], valid: Bool[np.ndarray, "h w"], guide: Float[np.ndarray, "gh gw"], prior: float
-) -> float:
-    """Share of the root with which the even light, blurred as the guide is, comes closest to the guide."""
-    light = np.clip(even, 0.0, 1.0).astype(np.float32)
-    size = guide.shape[::-1]
-    straight, root = (cv2.resize(x, size, interpolation=cv2.INTER_AREA) for x in (light, np.sqrt(light)))
-    share = cv2.resize(valid.astype(np.float32), size, interpolation=cv2.INTER_AREA)
-    use = np.isfinite(guide) & (share > 0.99)
-    if np.count_nonzero(use) < 50:
-        return prior
-    rows = np.stack([straight[use], root[use], np.ones(np.count_nonzero(use))], axis=1).astype(np.float64)
-    best, least = prior, np.inf
-    for candidate in np.linspace(0.0, 1.0, 11):
-        curve = np.stack([rows[:, 0] * (1 - candidate) + rows[:, 1] * candidate, rows[:, 2]], axis=1)
-        fit = np.linalg.lstsq(curve, guide[use].astype(np.float64), rcond=None)[0]
-        # the guide is blurred and noisy: it must speak clearly before it moves the curve far from the prior
-        cost = float(np.abs(curve @ fit - guide[use]).mean()) * (1.0 + 0.05 * abs(candidate - prior))
-        if cost < least and fit[0] > 0:
-            best, least = float(candidate), cost
-    return best
-
-
 def _apply(
-    rectified: UInt8[np.ndarray, "h w 3"],
-    table: Float[np.ndarray, "1 256 3"],
-    fields: tuple[Float[np.ndarray, "n n"], Float[np.ndarray, "n n"]],
+    rectified: UInt8[np.ndarray, "h w 3"], table: Float32[np.ndarray, "256 3"], light: Light, white: float,
     tone: _Tone,
-) -> Float[np.ndarray, "h w"]:
-    """Display grey (float32) of the whole film, strip by strip."""
+) -> Float32[np.ndarray, "h w"]:  # fmt: skip
+    """Display grey of the whole film, strip by strip."""
     height, width = rectified.shape[:2]
     film = np.empty((height, width), np.float32)
-    rows = [cv2.resize(field, (FIELD_SIZE[1], height), interpolation=cv2.INTER_LINEAR) for field in fields]
-    for top in range(0, height, STRIP_ROWS):
+    gain = cv2.resize(light.gain, light.veil.shape[::-1], interpolation=cv2.INTER_LINEAR)
+    fields = (1.0 / (gain * white), (light.pedestal - light.veil / gain) / white)
+    rows = [cv2.resize(x.astype(np.float32), (x.shape[1], height), interpolation=cv2.INTER_LINEAR) for x in fields]
+
+    def strip(top: int) -> None:
         part = slice(top, min(top + STRIP_ROWS, height))
-        light = _linear_grey(rectified[part], table)
-        size = (width, light.shape[0])
-        light *= cv2.resize(rows[0][part], size, interpolation=cv2.INTER_LINEAR)
-        light += cv2.resize(rows[1][part], size, interpolation=cv2.INTER_LINEAR)
-        np.clip(light, 0.0, 1.0, out=light)
-        root = cv2.sqrt(light)
-        film[part] = cv2.addWeighted(light, tone.straight, root, tone.root, tone.black)
-    return np.clip(film, 0.0, 1.0, out=film)
+        even = _linear_grey(rectified[part], table)
+        scale, shift = (cv2.resize(x[part], even.shape[::-1], interpolation=cv2.INTER_LINEAR) for x in rows)
+        cv2.add(cv2.multiply(even, scale, dst=even), shift, dst=even)
+        np.clip(even, tone.least, 1.0, out=even)
+        cv2.addWeighted(even, tone.straight, cv2.sqrt(even), tone.root, tone.black, dst=film[part])
+
+    with ThreadPoolExecutor(max_workers=2) as pool:
+        list(pool.map(strip, range(0, height, STRIP_ROWS)))
+    return film
+
+
+def _veiled(light: Light, signal: float, size: tuple[int, ...]) -> Bool[np.ndarray, "h w"]:
+    """Where the photo's black and white come out less than ``LEAST_CONTRAST`` apart, as far as the light is known.
+
+    signal: light of the print's white less that of its black, at a gain of 1.
+    """
+    veil = np.maximum(light.veil, 0.0)
+    gain = cv2.resize(light.gain, veil.shape[::-1], interpolation=cv2.INTER_LINEAR)
+    worst = float(veil.max())  # contrast falls as the veil grows: where even this leaves enough, nothing is lost
+    if np.diff(srgb_from_linear(np.array([worst, worst + float(gain.min()) * signal])))[0] >= LEAST_CONTRAST:
+        return np.zeros(size, bool)
+    contrast = srgb_from_linear(veil + gain * signal) - srgb_from_linear(veil)
+    return cv2.resize(contrast.astype(np.float32), size[::-1], interpolation=cv2.INTER_LINEAR) < LEAST_CONTRAST
 
 
 def _confidence(
-    light: Light, white: float, glare: Bool[np.ndarray, "h w"], valid: Bool[np.ndarray, "h w"]
-) -> Float[np.ndarray, "h w"]:
-    """Share of the print's contrast in what the photo shows, relative to the usual light; 0 where unknown."""
-    signal = light.gain * white
-    share = signal / (signal + np.maximum(light.veil, 0.0))
-    lit = np.minimum(light.gain / max(float(np.median(light.gain)), 1e-9), 1.0)
-    trust = cv2.resize((share * lit).astype(np.float32), glare.shape[::-1], interpolation=cv2.INTER_LINEAR)
+    light: Light, contrast: float, glare: Bool[np.ndarray, "h w"], valid: Bool[np.ndarray, "h w"]
+) -> Float32[np.ndarray, "h w"]:
+    """Share of the print's contrast in what the photo shows, relative to the usual light; 0 where unknown.
+
+    Noise of the photo grows with its light, and is amplified as the print's share of it falls.
+    """
+    gain = cv2.resize(light.gain, light.veil.shape[::-1], interpolation=cv2.INTER_LINEAR)
+    signal = gain * np.float32(contrast)
+    lit = np.minimum(gain / max(float(np.median(gain)), 1e-9), 1.0)
+    share = signal / np.maximum(signal + np.maximum(light.veil, 0.0), 1e-9) * lit
+    trust = cv2.resize(share.astype(np.float32), glare.shape[::-1], interpolation=cv2.INTER_LINEAR)
     if glare.any() or not valid.all():
         trust[glare | ~valid] = 0.0
     return np.clip(trust, 0.0, 1.0, out=trust)

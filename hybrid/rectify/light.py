@@ -7,7 +7,7 @@ from functools import cache
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Float32
 
 from hybrid.coords import film_centres, film_centres_1d
 from hybrid.records import SliceGrid
@@ -47,11 +47,16 @@ class LightConfig:
 
 @dataclass(frozen=True, eq=False)
 class Light:
-    """Gain and veil on a small lattice of pixel centres (64, 64), in units of linear grey; pedestal: the veil kept."""
+    """Gain and veil on small lattices of pixel centres, in linear grey; pedestal: the part of the veil that is kept."""
 
-    gain: Float[np.ndarray, "n n"]
-    veil: Float[np.ndarray, "n n"]
+    gain: Float32[np.ndarray, "gh gw"]
+    veil: Float32[np.ndarray, "vh vw"]
     pedestal: float
+
+    @staticmethod
+    def even(pedestal: float) -> Light:
+        """Light that is the same everywhere."""
+        return Light(np.ones(FIELD_SIZE, np.float32), np.full(FIELD_SIZE, pedestal, np.float32), pedestal)
 
 
 def find_light(
@@ -64,9 +69,9 @@ def find_light(
     n = config.veil_tiles
     dark, weight = _tile_quantile(grey, valid, (n, n), config.veil_quantile)
     if weight.sum() < 0.1 * weight.size:
-        return Light(np.ones(FIELD_SIZE), np.zeros(FIELD_SIZE), 0.0)
+        return Light.even(0.0)
     veil = _envelope(dark, weight, config.veil_intervals, config.veil_smoothing, config.veil_above)
-    veil = np.clip(veil, dark[weight > 0].min(), dark[weight > 0].max())
+    veil = np.clip(veil, np.float32(dark[weight > 0].min()), np.float32(dark[weight > 0].max()))
     # A film has some grey of its own where it is blackest: what is even over the sheet is kept, not called a veil.
     pedestal = float(np.quantile(veil, 0.05))
     lifted = cv2.resize(veil, grey.shape[::-1], interpolation=cv2.INTER_LINEAR)
@@ -77,10 +82,10 @@ def find_light(
     typical = float(np.median(bright[weight > 0])) if (weight > 0).any() else 0.0
     weight = weight * (bright > 0.2 * typical)  # tiles without any print say nothing about the light
     if typical <= 0 or np.count_nonzero(weight) < MIN_CELLS:
-        return Light(np.ones(FIELD_SIZE), veil, pedestal)
+        return Light(np.ones(FIELD_SIZE, np.float32), veil, pedestal)
     logs = np.log(np.maximum(bright, 0.02 * typical))
     gain = _envelope(logs, weight, config.gain_intervals, config.gain_smoothing, config.gain_above)
-    limit = np.log(config.gain_range)
+    limit = np.float32(np.log(config.gain_range))
     return Light(np.exp(np.clip(gain - np.median(gain), -limit, limit)), veil, pedestal)
 
 
@@ -121,7 +126,7 @@ def _envelope(
     intervals: int,
     smoothing: float,
     above: float,
-) -> Float[np.ndarray, "n n"]:
+) -> Float32[np.ndarray, "n n"]:
     """A smooth surface (64, 64) that leaves most values on one side: those above it weigh ``above``, those below the
     rest (asymmetric least squares)."""
     rows = _tile_design(value.shape, intervals)
@@ -132,4 +137,4 @@ def _envelope(
         fit = NormalEquations.of(rows, base * side, data / unit, intervals).solve(smoothing)
         side = np.where((data / unit - rows @ fit)[:, 0] > 0, above, 1.0 - above)
     along = _field_weights(intervals)
-    return along @ fit.reshape(intervals + 3, intervals + 3) @ along.T * unit
+    return (along @ fit.reshape(intervals + 3, intervals + 3) @ along.T * unit).astype(np.float32)

@@ -57,24 +57,6 @@ def rectify_photo(photo: UInt8[np.ndarray, "H W 3"], backward: BackwardMap, size
     return Rectified(image, valid)
 
 
-def rectify_map(
-    values: Float[np.ndarray, "h w"],
-    photo_points: Float[np.ndarray, "h w 2"],
-    backward: BackwardMap,
-    size: tuple[int, int],
-) -> Float[np.ndarray, "gh gw"]:
-    """A map of the network's, with pixels at ``photo_points``, in film space; NaN where unknown."""
-    column, row = index_in_grid(photo_points, backward.dense(size).astype(np.float64))
-    return cv2.remap(
-        values.astype(np.float32),
-        column.astype(np.float32),
-        row.astype(np.float32),
-        cv2.INTER_LINEAR,
-        borderMode=cv2.BORDER_CONSTANT,
-        borderValue=float("nan"),
-    )
-
-
 def index_in_grid(
     photo_points: Float[np.ndarray, "h w 2"], points: Float[np.ndarray, "*n 2"], iterations: int = 8
 ) -> tuple[Float[np.ndarray, "*n"], Float[np.ndarray, "*n"]]:

@@ -152,7 +152,7 @@ def survey_plane(
     return Decision(off <= config.plane_tolerance_px, f"the sheet is within {off:.2f} px of a plane"), homography
 
 
-def survey_light(gain: Float[np.ndarray, "h w"], veil: Float[np.ndarray, "h w"], even: float) -> Decision:
+def survey_light(gain: Float[np.ndarray, "gh gw"], veil: Float[np.ndarray, "vh vw"], even: float) -> Decision:
     """Whether the light is even: over the film ``gain`` varies by less than ``even`` (relative), and ``veil``, given
     in parts of the light of white, by less than a third of it, as black shows a veil more than white a gain."""
     spread = float(np.percentile(gain, 98) / max(float(np.percentile(gain, 2)), 1e-6) - 1.0)

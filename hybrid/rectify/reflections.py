@@ -1,0 +1,138 @@
+"""Reflections with edges, such as windows: what lies across the borders of slices where every other slice is black.
+
+The smooth veil (``light``) follows broad reflections. What is left of a window or a lamp is brighter than black at
+places that are black in most slices of the film. So may be print (a larger organ, a scout view), but print ends at the
+border of its slice, and a reflection does not know of borders: only what crosses one is taken for a reflection.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, Float32
+
+from hybrid.coords import centres_1d, film_centres_1d, pixel_from_film, sample_bilinear
+from hybrid.records import SliceGrid
+
+Grey = Float32[np.ndarray, "h w"]
+
+CELL_SAMPLES = 40
+"""Places along each side of a slice at which the slices are compared."""
+
+
+@dataclass(frozen=True)
+class ReflectionConfig:
+    """What counts as a reflection. Light is in units of the print's white."""
+
+    side_px: int = 256
+    """Longer side of the copy on which reflections are found."""
+    black: float = 0.07
+    """Light up to which print is called black."""
+    black_share: float = 0.75
+    """A place within the slice is known to be black if it is so in this share of the slices."""
+    margin_px: int = 2
+    """Pixels at the rim of such places that are not believed: texts and organs are blurred and not quite alike."""
+    least: float = 0.03
+    """Light that a reflection adds at least; less is left to the smooth veil."""
+    bridge_px: int = 1
+    """Gaps up to twice this wide, as rules between slices leave, do not part a reflection."""
+    least_pixels: int = 20
+    """Pixels of a reflection in each of two slices, at least."""
+    min_cells: int = 6
+    """Fewer slices than this do not tell what is usual."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Cells:
+    """Which slice each pixel belongs to (-1 outside the grid), and the place in it, rows and columns apart.
+
+    row, row_place: (h,). col, col_place: (w,). along_v, along_u: film coordinates of the places of all slices in turn.
+    """
+
+    row: np.ndarray
+    row_place: np.ndarray
+    col: np.ndarray
+    col_place: np.ndarray
+    along_v: Float[np.ndarray, " rows_n"]
+    along_u: Float[np.ndarray, " cols_n"]
+
+
+def find_reflections(
+    light: Grey, valid: Bool[np.ndarray, "h w"], grid: SliceGrid | None, config: ReflectionConfig
+) -> Grey:
+    """What reflections with edges add to even light (1: the print's white, 0: its black), 0 where none was found."""
+    none = np.zeros(light.shape, np.float32)
+    if grid is None or grid.rows * grid.cols < config.min_cells:
+        return none
+    # Thin strokes are no reflections, wherever they are.
+    dark = cv2.morphologyEx(light.astype(np.float32), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
+    cells = _cells(grid, light.shape)
+    known = _usually_black(dark, cells, grid, config) & valid
+    known = cv2.erode(known.astype(np.uint8), np.ones((2 * config.margin_px + 1,) * 2, np.uint8)) > 0
+    reflected = _across_borders(known & (dark > config.least), cells, grid, config)
+    if not reflected.any():
+        return none
+    grown = cv2.dilate(reflected.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+    return spread(np.where(grown, np.maximum(dark, 0.0), 0.0).astype(np.float32), known)
+
+
+def _cells(grid: SliceGrid, size: tuple[int, ...]) -> _Cells:
+    """Slices and places of the pixel centres of a film of ``size``; on the flat film the grid's lines are straight."""
+    lines_v, lines_u = grid.vertices[..., 1].mean(axis=1), grid.vertices[..., 0].mean(axis=0)
+    row, row_place = _place(film_centres_1d(size[0]), lines_v)
+    col, col_place = _place(film_centres_1d(size[1]), lines_u)
+    return _Cells(row, row_place, col, col_place, _places(lines_v), _places(lines_u))
+
+
+def _place(at: Float[np.ndarray, " n"], lines: Float[np.ndarray, " k"]) -> tuple[np.ndarray, np.ndarray]:
+    """The interval between lines in which each coordinate lies (-1: outside), and the number of its place there."""
+    position = np.interp(at, lines, np.arange(len(lines)))
+    interval = np.minimum(position.astype(int), len(lines) - 2)
+    place = np.minimum(((position - interval) * CELL_SAMPLES).astype(int), CELL_SAMPLES - 1)
+    return np.where((at >= lines[0]) & (at <= lines[-1]), interval, -1), place
+
+
+def _places(lines: Float[np.ndarray, " k"]) -> Float[np.ndarray, " n"]:
+    """Film coordinates of the places between lines, interval after interval."""
+    return np.interp(centres_1d(CELL_SAMPLES * (len(lines) - 1)) / CELL_SAMPLES, np.arange(len(lines)), lines)
+
+
+def _usually_black(dark: Grey, cells: _Cells, grid: SliceGrid, config: ReflectionConfig) -> Bool[np.ndarray, "h w"]:
+    """Pixels at places that are black in most slices."""
+    places = np.stack(np.meshgrid(cells.along_u, cells.along_v), axis=-1)
+    seen = sample_bilinear(dark, pixel_from_film(places, (dark.shape[0], dark.shape[1])))
+    seen = seen.reshape(grid.rows, CELL_SAMPLES, grid.cols, CELL_SAMPLES)
+    usually = (seen < config.black).mean(axis=(0, 2)) >= config.black_share
+    within = (cells.row >= 0)[:, None] & (cells.col >= 0)[None]
+    return usually[np.ix_(cells.row_place, cells.col_place)] & within
+
+
+def _across_borders(
+    bright: Bool[np.ndarray, "h w"], cells: _Cells, grid: SliceGrid, config: ReflectionConfig
+) -> Bool[np.ndarray, "h w"]:
+    """The connected parts of ``bright`` that lie in two slices or more."""
+    joined = cv2.dilate(bright.astype(np.uint8), np.ones((2 * config.bridge_px + 1,) * 2, np.uint8))
+    count, label = cv2.connectedComponents(joined)
+    cell = cells.row[:, None] * grid.cols + cells.col[None]
+    pixels = np.bincount(label[bright] * grid.rows * grid.cols + cell[bright], minlength=count * grid.rows * grid.cols)
+    spans = (pixels.reshape(count, -1) >= config.least_pixels).sum(axis=1)
+    return bright & (spans >= 2)[label]
+
+
+def spread(values: Grey, known: Bool[np.ndarray, "h w"]) -> Grey:
+    """Values where they are known, and a smooth continuation between them (a pyramid of weighted means)."""
+    levels = [(np.where(known, values, 0.0).astype(np.float32), known.astype(np.float32))]
+    while min(levels[-1][0].shape) > 2:
+        value, weight = levels[-1]
+        size = ((value.shape[1] + 1) // 2, (value.shape[0] + 1) // 2)
+        value, weight = (cv2.resize(x, size, interpolation=cv2.INTER_AREA) for x in (value, weight))
+        levels.append((value, weight))
+    filled = levels[-1][0] / np.maximum(levels[-1][1], 1e-6)
+    for value, weight in reversed(levels[:-1]):
+        filled = value + (1.0 - weight) * cv2.resize(filled, value.shape[::-1], interpolation=cv2.INTER_LINEAR)
+    return filled
+
+
+__all__ = ["ReflectionConfig", "find_reflections", "spread"]
