@@ -78,7 +78,7 @@ def test_matches_see_a_moved_cell_and_agreement_falls():
     moved[150:300, 160:320] = np.roll(moved[150:300, 160:320], 3, axis=1)
     shifted = FilmView(moved, view.u, view.v, view.inside)
     assert cell_agreement(shifted, columns, rows) < cell_agreement(view, columns, rows)
-    u = next(s for s in match_cells(shifted, columns, rows, REPEAT.rounds[-1], REPEAT) if s.axis == 0)
+    u = next(s for s in match_cells(shifted, columns, rows, REPEAT.second, REPEAT) if s.axis == 0)
     cell = (np.floor(u.known * 3) == 1) & (np.floor(u.places()[:, 1] * 4) == 1)
     offsets_px = u.offsets() * 480
     assert np.median(offsets_px[cell]) - np.median(offsets_px[~cell]) == pytest.approx(3.0, abs=0.5)

@@ -20,6 +20,7 @@ from jaxtyping import Float, UInt8
 from hybrid.backward import BackwardMap
 from hybrid.coords import film_centres_1d
 from hybrid.records import SliceGrid, StageReport
+from hybrid.rectify.congeal import CongealConfig, register_cells
 from hybrid.rectify.film_view import FilmView, view_film
 from hybrid.rectify.grid import Comb, GridConfig, find_comb, follow_comb
 from hybrid.rectify.outline import OutlineConfig, find_outline
@@ -41,6 +42,7 @@ class RefineConfig:
     outline: OutlineConfig = field(default_factory=OutlineConfig)
     grid: GridConfig = field(default_factory=GridConfig)
     repeat: RepeatConfig = field(default_factory=RepeatConfig)
+    congeal: CongealConfig = field(default_factory=CongealConfig)
     spline: SplineConfig = field(default_factory=SplineConfig)
     working_px: int = 1000
     """Longer side of the film, in pixels, at which the photo is looked at; larger films are scaled down to it."""
@@ -96,13 +98,11 @@ def refine(photo: UInt8[np.ndarray, "H W 3"], coarse: BackwardMap, config: Refin
 
     layout, attempts = _Layout(), [_Attempt(displacement, tuple(_Evidence(s) for s in outline))]
     near = replace(config.outline, band=config.near_band)
-    matchers = [partial(match_to_one_cell, search=config.repeat.first, config=config.repeat)]
-    matchers += [partial(match_cells, search=search, config=config.repeat) for search in config.repeat.rounds]
-    for number, matcher in enumerate(matchers):
+    for number, matcher in enumerate(_matchers(config)):
         displacement = attempts[-1].displacement
         view = _view(scene, displacement)
         layout = _find_layout(view, layout, number < config.line_rounds, config)
-        found = _observe_print(view, layout, matcher, config)
+        found = _observe_print(view, layout, matcher, outline, config)
         clock.lap("grid")
         evidence = tuple(e.lifted(displacement) for e in found)
         if number == 0:
@@ -117,7 +117,7 @@ def refine(photo: UInt8[np.ndarray, "H W 3"], coarse: BackwardMap, config: Refin
         layout = layout.adjusted(evidence, fit)
         clock.lap("spline")
         moved = float(np.abs(fit.displacement.values - displacement.values).max())
-        if number >= 1 and (moved < config.settled_move or layout.is_enough(number)):
+        if number >= 2 and (moved < config.settled_move or layout.is_enough):
             break
     chosen = _most_alike(scene, layout, attempts, config)
     backward, verdict = _judge(coarse, chosen, config)
@@ -161,18 +161,13 @@ class _Layout:
     repeats: tuple[Repeats | None, Repeats | None] = (None, None)
 
     @property
-    def uses_repeats(self) -> bool:
-        """True where cells are matched, because lines are missing along an axis."""
-        return None in self.combs and self.settled
-
-    def is_enough(self, number: int) -> bool:
-        """True where round ``number`` can be the last: no cells to match, and all lines seen or looked for thrice."""
-        complete = all(comb is None or len(comb.seen) > comb.cells for comb in self.combs)
-        return not self.uses_repeats and (complete or number >= 2)
+    def is_enough(self) -> bool:
+        """True where there are no cells to match: lines have been looked for thrice, and more rounds find no more."""
+        return not self.settled
 
     @property
     def settled(self) -> bool:
-        """True where repetition was seen along both axes before: what lines there are have been found then."""
+        """True where repetition was seen along both axes, so that cells can be matched."""
         return all(r is not None for r in self.repeats)
 
     @property
@@ -222,6 +217,13 @@ class _Clock:
 
 
 # ---------------------------------------------------------------- steps
+
+
+def _matchers(config: RefineConfig) -> list[Callable[..., tuple[Sightings, ...]]]:
+    """How cells are matched, round for round: ever less far and ever more exactly."""
+    far = partial(match_to_one_cell, search=config.repeat.first, config=config.repeat)
+    nearer = partial(match_cells, search=config.repeat.second, config=config.repeat)
+    return [far, nearer, *(partial(register_cells, blur_px=b, config=config.congeal) for b in config.congeal.blurs_px)]
 
 
 def _working_scene(photo: UInt8[np.ndarray, "H W 3"], coarse: BackwardMap, config: RefineConfig) -> _Scene:
@@ -274,16 +276,28 @@ def _plausible(comb: Comb, repeat: Repeats | None, config: RefineConfig) -> bool
 
 
 def _observe_print(
-    view: FilmView, layout: _Layout, matcher: Callable[..., tuple[Sightings, ...]], config: RefineConfig
+    view: FilmView,
+    layout: _Layout,
+    matcher: Callable[..., tuple[Sightings, ...]],
+    outline: Sequence[Sightings],
+    config: RefineConfig,
 ) -> list[_Evidence]:
-    """Sightings of lines and, where they are missing along an axis, of what the cells have in common."""
+    """Sightings of lines, and of what the cells have in common.
+
+    Where both edges across an axis are seen they say where the lines are, unless the grid fills the film: what is
+    straight and repeats need not lie where cells meet.
+    """
     evidence = []
     for comb in layout.combs:
         sightings = follow_comb(view, comb, config.grid) if comb is not None else None
-        if sightings is not None:
-            evidence.append(_Evidence(sightings, comb))
+        if comb is None or sightings is None:
+            continue
+        pinned = sum(edge.axis == comb.axis for edge in outline) == 2
+        if pinned and not comb.fills_film(config.grid):
+            sightings = replace(sightings, shared_sigma=np.full(2, config.congeal.shared_sigma))
+        evidence.append(_Evidence(sightings, comb))
     columns, rows = layout.repeats
-    if columns is not None and rows is not None and layout.uses_repeats:
+    if columns is not None and rows is not None:
         evidence += [_Evidence(s, layout.repeats[s.axis]) for s in matcher(view, columns, rows)]
     return evidence
 
@@ -305,7 +319,7 @@ def _most_alike(scene: _Scene, layout: _Layout, attempts: list[_Attempt], config
     The last where cells were not matched.
     """
     columns, rows = layout.repeats
-    if not layout.uses_repeats or columns is None or rows is None:
+    if columns is None or rows is None:
         return attempts[-1]
     candidates = [_Attempt(no_displacement(config.spline), ()), attempts[0], *attempts[1:][-2:]]
     return max(candidates, key=lambda a: cell_agreement(_view(scene, a.displacement), columns, rows))

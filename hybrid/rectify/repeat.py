@@ -54,20 +54,17 @@ class RepeatConfig:
     """Least autocorrelation of the film at one pitch."""
     octave_ratio: float = 0.7
     """Of the pitches that correlate at least this well relative to the best, the smallest counts."""
-    first: MatchRound = MatchRound(9, 1.5, 0.22, 0.0, 0.8, 16, 1.0)
+    first: MatchRound = MatchRound(9, 1.5, 0.22, 0.0, 2.0, 16, 1.0)
     """What is done in the first round, against one cell."""
-    rounds: tuple[MatchRound, ...] = (
-        MatchRound(8, 1.5, 0.25, 1.0, 0.6, 12, 0.3),
-        MatchRound(5, 1.2, 0.2, 3.0, 0.4, 12, 0.2),
-    )
-    """What is done in the further rounds, against the mean cell."""
+    second: MatchRound = MatchRound(8, 1.5, 0.25, 1.0, 1.5, 12, 0.3)
+    """What is done in the second round, against the mean cell; then the cells are registered (congeal.py)."""
     min_match: float = 0.6
     """Least normalised correlation of a window with the mean cell."""
     worst_sigma_px: float = 1.5
     """A match less exact than this, beside the least noise of its round, does not count."""
-    constant_sigma: float = 0.01
+    constant_sigma: float = 0.05
     """Prior standard deviation of what all cells share in one window, in film units."""
-    pitch_sigma: float = 0.004
+    pitch_sigma: float = 0.02
     """Prior standard deviation of the pitch, in film units."""
     snug: float = 0.992
     """A grid that fills more than this fraction of the film is taken to have no margins."""
@@ -179,7 +176,7 @@ def match_to_one_cell(
 ) -> tuple[Sightings, ...]:
     """The same against the cell in the middle of the film: for a view so crooked that the mean cell is a blur."""
     image = detail(view.image[..., 0], search.fine_px, 4.0 * search.fine_px + 4.0)
-    cell = _cell(image, columns, rows, columns.cells // 2, rows.cells // 2)
+    cell = cell_image(image, columns, rows, columns.cells // 2, rows.cells // 2)
     return _match_template(image, cell, columns, rows, search, config)
 
 
@@ -216,7 +213,7 @@ def _match_template(
     return tuple(s for s in made if s is not None)
 
 
-def _cell(
+def cell_image(
     image: Float[np.ndarray, "h w"], columns: Repeats, rows: Repeats, column: int, row: int
 ) -> Float[np.ndarray, "ch cw"]:
     """One cell in pixels of the view, shifted by the fraction of a pixel that brings its corner to a pixel's."""
@@ -225,7 +222,9 @@ def _cell(
     x = (columns.first + (column + 0.5) * columns.pitch) * w - 0.5 * size[0]
     y = (rows.first + (row + 0.5) * rows.pitch) * h - 0.5 * size[1]
     shift = np.array([[1.0, 0.0, x], [0.0, 1.0, y]])
-    return cv2.warpAffine(image, shift, size, flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP)
+    return cv2.warpAffine(
+        image, shift, size, flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP, borderMode=cv2.BORDER_REPLICATE
+    )
 
 
 def cell_agreement(view: FilmView, columns: Repeats, rows: Repeats, fine_px: float = 1.2) -> float:
@@ -255,7 +254,7 @@ def _cell_moments(
     image: Float[np.ndarray, "h w"], columns: Repeats, rows: Repeats
 ) -> tuple[Float[np.ndarray, "ch cw"], Float[np.ndarray, "ch cw"]]:
     """Mean and mean square over all cells, in pixels of the view."""
-    cells = [_cell(image, columns, rows, j, i) for i in range(rows.cells) for j in range(columns.cells)]
+    cells = [cell_image(image, columns, rows, j, i) for i in range(rows.cells) for j in range(columns.cells)]
     total, squares = np.zeros_like(cells[0]), np.zeros_like(cells[0])
     for cell in cells:
         total += cell
@@ -350,6 +349,8 @@ __all__ = [
     "RepeatConfig",
     "Repeats",
     "cell_agreement",
+    "cell_image",
+    "detail",
     "find_repeats",
     "match_cells",
     "match_to_one_cell",

@@ -13,11 +13,16 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy.linalg import cho_factor, cho_solve, eigvalsh
 
 from hybrid.backward import BackwardMap
 from hybrid.rectify.tps import MAD_TO_SIGMA, LatticeSpline, lattice_spline, tukey_weights
+
+PRIOR_COUNT = 4.0
+"""Residuals of a group that the stated deviations count as."""
+LONE_FACTOR = 2.0
+"""By how much stated deviations grow where a group is too small to show its spread."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,6 +36,8 @@ class Sightings:
     shared: columns of unknown constants that add to ``known`` (the pitch of a grid, the place of a text in its
         cell): known + shared @ constants.
     shared_sigma: prior standard deviation of these constants around 0, in film units.
+    group: a number for each sighting, or None. Sightings of one number show the same thing in different places: a
+        text, which is alike everywhere, or anatomy, which is not. How alike is found from how well they agree.
     """
 
     axis: int
@@ -39,6 +46,7 @@ class Sightings:
     sigma: Float[np.ndarray, " n"]
     shared: Float[np.ndarray, "n g"]
     shared_sigma: Float[np.ndarray, " g"]
+    group: Int[np.ndarray, " n"] | None = None
 
     def __len__(self) -> int:
         return len(self.known)
@@ -61,6 +69,7 @@ class Sightings:
             known=self.known[chosen],
             sigma=self.sigma[chosen],
             shared=self.shared[chosen],
+            group=None if self.group is None else self.group[chosen],
         )
 
 
@@ -162,6 +171,7 @@ class _System:
     right: Float[np.ndarray, " n"]
     sigma: Float[np.ndarray, " n"]
     shared_sigma: Float[np.ndarray, " g"]
+    groups: tuple[Int[np.ndarray, " _"], ...]
     lattice: LatticeSpline
 
     def prior(self, stiffness: float, config: SplineConfig) -> Float[np.ndarray, "m m"]:
@@ -187,8 +197,10 @@ def _assemble(sightings: Sequence[Sightings], lattice: LatticeSpline) -> _System
     total = sum(len(s) for s in sightings)
     rows = np.zeros((total, n + sum(s.shared.shape[1] for s in sightings)))
     rows[:, :n] = lattice.rows(np.clip(np.concatenate([s.places() for s in sightings]), 0.0, 1.0))
-    row, column = 0, n
+    row, column, groups = 0, n, []
     for s in sightings:
+        if s.group is not None:
+            groups += [row + np.flatnonzero(s.group == number) for number in np.unique(s.group)]
         rows[row : row + len(s), column : column + s.shared.shape[1]] = s.shared
         row, column = row + len(s), column + s.shared.shape[1]
     return _System(
@@ -196,6 +208,7 @@ def _assemble(sightings: Sequence[Sightings], lattice: LatticeSpline) -> _System
         np.concatenate([s.offsets() for s in sightings]),
         np.concatenate([s.sigma for s in sightings]),
         np.concatenate([s.shared_sigma for s in sightings]),
+        tuple(groups),
         lattice,
     )
 
@@ -208,18 +221,35 @@ def _solve_robust(system: _System, config: SplineConfig) -> tuple[np.ndarray, np
     stiffness = float(candidates[count // 2])
     noise = max(1.0, MAD_TO_SIGMA * float(np.median(np.abs(system.right) / system.sigma)))
     solution = np.zeros(system.rows.shape[1])
+    sigma = system.sigma
     for step in range(config.reweightings):
-        scaled = weights / (noise * system.sigma) ** 2
+        scaled = weights / (noise * sigma) ** 2
         data = (system.rows * scaled[:, None]).T @ system.rows
         right = system.rows.T @ (scaled * system.right)
         if step == 1 and count > 1:
             stiffness = max(candidates, key=lambda c: _log_evidence(system, data, right, float(c), config))
         solution = _solve(data + system.prior(float(stiffness), config), right)
-        residual = (system.rows @ solution - system.right) / system.sigma
+        residual = system.rows @ solution - system.right
+        if step >= 1 and system.groups:
+            sigma = _group_noise(system, residual)
+        residual = residual / sigma
         spread = MAD_TO_SIGMA * float(np.median(np.abs(residual)))
         noise = max(1.0, min(0.5 * noise, 1.5 * spread))
         weights = tukey_weights(residual / noise)
     return solution, weights, float(stiffness)
+
+
+def _group_noise(system: _System, residual: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+    """Stated deviations, with those of each group multiplied by what its sightings' agreement says.
+
+    The spread of few residuals tells little: the stated deviations count as ``PRIOR_COUNT`` more of them.
+    """
+    sigma = system.sigma.copy()
+    for rows in system.groups:
+        spread = MAD_TO_SIGMA * float(np.median(np.abs(residual[rows] / system.sigma[rows])))
+        variance = (len(rows) * spread**2 + PRIOR_COUNT) / (len(rows) + PRIOR_COUNT)
+        sigma[rows] *= np.sqrt(variance) if len(rows) > 2 else LONE_FACTOR
+    return sigma
 
 
 def _solve(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:

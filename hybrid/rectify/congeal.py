@@ -1,0 +1,159 @@
+"""Cells registered to what they have in common, to a small fraction of a pixel (congealing).
+
+Corner texts, scale bars, tables and rules are the same in every cell; anatomy is not. Over all cells each pixel has a
+median, the template, and a spread. Blocks of each cell are shifted onto the template by least squares (Lucas & Kanade
+1981), pixels weighted by one over the squared spread: what all cells share counts, what differs does not. A shift says
+where a block's content lies against the other cells; what all cells have in common stays an unknown smooth function of
+the place in the cell, and the pitch is unknown too: the sheet's outline has to pin them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from hybrid.coords import centres_1d
+from hybrid.rectify.film_view import FilmView
+from hybrid.rectify.repeat import Repeats, cell_image, detail
+from hybrid.rectify.sightings import Sightings
+from hybrid.rectify.tps import MAD_TO_SIGMA
+
+
+@dataclass(frozen=True)
+class CongealConfig:
+    """Options of the registration of cells to their template."""
+
+    blurs_px: tuple[float, ...] = (3.0, 2.0, 1.5, 1.0, 1.0)
+    """One round each: details below this size, in pixels of the view, are smoothed away. Coarse reaches far, fine is
+    exact."""
+    block_px: int = 24
+    """About the side of a block, in pixels of the view."""
+    min_cells: int = 4
+    """Fewer cells have no median that tells what they share."""
+    min_blocks: int = 12
+    """Fewer blocks that tell a shift are left out."""
+    min_gain: float = 0.3
+    """Blocks that show the template with less contrast than this are covered, in glare, or empty."""
+    min_correlation: float = 0.3
+    """Least weighted correlation of a block with the template."""
+    clip: float = 3.0
+    """Differences from the template count up to this many spreads."""
+    correlated_px: float = 10.0
+    """Neighbouring pixels whose differences are alike."""
+    sigma_px: float = 0.15
+    """Noise of a shift beside what the spread explains, in pixels of the view."""
+    worst_sigma_px: float = 1.0
+    """Blocks that tell a shift less exactly than this do not count."""
+    reach: float = 2.5
+    """Largest shift believed, in multiples of the blur: a linear step does not reach beyond."""
+    shared_sigma: float = 0.03
+    """Prior standard deviation of what all cells have in common, and of the pitch, in film units."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Shifts:
+    """Blocks of cells against the template, in pixels: n cells of (rows, columns) blocks.
+
+    shift: by how much (x, y) the cell's content lies beside the template's. sigma: of x and y alone.
+    good: blocks that show the template. at: where in the cell (x, y) each block's detail lies, as parts of the cell.
+    """
+
+    shift: Float[np.ndarray, "n by bx 2"]
+    sigma: Float[np.ndarray, "n by bx 2"]
+    good: Bool[np.ndarray, "n by bx"]
+    at: Float[np.ndarray, "by bx 2"]
+
+
+def register_cells(
+    view: FilmView, columns: Repeats, rows: Repeats, blur_px: float, config: CongealConfig
+) -> tuple[Sightings, ...]:
+    """Where the blocks of each cell lie against the template: sightings of u and of v, each if enough is seen.
+
+    view: the flat grey film, covering [0, 1]^2. blur_px: details below this size are smoothed away.
+    """
+    if columns.cells * rows.cells < config.min_cells:
+        return ()
+    image = detail(view.image[..., 0], blur_px, 4.0 * blur_px + 4.0)
+    number = [(j, i) for i in range(rows.cells) for j in range(columns.cells)]
+    cells = np.stack([cell_image(image, columns, rows, j, i) for j, i in number])
+    shifts = block_shifts(cells, blur_px, config)
+    found = (_sightings(shifts, np.array(number), axis, (columns, rows), image.shape, config) for axis in (0, 1))
+    return tuple(s for s in found if s is not None)
+
+
+def block_shifts(cells: Float[np.ndarray, "n ch cw"], blur_px: float, config: CongealConfig) -> _Shifts:
+    """One least-squares step of all blocks of all cells towards the cells' median."""
+    template = np.median(cells, axis=0)
+    spread = cv2.blur(MAD_TO_SIGMA * np.median(np.abs(cells - template), axis=0), (3, 3))
+    spread = np.hypot(spread, np.median(spread) + 1e-3)
+    weight = 1.0 / spread**2
+    edges = tuple(_block_edges(n, config.block_px) for n in template.shape)
+    gy, gx = np.gradient(template)
+    xx, xy, yy = (_block_sums(weight * product, edges) for product in (gx * gx, gx * gy, gy * gy))
+    det = np.maximum(xx * yy - xy * xy, 1e-6 * (xx + yy) ** 2 + 1e-12)
+    both, own = _block_sums(weight * template * cells, edges), _block_sums(weight * cells * cells, edges)
+    energy = np.maximum(_block_sums(weight * template * template, edges), 1e-9)
+    gain = both / energy
+    bounded = np.clip(gain, config.min_gain, 1.0 / config.min_gain)
+    per_pixel = bounded.repeat(np.diff(edges[0]), axis=1).repeat(np.diff(edges[1]), axis=2)
+    difference = np.clip(cells / per_pixel - template, -config.clip * spread, config.clip * spread)
+    bx, by = (_block_sums(weight * gradient * difference, edges) for gradient in (gx, gy))
+    shift = np.stack([xy * by - yy * bx, xy * bx - xx * by], axis=-1) / det[..., None]
+    sigma = np.sqrt(config.correlated_px * np.stack([yy, xx], axis=-1) / det[..., None])
+    good = (gain > config.min_gain) & (both > config.min_correlation * np.sqrt(energy * np.maximum(own, 1e-9)))
+    good &= np.abs(shift).max(axis=-1) < config.reach * blur_px
+    at = _block_centres(weight * (gx * gx + gy * gy), edges) / np.array(template.shape[::-1])
+    return _Shifts(shift, sigma / np.minimum(bounded, 1.0)[..., None], good, at)
+
+
+def _sightings(
+    shifts: _Shifts,
+    number: Int[np.ndarray, "n 2"],
+    axis: int,
+    layout: tuple[Repeats, Repeats],
+    size: tuple[int, ...],
+    config: CongealConfig,
+) -> Sightings | None:
+    """The shifts along one axis as sightings. number: (column, row) of each cell. size: (h, w) of the view."""
+    cell, i, j = np.nonzero(shifts.good & (shifts.sigma[..., axis] < config.worst_sigma_px))
+    if len(cell) < config.min_blocks:
+        return None
+    pixels = np.array([size[1], size[0]])
+    at = shifts.at[i, j]
+    place = np.array([r.first for r in layout]) + (number[cell] + at) * np.array([r.pitch for r in layout])
+    x, y = (at - 0.5).T
+    from_middle = number[cell, axis] - 0.5 * (layout[axis].cells - 1)
+    shared = np.column_stack([np.ones(len(x)), x, y, x * x, x * y, y * y, from_middle])
+    return Sightings(
+        axis,
+        seen=place + shifts.shift[cell, i, j] / pixels,
+        known=place[:, axis].copy(),
+        sigma=np.hypot(shifts.sigma[cell, i, j, axis], config.sigma_px) / pixels[axis],
+        shared=shared,
+        shared_sigma=np.full(shared.shape[1], config.shared_sigma),
+        group=i * shifts.at.shape[1] + j,
+    )
+
+
+def _block_edges(n: int, block_px: int) -> Int[np.ndarray, " k"]:
+    """Where the blocks along one axis of n pixels begin and end."""
+    return np.linspace(0, n, max(1, round(n / block_px)) + 1).astype(int)
+
+
+def _block_sums(values: np.ndarray, edges: tuple[np.ndarray, ...]) -> np.ndarray:
+    """Sums over the blocks of the last two axes."""
+    return np.add.reduceat(np.add.reduceat(values, edges[0][:-1], axis=-2), edges[1][:-1], axis=-1)
+
+
+def _block_centres(density: Float[np.ndarray, "ch cw"], edges: tuple[np.ndarray, ...]) -> Float[np.ndarray, "by bx 2"]:
+    """Centre of mass (x, y) of each block."""
+    total = np.maximum(_block_sums(density, edges), 1e-12)
+    x = _block_sums(density * centres_1d(density.shape[1]), edges)
+    y = _block_sums(density * centres_1d(density.shape[0])[:, None], edges)
+    return np.stack([x, y], axis=-1) / total[..., None]
+
+
+__all__ = ["CongealConfig", "block_shifts", "register_cells"]
