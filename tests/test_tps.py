@@ -98,6 +98,17 @@ def test_duplicates_are_averaged(scattered):
     assert np.abs(doubled(points[5:]) - values[5:]).max() < EXACT
 
 
+@pytest.mark.parametrize("apart", [1e-12, 1e-9, 1e-7, 1e-5])
+def test_points_that_all_but_coincide_do_not_blow_up(scattered, apart):
+    points, values = scattered
+    twins = points[:9] + apart * np.random.default_rng(4).normal(size=(9, 2))
+    doubled = fit_tps(np.vstack([points, twins]), np.vstack([values, values[:9] + 0.2]))
+    assert doubled.residuals(points[9:], values[9:]).max() < 1e-5  # a slope of 2e4 between twins costs digits
+    assert doubled.residuals(points[:9], values[:9]).max() < 0.1 * np.sqrt(2) + 1e-6
+    with pytest.raises(SplineError, match="on a line"):
+        fit_tps(np.repeat([[0.0, 0.0], [1.0, 0.5]], 3, axis=0) + 1e-8 * np.eye(6)[:, :2], np.ones((6, 2)))
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_robust_fit_survives_30_percent_outliers(seed):
     rng = np.random.default_rng(seed)

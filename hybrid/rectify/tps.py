@@ -17,6 +17,9 @@ from functools import lru_cache
 import numpy as np
 from jaxtyping import Float
 from scipy.linalg import cho_factor, cho_solve, eigh
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import KDTree
 
 from hybrid.coords import film_nodes
 from hybrid.errors import HybridError, describe
@@ -25,6 +28,8 @@ MIN_POINTS = 3
 """A plane through fewer points is not determined."""
 COLLINEAR_RATIO = 1e-6
 """Points whose spread across is below this fraction of their spread along lie on a line for float64's purposes."""
+CLOSE_RATIO = 1e-6
+"""Points that are closer than this fraction of the extent of all are one point for float64's purposes."""
 TUKEY_CUT = 4.685
 """Tukey's biweight with this cut, in standard deviations, is 95 % efficient under Gaussian noise."""
 MAD_TO_SIGMA = 1.4826
@@ -251,6 +256,12 @@ def _checked(
         )
     counted = np.isfinite(sigma)
     points, values, sigma = points[counted], values[counted], sigma[counted]
+    _refuse_lines(points)
+    return points, values, sigma
+
+
+def _refuse_lines(points: Float[np.ndarray, "n 2"]) -> None:
+    """SplineError where the points do not determine a plane."""
     if len(points) < MIN_POINTS or _collinear(points):
         raise SplineError(
             describe(
@@ -261,7 +272,6 @@ def _checked(
                 do="Observe more of the film.",
             )
         )
-    return points, values, sigma
 
 
 def _collinear(points: Float[np.ndarray, "n 2"]) -> bool:
@@ -271,11 +281,20 @@ def _collinear(points: Float[np.ndarray, "n 2"]) -> bool:
 
 
 def _merged(points: np.ndarray, values: np.ndarray, sigma: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Distinct points, weighted mean values, and variances of those means."""
-    distinct, index = np.unique(points, axis=0, return_inverse=True)
-    weight = np.bincount(index.ravel(), 1.0 / sigma**2)
-    sums = [np.bincount(index.ravel(), values[:, k] / sigma**2) for k in range(2)]
-    return distinct, np.stack(sums, axis=1) / weight[:, None], 1.0 / weight
+    """Distinct points, weighted mean values, and variances of those means.
+
+    Points closer than CLOSE_RATIO of their extent count as one: a spline through two values at all but one place is
+    lost in rounding. Raises SplineError where what is left lies on a line.
+    """
+    close = CLOSE_RATIO * float(np.ptp(points, axis=0).max())
+    first, second = KDTree(points).query_pairs(close, output_type="ndarray").T
+    joined = coo_array((np.ones(len(first)), (first, second)), shape=(len(points), len(points)))
+    _, index = connected_components(joined, directed=False)
+    weight = np.bincount(index, 1.0 / sigma**2)
+    means = [np.bincount(index, column / sigma**2) / weight for column in (*points.T, *values.T)]
+    centres = np.stack(means[:2], axis=1)
+    _refuse_lines(centres)
+    return centres, np.stack(means[2:], axis=1), 1.0 / weight
 
 
 def _normaliser(points: Float[np.ndarray, "n 2"]) -> tuple[np.ndarray, float]:
