@@ -184,6 +184,13 @@ def result_record(path: Path, photo_size: tuple[int, ...], result: RectifyResult
         "status": result.status.code.name,
         "message": str(result.status),
         "film_size": None if result.film is None else list(result.film.shape),
+        "orientation": None
+        if result.orientation is None
+        else {
+            "quarter_turns_clockwise": result.orientation.turns,
+            "mirrored_first": result.orientation.mirrored,
+            "upright_probability": _rounded(result.upright_probability),
+        },
         "glare_share": None if result.glare is None else round(float(result.glare.mean()), 5),
         "confidence": None if result.confidence is None else round(float(result.confidence.mean()), 4),
         "grid": None
@@ -199,6 +206,10 @@ def result_record(path: Path, photo_size: tuple[int, ...], result: RectifyResult
             {"name": s.name, "ran": s.ran, "reason": s.reason, "seconds": round(s.seconds, 5)} for s in result.stages
         ],
     }
+
+
+def _rounded(value: float | None, digits: int = 4) -> float | None:
+    return None if value is None else round(value, digits)
 
 
 __all__ = ["Outcome", "free_name", "rectify_files", "report_lines", "result_record", "write_result", "write_slices"]

@@ -1,47 +1,149 @@
-"""Which way is up: the views that UprightNet learns from."""
+"""Which way is up: where films are written on, what the patches say together, and what the packaged network reads."""
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
+import pytest
 import torch
 
-from hybrid.backward import Orientation
-from hybrid.learn.upright import UprightNet, UprightNetConfig, standardised
-from hybrid.learn.upright_data import PrintAugment, upright_view
-
-CLEAN = PrintAugment(
-    warp=1e-9, blur_px=(0.3, 0.31), noise=(1e-4, 1.1e-4), veil=0.0, gamma=1e-9, longer_px=(700.0, 701.0)
+from hybrid.learn.network import fused
+from hybrid.learn.upright import (
+    WAYS,
+    PatchVotes,
+    UprightConfig,
+    UprightNet,
+    UprightNetConfig,
+    orientation_chances,
+    upright_losses,
+    upright_way,
 )
+from hybrid.learn.upright_data import PrintAugment, upright_view
+from hybrid.learn.upright_patches import PatchConfig, standardised, text_patches, text_places
+from hybrid.learn.weights import packaged_upright_net, parameter_count
+from tests.synthetic_film import FilmDrawing, draw_print
+
+RIGHT, TURNED = WAYS[0], WAYS[1]
 
 
-def test_slow_changes_of_the_light_are_taken_out():
-    rng = np.random.default_rng(0)
-    film = rng.random((300, 240))
-    v, u = np.mgrid[0:1:300j, 0:1:240j]
-    lit = film * (0.4 + 0.3 * u + 0.2 * v) + 0.1 * u
-    assert np.corrcoef(standardised(film, 300.0).ravel(), standardised(lit, 300.0).ravel())[0, 1] > 0.995
+@pytest.fixture(scope="module")
+def reader() -> UprightNet:
+    return fused(packaged_upright_net())
 
 
-def test_the_label_of_a_view_makes_it_read_right():
-    """A print with all its ink in the top-left quarter, once moved as its label says, has it there again."""
-    flat = np.zeros((700, 560), np.uint8)
-    flat[:350, :280] = np.random.default_rng(0).integers(0, 256, (35, 28), dtype=np.uint8).repeat(10, 0).repeat(10, 1)
-    labels = set()
-    for seed in range(40):
-        small = replace(CLEAN, longer_px=(240.0, 241.0))
-        view, index = upright_view(flat, 256, np.random.default_rng([3, seed]), small)
-        ink = np.abs(Orientation.from_index(index).moved(view))
-        assert ink[:115, :90].mean() > 5 * ink[130:].mean()
-        assert ink[:115, :90].mean() > 5 * ink[:, 110:].mean()
-        labels.add(index)
-    assert labels == set(range(8))
+def written_film(seed: int = 0) -> np.ndarray:
+    return draw_print(FilmDrawing(rows=5, cols=4), np.random.default_rng(seed), (1400, 1120))
 
 
-def test_votes_are_weighed_not_counted():
-    """Empty borders, where nothing is printed, can be ignored: logits are a weighted mean over places."""
+def rgb(film: np.ndarray) -> np.ndarray:
+    return np.ascontiguousarray(np.repeat(film[..., None], 3, axis=2))
+
+
+# ---------------------------------------------------------------- patches
+
+
+def test_a_patch_is_the_same_in_any_even_light():
+    patch = np.random.default_rng(0).integers(60, 200, (1, 32, 32), dtype=np.uint8)
+    dim = (0.5 * patch.astype(float) + 20).round().astype(np.uint8)
+    np.testing.assert_allclose(standardised(dim), standardised(patch), atol=0.15)
+    assert not standardised(np.full((2, 32, 32), 90, np.uint8)).any()
+
+
+def test_patches_are_cut_where_letters_stand_and_not_where_lines_or_tissue_do():
+    film = np.full((1400, 1120), 14, np.uint8)
+    cv2.ellipse(film, (560, 900), (300, 220), 10, 0, 360, 150, -1)
+    for x in (0, 373, 746, 1119):
+        cv2.line(film, (x, 0), (x, 1399), 200, 2)
+    places = [(60, 50), (700, 60), (200, 400), (900, 500)]
+    for x, y in places:
+        cv2.putText(film, "RW 34", (x, y), cv2.FONT_HERSHEY_SIMPLEX, 0.4, 230, 1, cv2.LINE_AA)
+    found = text_places(film, PatchConfig(count=4)) * [1120, 1400]
+    letters = np.array([(x + 22, y - 4) for x, y in places])  # their middles
+    nearest = np.linalg.norm(found[:, None] - letters, axis=-1)
+    assert sorted(nearest.argmin(axis=1)) == [0, 1, 2, 3]
+    assert nearest.min(axis=1).max() < 25
+
+
+def test_fewer_letters_give_fewer_patches():
+    film = np.zeros((1400, 1120), np.uint8)
+    assert not text_patches(film, PatchConfig()).any()
+    cv2.putText(film, "W 34", (500, 700), cv2.FONT_HERSHEY_SIMPLEX, 0.5, 230, 1, cv2.LINE_AA)
+    some = text_patches(film, PatchConfig()).any(axis=(1, 2))
+    assert 1 <= some.sum() < 12
+
+
+# ---------------------------------------------------------------- votes
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_votes_turn_with_the_patches(way):
+    """A patch that is moved as ``way.inverse`` says needs ``way`` more: whatever the weights, no way is favoured."""
     torch.manual_seed(0)
     network = UprightNet(UprightNetConfig()).eval()
+    patches = np.random.default_rng(0).normal(size=(2, 3, 32, 32)).astype(np.float32)
+    moved = np.stack([[way.moved(patch) for patch in film] for film in patches])
     with torch.no_grad():
-        logits = network(torch.randn(2, 1, 128, 96))
-    assert logits.shape == (2, 8)
-    assert torch.isfinite(logits).all()
+        votes, after = (network(torch.from_numpy(some)).votes.numpy() for some in (patches, moved))
+    corner = np.arange(4).reshape(2, 2)
+    for k, then in enumerate(WAYS):
+        whole = next(w.index for w in WAYS if np.array_equal(w.moved(corner), then.moved(way.moved(corner))))
+        np.testing.assert_allclose(after[..., k], votes[..., whole], atol=1e-5)
+
+
+def test_losses_by_hand():
+    sure = torch.full((1, 2, 8), -50.0)
+    sure[:, :, 3] = 0.0
+    right = upright_losses(PatchVotes(sure, torch.tensor(1.0)), torch.tensor([3]))
+    assert [float(value) for value in right.values()] == pytest.approx([0, 0], abs=1e-6)
+    wrong = upright_losses(PatchVotes(sure, torch.tensor(0.5)), torch.tensor([1]))
+    assert {name: float(value) for name, value in wrong.items()} == pytest.approx({"patch": 50, "film": 50})
+    blind = upright_losses(PatchVotes(torch.full((1, 2, 8), -np.log(8.0)), torch.tensor(0.3)), torch.tensor([0]))
+    assert [float(value) for value in blind.values()] == pytest.approx([np.log(8), np.log(8)])
+
+
+def test_a_view_shows_the_prints_letters_upright():
+    """A print of one sign again and again: its patches look like the sign as it reads."""
+    sign = np.zeros((70, 70), np.uint8)
+    cv2.putText(sign, "F", (22, 46), cv2.FONT_HERSHEY_SIMPLEX, 0.9, 230, 2, cv2.LINE_AA)
+    clean = PrintAugment((1200.0, 1201.0), (0.999, 1.001), 1e-9, 1e-9, (0.9, 0.91), 1e-9, 0.0, (0.25, 0.26), 1e-9)
+    config = UprightNetConfig(film_px=1400.0)
+    views = upright_view(np.tile(sign, (20, 16)), config, np.random.default_rng(0), clean)
+    template = sign[18:54, 14:50].astype(np.float32)
+    fit = [cv2.matchTemplate(np.pad(view, 8), template, cv2.TM_CCOEFF_NORMED).max() for view in views]
+    assert np.median(fit) > 0.9
+
+
+# ---------------------------------------------------------------- the packaged network
+
+
+def test_it_is_small(reader):
+    assert parameter_count(packaged_upright_net()) < 300_000
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_a_written_film_is_read_whatever_way_it_lies(reader, way):
+    seen = way.inverse.moved(written_film())
+    chances = orientation_chances(reader, rgb(seen))
+    assert chances.sum() == pytest.approx(1, abs=1e-5)
+    assert upright_way(chances, UprightConfig())[0] == way
+    np.testing.assert_array_equal(orientation_chances(reader, rgb(seen)), chances)
+
+
+def test_what_cannot_be_read_is_left_as_it_lies(reader):
+    config = UprightConfig()
+    rng = np.random.default_rng(3)
+    blank = np.full((900, 700), 20, np.uint8)
+    noise = rng.integers(0, 60, (900, 700), dtype=np.uint8)
+    tissue = draw_print(FilmDrawing(texts=False), rng)
+    for film in (blank, noise, tissue):
+        assert upright_way(orientation_chances(reader, rgb(film), config.prior), config)[0] == RIGHT
+
+
+def test_weak_evidence_moves_no_film():
+    config = UprightConfig(min_probability=0.98)
+    chances = np.full(8, 0.03 / 7, np.float32)
+    chances[TURNED.index] = 0.97
+    way, reason = upright_way(chances, config)
+    assert way == RIGHT
+    assert "left as it lies" in reason
+    assert upright_way(chances, replace(config, min_probability=0.96))[0] == TURNED

@@ -20,6 +20,7 @@ from hybrid.learn.paper_data import PaperView, paper_batch
 from hybrid.learn.paper_targets import PaperTargets
 from hybrid.learn.pictures import PICTURE_VIEWS, Picture, lines_of_backward, lines_of_uv, sample_sheet
 from hybrid.learn.samples import open_places
+from hybrid.learn.upright import UprightNetConfig
 from hybrid.learn.upright_data import PrintAugment, print_paths, read_print, upright_view
 
 TEST_BATCH = 32
@@ -159,23 +160,24 @@ def _open_prints(folders: Sequence[Path]) -> list[Path]:
     return [path for folder in folders for path in print_paths(folder)]
 
 
-def _print_batch(paths: Sequence[Path], px: int, rng: np.random.Generator) -> tuple[Tensor, Tensor]:
-    views = [upright_view(read_print(path), px, rng, PrintAugment()) for path in paths]
-    films = torch.from_numpy(np.stack([film for film, _ in views])[:, None])
-    return films, torch.tensor([index for _, index in views])
+def print_feed(config: UprightNetConfig) -> Feed:
+    """Patches of flat prints, for a network of that configuration."""
 
+    def batch(paths: Sequence[Path], px: int, rng: np.random.Generator) -> tuple[Tensor, Tensor]:
+        cut = replace(config, input_px=px)
+        views = [upright_view(read_print(path), cut, rng, PrintAugment()) for path in paths]
+        return torch.from_numpy(np.stack(views)), torch.zeros(len(views), dtype=torch.int64)
 
-@torch.inference_mode()
-def _print_test(network: nn.Module, paths: Sequence[Path], px: int, device: str) -> dict[str, float]:
-    """Share of parts of prints whose orientation is right: of all, of the turn alone, of the mirroring alone."""
-    rng = np.random.default_rng(0)
-    right = []
-    for start in range(0, len(paths), TEST_BATCH):
-        films, truth = _print_batch(paths[start : start + TEST_BATCH], px, rng)
-        guess = network(films.to(device)).cpu().argmax(dim=1)
-        right.append(torch.stack([guess == truth, guess % 4 == truth % 4, guess // 4 == truth // 4], dim=1).numpy())
-    upright, turn, mirror = np.concatenate(right).mean(axis=0)
-    return {"test_upright": float(upright), "test_turn": float(turn), "test_mirror": float(mirror)}
+    @torch.inference_mode()
+    def test(network: nn.Module, paths: Sequence[Path], px: int, device: str) -> dict[str, float]:
+        """Shares of films and of patches that are read right, and the mean -log2 of the films' probabilities."""
+        rng, rows = np.random.default_rng(0), []
+        for start in range(0, len(paths), TEST_BATCH):
+            output = network(batch(paths[start : start + TEST_BATCH], px, rng)[0].to(device))
+            right = [(scores.argmax(dim=-1) == 0).float() for scores in (output.films, output.votes)]
+            bits = -output.films.log_softmax(dim=1)[:, 0] / np.log(2)
+            rows.append(torch.stack([right[0], right[1].mean(dim=1), bits], dim=1).cpu().numpy())
+        film, patch, bits = np.concatenate(rows).mean(axis=0)
+        return {"test_upright": float(film), "test_patch": float(patch), "test_bits": float(bits)}
 
-
-PRINT_FEED = Feed(_open_prints, _print_batch, _print_test)
+    return Feed(_open_prints, batch, test)

@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from hybrid.errors import ConfigError, describe
 from hybrid.learn import paper_losses
 from hybrid.learn.dewarpnet import NODES, BackwardNet, DewarpNet, DewarpNetConfig, ShapeNet, coordinate_code
-from hybrid.learn.feeds import FILM_FEED, PRINT_FEED, Feed, paper_feed
+from hybrid.learn.feeds import FILM_FEED, Feed, paper_feed, print_feed
 from hybrid.learn.firenet import MULTI_MAP, UV_ONLY, FiReNet, FiReNetConfig
 from hybrid.learn.losses import LossWeights, loss_terms
 from hybrid.learn.network import FilmNet, FilmNetConfig
@@ -146,9 +146,9 @@ PRESETS: dict[str, Preset] = {
         UprightNet,
         upright_losses,
         fields=(),
-        own_feed=PRINT_FEED,
-        batch=32,
-        learning_rate=2e-3,
+        own_feed=print_feed(UprightNetConfig()),
+        batch=8,
+        learning_rate=3e-3,
     ),
     "firenet": _FIRENET,
     "firenet_multimap": replace(_FIRENET, config=MULTI_MAP, fields=(*_MAPS, "normal"), nodes=no_nodes),

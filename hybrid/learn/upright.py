@@ -1,7 +1,7 @@
-"""UprightNet: reads a flattened film and says which way is up, and whether it is seen from behind.
+"""UprightNet: reads the writing on a flat film and says which way is up, and whether it is seen from behind.
 
-FilmNet sees films too small to read them; whether a head or its texts are mirrored shows only at the photo's own
-resolution. So this small network looks at the film once it is flat, and every part of the film casts a vote.
+FilmNet sees films too small to read them, and slices alone may be printed upside down or mirrored; writing never is. So
+this small network looks at many small patches of the film once it is flat, each of which casts a vote.
 """
 
 from __future__ import annotations
@@ -11,21 +11,44 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 import torch
-from jaxtyping import Float, Int64, UInt8
+from jaxtyping import Float, Float32, Int64, UInt8
 from torch import Tensor, nn
 from torch.nn import functional
 
-from hybrid.backward import BackwardMap, Orientation
+from hybrid.backward import Orientation
+from hybrid.learn.upright_patches import PatchConfig, text_patches
+
+WAYS = tuple(Orientation.from_index(index) for index in range(8))
 
 
 @dataclass(frozen=True)
 class UprightNetConfig:
-    """widths: channels at 1/2, 1/4, 1/8, 1/16 and 1/32 of the input. film_px: longer side at which films are read.
-    input_px: side of the parts of films that it is trained on."""
+    """widths: channels at 1/2, 1/4 and 1/8 of a patch. input_px: side of the patches. film_px, patches: longer side of
+    the films that they are cut from, and how many of each (``PatchConfig``)."""
 
-    widths: tuple[int, int, int, int, int] = (16, 32, 64, 96, 128)
-    film_px: int = 704
-    input_px: int = 256
+    widths: tuple[int, int, int] = (8, 16, 32)
+    input_px: int = 32
+    film_px: float = 1200.0
+    patches: int = 64
+
+    @property
+    def cut(self) -> PatchConfig:
+        """How films are cut up for it."""
+        return PatchConfig(self.film_px, self.input_px, self.patches)
+
+
+@dataclass(frozen=True)
+class PatchVotes:
+    """votes: for each patch the log-probability that it has to be moved in each of the eight ways to read right.
+    trust: how much of their sum counts: patches of one film do not err independently."""
+
+    votes: Float[Tensor, "b n 8"]
+    trust: Float[Tensor, ""]
+
+    @property
+    def films(self) -> Float[Tensor, "b 8"]:
+        """Logits of the eight ways for each film."""
+        return self.trust * self.votes.sum(dim=1)
 
 
 class _Stage(nn.Sequential):
@@ -51,54 +74,73 @@ class _Mix(nn.Module):
 
 
 class UprightNet(nn.Module):
-    """Five stages to 1/32 of the input, where each place gives a vote for the eight orientations and its weight."""
+    """Scores how much a patch looks like writing that reads right; a patch is scored in each of the eight ways.
+
+    So it cannot favour a way, what it learns of one way it knows of all, and patches without writing score alike.
+    """
 
     def __init__(self, config: UprightNetConfig) -> None:
         super().__init__()
         self.config = config
-        stem, *widths = config.widths
-        stages: list[nn.Module] = [_Stage(1, stem, 5)]
-        for before, after in zip([stem, *widths[:-1]], widths, strict=True):
-            stages += [_Stage(before, after), _Mix(after)]
-        self.stages = nn.Sequential(*stages, _Mix(widths[-1]))
-        self.votes = nn.Conv2d(widths[-1], 8, 1)
-        self.weights = nn.Conv2d(widths[-1], 1, 1)
+        w2, w4, w8 = config.widths
+        self.stages = nn.Sequential(_Stage(1, w2, 5), _Stage(w2, w4), _Mix(w4), _Stage(w4, w8), _Mix(w8), _Mix(w8))
+        self.score = nn.Conv2d(w8, 1, 1)
+        self.log_trust = nn.Parameter(torch.tensor(-1.0))
 
-    def forward(self, films: Float[Tensor, "b 1 h w"]) -> Float[Tensor, "b 8"]:
-        """Logits of the eight orientations of films from ``standardised``."""
-        places = self.stages(films)
-        votes, weights = self.votes(places).flatten(2), functional.softplus(self.weights(places)).flatten(2)
-        return (votes * weights).sum(dim=2) / weights.sum(dim=2).clamp(min=1e-3)
+    def forward(self, patches: Float[Tensor, "b n p p"]) -> PatchVotes:
+        """Votes of the patches of some films (``text_patches``)."""
+        held = torch.stack([_moved(patches, way) for way in WAYS], dim=2)
+        scores = self.score(self.stages(held.flatten(0, 2)[:, None])).float().mean(dim=(1, 2, 3))
+        return PatchVotes(functional.log_softmax(scores.view(held.shape[:3]), dim=2), self.log_trust.exp())
 
 
-def upright_losses(logits: Float[Tensor, "b 8"], truth: Int64[Tensor, " b"]) -> dict[str, Tensor]:
-    """Cross-entropy of the eight orientations."""
-    return {"orientation": functional.cross_entropy(logits, truth)}
+def _moved(patches: Float[Tensor, "*b p p"], way: Orientation) -> Float[Tensor, "*b p p"]:
+    """As ``Orientation.moved``, for tensors."""
+    return torch.rot90(patches.flip(-1) if way.mirrored else patches, -way.turns, (-2, -1))
 
 
-def standardised(film: Float[np.ndarray, "h w"], longer_px: float) -> Float[np.ndarray, "h w"]:
-    """The grey of a film (or of a part of one) whose longer side has ``longer_px``, without slow changes of the light:
-    less its local mean, over its local spread, within +-4."""
-    grey = film.astype(np.float32)
-    side = max(3, 2 * round(longer_px / 32) + 1)
-    mean = cv2.blur(grey, (side, side))
-    spread = cv2.blur((grey - mean) ** 2, (side, side))
-    return np.clip((grey - mean) / np.sqrt(spread + 1e-4), -4, 4)
+def upright_losses(output: PatchVotes, truth: Int64[Tensor, " b"]) -> dict[str, Tensor]:
+    """Cross-entropy of each patch, and of each film by its votes. truth: indices of what makes the films read right."""
+    every = truth[:, None, None].expand(*output.votes.shape[:2], 1)
+    return {
+        "patch": -output.votes.gather(2, every).mean(),
+        "film": functional.cross_entropy(output.films, truth),
+    }
 
 
 @torch.inference_mode()
-def read_orientation(network: UprightNet, film: UInt8[np.ndarray, "h w 3"]) -> tuple[Orientation, float]:
-    """What makes a flattened film (sRGB) read right, and the probability that it is so."""
-    grey = cv2.cvtColor(film, cv2.COLOR_RGB2GRAY).astype(np.float32) / 255
-    chance = functional.softmax(
-        network(torch.from_numpy(standardised(grey, float(max(grey.shape))))[None, None]), dim=1
-    )[0]
-    best = int(chance.argmax())
-    return Orientation.from_index(best), float(chance[best])
+def orientation_chances(
+    network: UprightNet, film: UInt8[np.ndarray, "h w 3"], prior: float = 1 / 8
+) -> Float32[np.ndarray, " 8"]:
+    """Probabilities that a flat film (sRGB) has to be moved in each of the eight ways to read right.
+
+    ``prior``: how probable it is, before anything was read, that it lies right.
+    """
+    patches = text_patches(cv2.cvtColor(film, cv2.COLOR_RGB2GRAY), network.config.cut)
+    before = torch.tensor([prior, *[(1 - prior) / 7] * 7]).log()
+    return functional.softmax(network(torch.from_numpy(patches)[None]).films[0] + before, dim=0).numpy()
 
 
-def reading_size(film: BackwardMap, config: UprightNetConfig) -> tuple[int, int]:
-    """Size (h, w) at which a film is read: the photo's own, but no more than the network is used to."""
-    down, across = film.mean_film_pixels()
-    scale = min(1.0, config.film_px / max(down, across))
-    return max(64, round(down * scale)), max(64, round(across * scale))
+@dataclass(frozen=True)
+class UprightConfig:
+    """When a film is turned or mirrored.
+
+    prior: share of films that lie right. min_probability: a film is moved only where it is this sure, with the prior
+    counted in. min_film_px: nothing is read on films whose longer side is less.
+    """
+
+    prior: float = 0.9
+    min_probability: float = 0.98
+    min_film_px: int = 400
+
+
+def upright_way(chances: Float32[np.ndarray, " 8"], config: UprightConfig) -> tuple[Orientation, str]:
+    """How to move a film with those ``orientation_chances``, and why, in words."""
+    best = WAYS[int(chances.argmax())]
+    probability = float(chances[best.index])
+    said = ", ".join([f"turned by {90 * best.turns} degrees"] * (best.turns > 0) + ["mirrored"] * best.mirrored)
+    if best.index == 0:
+        return best, f"lies right: {probability:.1%} probable"
+    if probability < config.min_probability:
+        return WAYS[0], f"left as it lies: {said} would read right, but that is only {probability:.0%} probable"
+    return best, f"{said} to read right: {probability:.1%} probable"

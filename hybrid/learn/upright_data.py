@@ -1,34 +1,41 @@
-"""Training views of UprightNet: parts of flat prints as a flattened photo shows them, turned and mirrored."""
+"""Training views of UprightNet: patches of flat prints as a flattened photo shows them."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Float32, UInt8
 
-from hybrid.backward import BackwardMap, Orientation
-from hybrid.coords import film_nodes, pixel_from_film, sample_bilinear
 from hybrid.errors import DataError, describe
-from hybrid.learn.upright import standardised
+from hybrid.learn.upright import UprightNetConfig
+from hybrid.learn.upright_patches import text_patches
 
 
 @dataclass(frozen=True)
 class PrintAugment:
     """How a flat print is turned into what a flattened photo shows.
 
-    longer_px: range of the film's longer side. warp: one sigma, in parts of the film, of what flattening left over.
-    blur_px, noise: ranges of one sigma (noise: of white 1). veil: most light added, of white 1. gamma: sigma of log2.
+    photo_px: range of the film's longer side in the photo. zoom: range of what the size of the letters differs by.
+    stretch, roll_deg: one sigma of the aspect's and of the angle's error that flattening left over. gain: range.
+    gamma: one sigma of log2. veil: most light added (of white 1), half of it even. blur_px: range of one sigma,
+    in the photo's pixels. sharpen: most that a phone overdoes it. noise: range of one sigma, in grey levels of 255.
+    quality: range of the JPEG's.
     """
 
-    longer_px: tuple[float, float] = (420.0, 800.0)
-    warp: float = 0.006
-    blur_px: tuple[float, float] = (0.3, 1.6)
-    noise: tuple[float, float] = (0.002, 0.06)
-    veil: float = 0.5
-    gamma: float = 0.6
+    photo_px: tuple[float, float] = (560.0, 1400.0)
+    zoom: tuple[float, float] = (0.75, 1.35)
+    stretch: float = 0.03
+    roll_deg: float = 1.2
+    gain: tuple[float, float] = (0.35, 1.1)
+    gamma: float = 0.35
+    veil: float = 0.4
+    blur_px: tuple[float, float] = (0.25, 0.9)
+    sharpen: float = 1.0
+    noise: tuple[float, float] = (0.4, 7.0)
+    quality: tuple[int, int] = (55, 97)
 
 
 def print_paths(folder: Path) -> list[Path]:
@@ -58,47 +65,54 @@ def read_print(path: Path) -> UInt8[np.ndarray, "h w"]:
 
 
 def upright_view(
-    flat: UInt8[np.ndarray, "h w"], px: int, rng: np.random.Generator, config: PrintAugment
-) -> tuple[Float[np.ndarray, "px px"], int]:
-    """A random part of a print as a flattened photo shows it, standardised, and the index of its orientation."""
-    longer = rng.uniform(*config.longer_px)
-    part = _part(flat, longer / max(flat.shape), px, rng)
-    film = standardised(_lit(_warped(part, longer, rng, config), rng, config), longer)
-    film = np.pad(film, [(0, px - side) for side in film.shape])
-    way = Orientation.from_index(int(rng.integers(8)))
-    return way.inverse.moved(film).copy(), way.index  # the film that ``way`` would make read right
+    flat: UInt8[np.ndarray, "h w"], config: UprightNetConfig, rng: np.random.Generator, augment: PrintAugment
+) -> Float32[np.ndarray, "n p p"]:
+    """The patches of a print as a flattened photo shows it; upright, for the network looks at it in all ways itself."""
+    cut = replace(config.cut, film_px=config.film_px * rng.uniform(*augment.zoom))
+    return text_patches(photographed(flat, rng, augment), cut)
 
 
-def _part(flat: np.ndarray, scale: float, px: int, rng: np.random.Generator) -> np.ndarray:
-    """A random part of the print, reduced by ``scale`` with area averaging to at most ``px`` pixels a side."""
-    side = px / scale
-    top, left = (rng.uniform(0, max(n - side, 0)) for n in flat.shape)
-    part = flat[round(top) : round(top + side), round(left) : round(left + side)]
-    size = [min(px, max(1, round(n * scale))) for n in part.shape]
-    return cv2.resize(part, (size[1], size[0]), interpolation=cv2.INTER_AREA).astype(np.float32) / 255
+def photographed(
+    flat: UInt8[np.ndarray, "h w"], rng: np.random.Generator, augment: PrintAugment
+) -> UInt8[np.ndarray, "h2 w2"]:
+    """A print at the photo's resolution, slightly skewed, with uneven light, a veil, a tone curve, blur and noise."""
+    film = _exposed(_reduced(flat, rng, augment), rng, augment)
+    film = cv2.GaussianBlur(film, (0, 0), rng.uniform(*augment.blur_px))
+    film += _noise(film.shape, rng) * np.float32(np.exp(rng.uniform(*np.log(augment.noise))))
+    if rng.random() < 0.5:
+        amount = rng.uniform(0, augment.sharpen)
+        film = cv2.addWeighted(film, 1 + amount, cv2.GaussianBlur(film, (0, 0), 1.0), -amount, 0)
+    pixels = cv2.convertScaleAbs(np.maximum(film, 0, out=film))
+    code = cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_QUALITY, int(rng.integers(*augment.quality))])[1]
+    return np.asarray(cv2.imdecode(code, cv2.IMREAD_GRAYSCALE), np.uint8)
 
 
-def _warped(part: np.ndarray, longer_px: float, rng: np.random.Generator, config: PrintAugment) -> np.ndarray:
-    """A part of a film of ``longer_px``, slightly bent as by an imperfect map; display grey in [0, 1]."""
-    size = (part.shape[0], part.shape[1])
-    nodes = film_nodes((4, 4)) + rng.normal(0, config.warp, (4, 4, 2)) * (longer_px / max(size))
-    return sample_bilinear(part, pixel_from_film(BackwardMap(nodes).dense(size), size))
+def _reduced(flat: np.ndarray, rng: np.random.Generator, augment: PrintAugment) -> np.ndarray:
+    """The print at the photo's resolution; stretched and turned by little."""
+    scale = min(1.0, float(np.exp(rng.uniform(*np.log(augment.photo_px)))) / max(flat.shape))
+    size = (round(flat.shape[1] * scale), round(flat.shape[0] * scale))
+    angle, skew = np.deg2rad(rng.normal(0, augment.roll_deg, 2))
+    linear = np.diag(np.exp(rng.normal(0, augment.stretch, 2))) @ np.array([[1.0, skew - angle], [angle, 1.0]]) * scale
+    affine = np.column_stack([linear, np.array(size) / 2 - linear @ (np.array(flat.shape[::-1]) / 2)])
+    # A blur and linear interpolation stand for the mean over a pixel's area, at a third of the time.
+    soft = cv2.GaussianBlur(flat, (0, 0), 0.4 / scale)
+    return cv2.warpAffine(soft, affine, size, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
 
 
-def _lit(film: np.ndarray, rng: np.random.Generator, config: PrintAugment) -> np.ndarray:
-    """Uneven light, a veil, a tone curve, blur, noise and JPEG."""
-    size = film.shape[::-1]
+def _noise(size: tuple[int, ...], rng: np.random.Generator) -> Float32[np.ndarray, "h w"]:
+    """White noise of spread 1 that repeats itself over the film; no patch sees that."""
+    height, width = (-(-n // 2) for n in size)
+    return np.tile(rng.standard_normal((height, width), dtype=np.float32), (2, 2))[: size[0], : size[1]]
 
-    def field() -> np.ndarray:
-        coarse = rng.normal(0, 1, (4, 4)).astype(np.float32)
-        return cv2.resize(coarse, size, interpolation=cv2.INTER_CUBIC)
 
-    gain = np.exp2(0.5 * field())
-    veil = rng.uniform(0, config.veil) * rng.random() / (1 + np.exp(-2 * field()))
-    film = np.clip(gain * rng.uniform(0.3, 1.1) * film ** np.exp2(rng.normal(0, config.gamma)) + veil, 0, 1)
-    film = cv2.GaussianBlur(film.astype(np.float32), (0, 0), rng.uniform(*config.blur_px))
-    film = film + rng.standard_normal(film.shape, dtype=np.float32) * np.exp(rng.uniform(*np.log(config.noise)))
-    pixels = np.clip(np.rint(film * 255), 0, 255).astype(np.uint8)
-    quality = [cv2.IMWRITE_JPEG_QUALITY, int(rng.integers(40, 97))]
-    decoded = cv2.imdecode(cv2.imencode(".jpg", pixels, quality)[1], cv2.IMREAD_GRAYSCALE)
-    return np.asarray(decoded, np.float32) / 255
+def _exposed(film: np.ndarray, rng: np.random.Generator, augment: PrintAugment) -> Float32[np.ndarray, "h w"]:
+    """Grey levels (0 to 255, over it where clipped) of a film in uneven light."""
+    tone = (np.arange(256) / 255) ** np.exp2(rng.normal(0, augment.gamma))
+    exposed = cv2.LUT(film, (255 * rng.uniform(*augment.gain) * tone).astype(np.float32))
+    field = cv2.resize(rng.random((4, 4), dtype=np.float32), film.shape[::-1], interpolation=cv2.INTER_LINEAR)
+    even, uneven = 255 * augment.veil * rng.random(2) ** 2 / 2
+    exposed *= 1 - np.float32(rng.uniform(0, 0.6)) * field
+    field *= np.float32(2 * uneven)
+    exposed += field
+    exposed += np.float32(even)
+    return exposed

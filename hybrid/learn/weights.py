@@ -17,6 +17,7 @@ from torch import Tensor, nn
 from hybrid.coords import CONVENTIONS_VERSION
 from hybrid.errors import DataError, describe
 from hybrid.learn.network import FilmNet, FilmNetConfig, Network
+from hybrid.learn.upright import UprightNet, UprightNetConfig
 
 
 def save_weights(path: Path, network: nn.Module, config: Any, notes: dict[str, Any]) -> None:
@@ -66,6 +67,12 @@ def packaged_film_net() -> FilmNet:
     """The FilmNet that the package ships."""
     with as_file(files("hybrid.learn") / "packaged" / "filmnet.safetensors") as path:
         return load_weights(path, FilmNet, FilmNetConfig)
+
+
+def packaged_upright_net() -> UprightNet:
+    """The UprightNet that the package ships."""
+    with as_file(files("hybrid.learn") / "packaged" / "upright.safetensors") as path:
+        return load_weights(path, UprightNet, UprightNetConfig)
 
 
 def parameter_count(network: nn.Module) -> int:

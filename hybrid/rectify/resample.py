@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
-from hybrid.backward import BackwardMap, spline_weights
+from hybrid.backward import BackwardMap, Orientation, spline_weights
 from hybrid.coords import film_centres_1d, opencv_from_photo, photo_from_opencv, sample_bilinear
 
 KEPT_DENSITY = 1.6
@@ -29,6 +29,10 @@ class Rectified:
 
     image: UInt8[np.ndarray, "h w 3"]
     valid: Bool[np.ndarray, "h w"]
+
+    def turned(self, way: Orientation) -> Rectified:
+        """The film moved as ``way`` says."""
+        return Rectified(*(np.ascontiguousarray(way.moved(picture)) for picture in (self.image, self.valid)))
 
 
 def rectify_photo(photo: UInt8[np.ndarray, "H W 3"], backward: BackwardMap, size: tuple[int, int]) -> Rectified:
