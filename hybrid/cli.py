@@ -6,11 +6,13 @@ import sys
 from collections.abc import Callable, Sequence
 
 USAGE = """\
-usage: hybrid {rectify,train,info} [options]
+usage: hybrid {rectify,fuse,train,info} [options]
 
 Photo of a bent CT film in, flat print out.
 
   hybrid rectify PHOTO... -o DIR   flatten photos; writes films, slices and side-by-side pictures into DIR
+  hybrid fuse PHOTO PHOTO... -o DIR
+                                   one film of several photos of it, without the glare that moved between them
   hybrid train --data DIR... --out DIR
                                    train the network on data made by python -m data_gen.generate
   hybrid info                      versions, weights and machine, for a report of a defect
@@ -23,7 +25,12 @@ Photo of a bent CT film in, flat print out.
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one subcommand; returns the exit code: 0 for success, 1 if anything failed, 2 for a wrong command line."""
     arguments = list(sys.argv[1:] if arguments is None else arguments)
-    commands: dict[str, Callable[[list[str]], int]] = {"rectify": _rectify, "train": _train, "info": _info}
+    commands: dict[str, Callable[[list[str]], int]] = {
+        "rectify": _rectify,
+        "fuse": _fuse,
+        "train": _train,
+        "info": _info,
+    }
     if arguments and arguments[0] in commands:
         return _guarded(commands[arguments[0]], arguments[1:])
     if arguments in (["--help"], ["-h"]):
@@ -55,6 +62,12 @@ def _guarded(command: Callable[[list[str]], int], arguments: list[str]) -> int:
 
 def _rectify(arguments: list[str]) -> int:
     from hybrid.cli_rectify import run
+
+    return run(arguments)
+
+
+def _fuse(arguments: list[str]) -> int:
+    from hybrid.cli_fuse import run
 
     return run(arguments)
 

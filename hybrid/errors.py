@@ -19,6 +19,10 @@ class ConfigError(HybridError):
     """An option, or a combination of options, that is not allowed."""
 
 
+class FusionError(HybridError):
+    """Photos that cannot be fused into one film."""
+
+
 class SimulationError(HybridError):
     """A simulated state that cannot be reached, with the residual that was left."""
 

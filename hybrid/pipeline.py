@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -14,6 +14,7 @@ from jaxtyping import UInt8
 from threadpoolctl import ThreadpoolController
 
 from hybrid.backward import BackwardMap, Orientation
+from hybrid.errors import FusionError, describe
 from hybrid.image_io import as_photo
 from hybrid.learn.network import FilmNet, FilmNetConfig, fused
 from hybrid.learn.predict import PredictConfig, look, look_from_sides
@@ -23,6 +24,7 @@ from hybrid.learn.weights import load_weights, packaged_film_net, packaged_uprig
 from hybrid.records import CoarseMaps, RectifyResult, SliceGrid, StageReport, Status, StatusCode
 from hybrid.rectify.deilluminate import DeilluminateConfig, deilluminate
 from hybrid.rectify.film_size import FilmSizeConfig, film_size
+from hybrid.rectify.fuse import FuseConfig, fuse
 from hybrid.rectify.invert import Inversion, InvertConfig, NotInverted, agreed, fit_backward
 from hybrid.rectify.refine import RefineConfig, Refinement, refine
 from hybrid.rectify.resample import Rectified, rectify_photo
@@ -46,6 +48,7 @@ class RectifyConfig:
     size: FilmSizeConfig = field(default_factory=FilmSizeConfig)
     upright: UprightConfig = field(default_factory=UprightConfig)
     light: DeilluminateConfig = field(default_factory=DeilluminateConfig)
+    fuse: FuseConfig = field(default_factory=FuseConfig)
 
 
 class Rectifier:
@@ -74,6 +77,29 @@ class Rectifier:
         """
         with _blas().limit(limits=1, user_api="blas"):
             return self._rectified(source)
+
+    def fuse(self, sources: Sequence[str | Path | np.ndarray]) -> RectifyResult:
+        """One film of several photos of it, between which phone or lamps moved, so that glare vanishes.
+
+        film, glare and confidence are made of all photos; the rest is the first photo's, to which the others are
+        registered: its status if no film is found in it. Others without a film are left out, which the last stage says.
+
+        Args:
+            sources: as for a single photo, two or more.
+
+        Raises:
+            PhotoError: a source cannot be read as a photo.
+            FusionError: fewer than two photos, or photos of different films.
+        """
+        if len(sources) < 2:
+            do = "Name two or more photos of one film; a single one is rectified."
+            raise FusionError(describe(what="Photos to fuse", got=len(sources), allowed="two or more", do=do))
+        photos = [as_photo(source) for source in sources]
+        results = [self(photo) for photo in photos]
+        if not results[0].status.ok:
+            return results[0]
+        with _blas().limit(limits=1, user_api="blas"):
+            return fuse(photos, results, self.config.fuse, self.config.light)
 
     def network_map(self, source: str | Path | np.ndarray) -> BackwardMap | None:
         """What the network alone makes of a photo, before refinement: the map of the film as it lies in the photo.

@@ -70,7 +70,7 @@ class Inversion:
 
     def enlarged(self, factor: int) -> Inversion:
         """The same for the photo enlarged ``factor`` times."""
-        backward = self.backward.cropped((0.0, 0.0), (factor, factor))
+        backward = self.backward.cropped((0.0, 0.0), (float(factor), float(factor)))
         return replace(self, backward=backward, residual_px=self.residual_px * factor)
 
 

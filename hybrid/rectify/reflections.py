@@ -48,15 +48,13 @@ class ReflectionConfig:
 class _Cells:
     """Which slice each pixel belongs to (-1 outside the grid), and the place in it, rows and columns apart.
 
-    row, row_place: (h,). col, col_place: (w,). along_v, along_u: film coordinates of the places of all slices in turn.
+    row, row_place: (h,). col, col_place: (w,).
     """
 
     row: np.ndarray
     row_place: np.ndarray
     col: np.ndarray
     col_place: np.ndarray
-    along_v: Float[np.ndarray, " rows_n"]
-    along_u: Float[np.ndarray, " cols_n"]
 
 
 def find_reflections(
@@ -75,15 +73,15 @@ def find_reflections(
     if not reflected.any():
         return none
     grown = cv2.dilate(reflected.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
-    return spread(np.where(grown, np.maximum(dark, 0.0), 0.0).astype(np.float32), known)
+    return _spread(np.where(grown, np.maximum(dark, 0.0), 0.0).astype(np.float32), known)
 
 
 def _cells(grid: SliceGrid, size: tuple[int, ...]) -> _Cells:
-    """Slices and places of the pixel centres of a film of ``size``; on the flat film the grid's lines are straight."""
-    lines_v, lines_u = grid.vertices[..., 1].mean(axis=1), grid.vertices[..., 0].mean(axis=0)
+    """Slices and places of the pixel centres of a film of ``size``."""
+    lines_v, lines_u = _lines(grid)
     row, row_place = _place(film_centres_1d(size[0]), lines_v)
     col, col_place = _place(film_centres_1d(size[1]), lines_u)
-    return _Cells(row, row_place, col, col_place, _places(lines_v), _places(lines_u))
+    return _Cells(row, row_place, col, col_place)
 
 
 def _place(at: Float[np.ndarray, " n"], lines: Float[np.ndarray, " k"]) -> tuple[np.ndarray, np.ndarray]:
@@ -94,17 +92,26 @@ def _place(at: Float[np.ndarray, " n"], lines: Float[np.ndarray, " k"]) -> tuple
     return np.where((at >= lines[0]) & (at <= lines[-1]), interval, -1), place
 
 
-def _places(lines: Float[np.ndarray, " k"]) -> Float[np.ndarray, " n"]:
+def seen_slices(film: Grey, grid: SliceGrid, samples: int) -> Float32[np.ndarray, "rows n cols n"]:
+    """A film's slices, each at ``samples`` x ``samples`` places."""
+    along_v, along_u = (_places(lines, samples) for lines in _lines(grid))
+    points = pixel_from_film(np.stack(np.meshgrid(along_u, along_v), axis=-1), (film.shape[0], film.shape[1]))
+    return sample_bilinear(film, points).reshape(grid.rows, samples, grid.cols, samples)
+
+
+def _lines(grid: SliceGrid) -> tuple[Float[np.ndarray, " r"], Float[np.ndarray, " c"]]:
+    """Film v and u of the grid's lines, which are straight on the flat film."""
+    return grid.vertices[..., 1].mean(axis=1), grid.vertices[..., 0].mean(axis=0)
+
+
+def _places(lines: Float[np.ndarray, " k"], samples: int) -> Float[np.ndarray, " n"]:
     """Film coordinates of the places between lines, interval after interval."""
-    return np.interp(centres_1d(CELL_SAMPLES * (len(lines) - 1)) / CELL_SAMPLES, np.arange(len(lines)), lines)
+    return np.interp(centres_1d(samples * (len(lines) - 1)) / samples, np.arange(len(lines)), lines)
 
 
 def _usually_black(dark: Grey, cells: _Cells, grid: SliceGrid, config: ReflectionConfig) -> Bool[np.ndarray, "h w"]:
     """Pixels at places that are black in most slices."""
-    places = np.stack(np.meshgrid(cells.along_u, cells.along_v), axis=-1)
-    seen = sample_bilinear(dark, pixel_from_film(places, (dark.shape[0], dark.shape[1])))
-    seen = seen.reshape(grid.rows, CELL_SAMPLES, grid.cols, CELL_SAMPLES)
-    usually = (seen < config.black).mean(axis=(0, 2)) >= config.black_share
+    usually = (seen_slices(dark, grid, CELL_SAMPLES) < config.black).mean(axis=(0, 2)) >= config.black_share
     within = (cells.row >= 0)[:, None] & (cells.col >= 0)[None]
     return usually[np.ix_(cells.row_place, cells.col_place)] & within
 
@@ -121,7 +128,7 @@ def _across_borders(
     return bright & (spans >= 2)[label]
 
 
-def spread(values: Grey, known: Bool[np.ndarray, "h w"]) -> Grey:
+def _spread(values: Grey, known: Bool[np.ndarray, "h w"]) -> Grey:
     """Values where they are known, and a smooth continuation between them (a pyramid of weighted means)."""
     levels = [(np.where(known, values, 0.0).astype(np.float32), known.astype(np.float32))]
     while min(levels[-1][0].shape) > 2:
@@ -135,4 +142,4 @@ def spread(values: Grey, known: Bool[np.ndarray, "h w"]) -> Grey:
     return filled
 
 
-__all__ = ["ReflectionConfig", "find_reflections", "spread"]
+__all__ = ["ReflectionConfig", "find_reflections", "seen_slices"]

@@ -1,0 +1,50 @@
+"""``hybrid fuse``: several photos of one film in, one film out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from hybrid.image_io import read_photo
+from hybrid.outputs import RectifiedFormat, free_name, make_folder, report_lines, write_result
+from hybrid.pipeline import Rectifier, RectifyConfig
+
+
+@dataclass(frozen=True)
+class FuseOptions:
+    """Make one film of several photos of it, taken with phone or lamps moved, so that glare vanishes.
+
+    Writes what ``hybrid rectify`` writes, named after the first photo, as which the film lies: NAME_fused_film.png and
+    so on. Photos of different films are refused; the exit code is then 1.
+    """
+
+    photos: tyro.conf.Positional[tuple[Path, ...]]
+    """Two or more photos of one film: JPEG, PNG, TIFF, WebP or HEIC."""
+
+    out: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("out")
+    """Folder for the results; it is made if need be."""
+
+    rectified_format: RectifiedFormat = "jpg"
+    """Format of the rectified photo."""
+
+    config: Annotated[RectifyConfig, tyro.conf.arg(name="")] = field(default_factory=RectifyConfig)
+    """How to rectify and fuse."""
+
+
+def run(arguments: list[str]) -> int:
+    """Parse the command line and fuse; 0 if the photos gave a film."""
+    options = tyro.cli(FuseOptions, args=arguments, prog="hybrid fuse")
+    if len(options.photos) < 2:
+        print("hybrid fuse: name two or more photos of one film, for example: hybrid fuse a.jpg b.jpg -o out")
+        return 2
+    make_folder(options.out)
+    photos = [read_photo(path) for path in options.photos]
+    result = Rectifier(options.config).fuse(photos)
+    first = options.photos[0]
+    name = f"{free_name(first, options.out, set())}_fused"
+    files = write_result(options.out, name, first, photos[0], result, options.rectified_format)
+    print("\n".join(report_lines(first, result, files)))
+    return 0 if result.status.ok else 1

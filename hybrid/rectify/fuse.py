@@ -1,0 +1,389 @@
+"""Several photos of one film made into one: registered on the flat film, merged by how far each can be trusted.
+
+A reflection moves when the phone or the lamp does, the print does not. Each photo is flattened on its own; where its
+film still lies beside that of the first, patches of both tell by how much, and a smooth displacement through them goes
+into the photo's map, so that its pixels are still read only once. What differs from the others is then left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from time import perf_counter
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, Float32, UInt8
+
+from hybrid.backward import BackwardMap, Orientation
+from hybrid.coords import film_from_pixel, film_nodes, pixel_from_film, sample_bilinear
+from hybrid.errors import FusionError, describe
+from hybrid.records import RectifyResult, SliceGrid, StageReport
+from hybrid.rectify import bspline
+from hybrid.rectify.bspline import NormalEquations
+from hybrid.rectify.deilluminate import DeilluminateConfig, deilluminate
+from hybrid.rectify.reflections import seen_slices
+from hybrid.rectify.resample import rectify_photo
+
+Film = Float32[np.ndarray, "h w"]
+AnyFilm = Float32[np.ndarray, "_ _"]
+"""One of several of different sizes."""
+
+NODES = 33
+"""Nodes along each side on which displacements, and the maps made of them, are kept."""
+
+MIN_SLICES = 6
+"""Fewer slices than this do not tell what all have in common."""
+
+MIN_SIGMA = 4.0
+"""Standard errors by which films must agree more in place than out of place."""
+
+MIN_PATCHES = 12
+"""Fewer patches with anything on them say nothing about a displacement."""
+
+
+@dataclass(frozen=True)
+class FuseConfig:
+    """How photos of one film are registered and merged."""
+
+    sides_px: tuple[int, ...] = (384, 1024)
+    """Longer sides of the copies of the films on which they are registered, one after the other."""
+    patch_px: int = 64
+    """Side of the patches that are matched; they overlap by half."""
+    intervals: int = 5
+    """Knot intervals of the smooth displacement along each side."""
+    smoothing: float = 1e-5
+    least_contrast: float = 0.5
+    """Standard deviation of a patch's detail, relative to the film's, below which it says nothing."""
+    same: float = 0.4
+    """Share of slices found in their place on both films, once registered, from which they are the same print."""
+    detail: float = 0.01
+    """Part of the longer side below which changes of grey are detail, and no remains of light."""
+    outlier: float = 0.06
+    """Display grey by which a photo may differ from the others, detail apart, before it is left out."""
+
+
+@dataclass(frozen=True, eq=False)
+class Registration:
+    """Where another photo shows the film of the first: its map, how it had to be moved, and how well films agree.
+
+    backward: from the first film's uv to the other photo. agreement: share of slices found in their place. shift:
+    largest displacement that was needed, in film units.
+    """
+
+    backward: BackwardMap
+    way: Orientation
+    agreement: float
+    shift: float
+
+
+@dataclass(frozen=True, eq=False)
+class Fused:
+    """The merged film, where no photo tells, how far it can be trusted, and each photo's share in it."""
+
+    film: Film
+    glare: Bool[np.ndarray, "h w"]
+    confidence: Film
+    shares: tuple[float, ...]
+
+
+# ---------------------------------------------------------------- registration
+
+
+def register(first: RectifyResult, other: RectifyResult, config: FuseConfig, name: str = "photo 2") -> Registration:
+    """Where the other photo shows the first photo's film.
+
+    Raises:
+        FusionError: they show different films, or too little of both to tell.
+    """
+    fixed = _details(first, Orientation(0, False), _film_of(first).shape, config)
+    best, agreement = None, -1.0
+    for index in range(8):  # almost always the first: both were turned upright
+        way = Orientation.from_index(index)
+        moving = _details(other, way, _film_of(first).shape, config)
+        shift = _registered(fixed, moving, config)
+        found = _agreement(fixed[0], _moved_by(moving[0], shift), first.grid)
+        if found > agreement:
+            best, agreement = (way, shift), found
+        if agreement >= config.same:
+            break
+    if best is None or other.backward is None or agreement < config.same:
+        raise FusionError(
+            describe(
+                what="Photos that cannot be fused",
+                where=name,
+                got=f"another film than on photo 1: {agreement:.0%} of its slices were found there",
+                allowed=f"photos of one film ({config.same:.0%} or more)",
+                do="Leave it out, or fuse it with photos of its own film.",
+            )
+        )
+    way, shift = best
+    backward = BackwardMap(other.backward.turned(way).photo_from_film(film_nodes(shift.shape[:2]) + shift))
+    return Registration(backward, way, agreement, float(np.linalg.norm(shift, axis=-1).max()))
+
+
+def _details(result: RectifyResult, way: Orientation, size: tuple[int, ...], config: FuseConfig) -> list[AnyFilm]:
+    """The detail of a film, moved in one way, on copies of a film of ``size``."""
+    film, unseen = (np.ascontiguousarray(way.moved(x)) for x in (_film_of(result), _untrusted(result)))
+    return [_detail(film, unseen, _reduced(size, side)) for side in config.sides_px]
+
+
+def _registered(
+    fixed: Sequence[AnyFilm], moving: Sequence[AnyFilm], config: FuseConfig
+) -> Float[np.ndarray, "gh gw 2"]:
+    """How far points of one film lie beside those of the other, in film units, on nodes; from coarse to fine."""
+    nodes = (NODES, NODES)
+    shift = np.zeros((*nodes, 2)) + _whole_shift(fixed[0], moving[0])
+    for a, b in zip(fixed, moving, strict=True):
+        found = _match(a, _moved_by(b, shift), config)
+        if found is not None:
+            shift = shift + _smooth(*found, nodes, config)
+    return shift
+
+
+def _film_of(result: RectifyResult) -> Film:
+    """The film of a photo in which one was found."""
+    if result.film is None:
+        raise FusionError(describe(what="Photos that cannot be fused", got="one without a film", do="Leave it out."))
+    return result.film
+
+
+def _untrusted(result: RectifyResult) -> Bool[np.ndarray, "h w"]:
+    """Pixels that show glare, or nothing at all."""
+    lost = np.zeros(_film_of(result).shape, bool) if result.glare is None else result.glare
+    return lost if result.confidence is None else lost | (result.confidence <= 0)
+
+
+def _reduced(size: tuple[int, ...], longer: int) -> tuple[int, int]:
+    """Size (h, w) with ``longer`` as its longer side; never enlarged."""
+    factor = min(1.0, longer / max(size))
+    return max(round(size[0] * factor), 1), max(round(size[1] * factor), 1)
+
+
+def _detail(film: Film, unseen: Bool[np.ndarray, "h w"], size: tuple[int, int]) -> Float32[np.ndarray, "sh sw"]:
+    """The film at another size without its slow changes, 0 where it cannot be trusted: light does not change that."""
+    small = cv2.resize(film, size[::-1], interpolation=cv2.INTER_AREA)
+    sigma = max(size) / 100
+    fine = small - cv2.GaussianBlur(small, (0, 0), sigma)
+    lost = cv2.resize(unseen.astype(np.float32), size[::-1], interpolation=cv2.INTER_AREA)
+    return np.where(cv2.GaussianBlur(lost, (0, 0), sigma) > 0.1, np.float32(0), fine)
+
+
+def _whole_shift(fixed: Film, moving: Film) -> Float[np.ndarray, "2"]:
+    """Film units by which ``moving`` as a whole lies to the right of and below ``fixed``."""
+    window = cv2.createHanningWindow(fixed.shape[::-1], cv2.CV_32F)
+    (x, y), _ = cv2.phaseCorrelate(fixed, moving, window)
+    return film_from_pixel(np.array([x, y]), (fixed.shape[0], fixed.shape[1]))
+
+
+def _moved_by(moving: Film, shift: Float[np.ndarray, "gh gw 2"]) -> Film:
+    """The picture with the value of each film point taken from ``shift`` (on film nodes) beside it."""
+    size = (moving.shape[0], moving.shape[1])
+    dense = BackwardMap(pixel_from_film(film_nodes(shift.shape[:2]) + shift, size)).dense(size)
+    return sample_bilinear(moving, dense)
+
+
+def _patches(size: tuple[int, ...], side: int) -> list[tuple[slice, slice]]:
+    """Windows of ``side`` pixels that overlap by half."""
+    tops, lefts = (range(0, n - side + 1, side // 2) for n in size)
+    return [(slice(top, top + side), slice(left, left + side)) for top in tops for left in lefts]
+
+
+def _match(
+    fixed: Film, moving: Film, config: FuseConfig
+) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n 2"], Float[np.ndarray, " n"]] | None:
+    """Film uv of patches, their displacement in film units, and their weights; None of too few."""
+    size = (fixed.shape[0], fixed.shape[1])
+    side = min(config.patch_px, min(size) // 3)
+    window = cv2.createHanningWindow((side, side), cv2.CV_32F)
+    whole = (float(fixed.std()), float(moving.std()))
+    at, moved, weight = [], [], []
+    for part in _patches(size, side):
+        a, b = fixed[part], moving[part]
+        if a.std() < config.least_contrast * whole[0] or b.std() < config.least_contrast * whole[1]:
+            continue
+        (x, y), response = cv2.phaseCorrelate(a, b, window)
+        if max(abs(x), abs(y)) > side / 3:
+            continue
+        at.append((part[1].start + side / 2, part[0].start + side / 2))
+        moved.append((x, y))
+        weight.append(response)
+    if len(at) < MIN_PATCHES:
+        return None
+    weights = np.clip(np.array(weight), 1e-3, 1.0) ** 2
+    return film_from_pixel(np.array(at), size), film_from_pixel(np.array(moved), size), weights
+
+
+def _smooth(
+    at: Float[np.ndarray, "n 2"], moved: Float[np.ndarray, "n 2"], weight: Float[np.ndarray, " n"],
+    size: tuple[int, int], config: FuseConfig,
+) -> Float[np.ndarray, "gh gw 2"]:  # fmt: skip
+    """The smooth displacement through the patches', robustly, on ``size`` film nodes."""
+    rows = bspline.design(at, config.intervals)
+    trust = weight
+    fit = NormalEquations.of(rows, trust, moved, config.intervals).solve(config.smoothing)
+    for _ in range(6):
+        distance = np.linalg.norm(moved - rows @ fit, axis=1)
+        scale = max(3 * 1.4826 * float(np.median(distance)), 1e-6)
+        trust = weight * np.maximum(1 - (distance / scale) ** 2, 0) ** 2 + 1e-12
+        fit = NormalEquations.of(rows, trust, moved, config.intervals).solve(config.smoothing)
+    return bspline.on_lattice(fit, size, config.intervals)
+
+
+def _agreement(fixed: Film, moving: Film, grid: SliceGrid | None) -> float:
+    """Share of the first film's parts that are more like the same part of the other film than like any other part.
+
+    Parts are the slices, without what is alike in all of them: films of one examination share rules and texts, and
+    their slices resemble each other. The half of the parts that shows most is asked. 0 where parts resemble those in
+    their place no more than others, by less than MIN_SIGMA standard errors: then it is chance.
+    """
+    if grid is not None and grid.rows * grid.cols >= MIN_SLICES:
+        a, b = (_own_of_slices(x, grid) for x in (fixed, moving))
+    else:
+        side = min(fixed.shape) // 4
+        a, b = (np.stack([x[part].ravel() for part in _patches(fixed.shape, side)]) for x in (fixed, moving))
+    a, b = a - a.mean(axis=1, keepdims=True), b - b.mean(axis=1, keepdims=True)
+    power_a, power_b = (np.sqrt((x * x).sum(axis=1)) for x in (a, b))
+    alike = a @ b.T / np.maximum(power_a[:, None] * power_b, 1e-9)
+    full = power_a * power_b >= np.median(power_a * power_b)
+    same, others = np.diag(alike)[full], alike[full][~np.eye(len(a), dtype=bool)[full]]
+    excess = (same.mean() - others.mean()) / max(float(others.std()), 1e-6) * np.sqrt(len(same))
+    own = alike.argmax(axis=1) == np.arange(len(a))
+    return float(own[full].mean()) if excess >= MIN_SIGMA else 0.0
+
+
+def _own_of_slices(detail: Film, grid: SliceGrid) -> Float[np.ndarray, "slices n"]:
+    """Each slice's detail less the median over all slices."""
+    slices = seen_slices(detail, grid, max(round(max(detail.shape) / max(grid.rows, grid.cols)), 16))
+    slices = slices - np.median(slices, axis=(0, 2), keepdims=True)
+    return slices.swapaxes(1, 2).reshape(grid.rows * grid.cols, -1)
+
+
+# ---------------------------------------------------------------- merging
+
+
+def merge(
+    films: Sequence[Film],
+    lost: Sequence[Bool[np.ndarray, "h w"]],
+    trust: Sequence[Film],
+    config: FuseConfig,
+) -> Fused:
+    """One film of several that lie on each other: their mean, weighted by trust, without what differs from the others.
+
+    lost: where a photo tells nothing (glare, or beyond its edge). trust: in [0, 1].
+
+    What light leaves behind is broad, and mostly too bright: it is judged on blurred films against their lower median,
+    or of two against the one that is trusted more.
+    """
+    sigma = config.detail * max(films[0].shape)
+    broad = [_blurred_where(film, ~gone, sigma) for film, gone in zip(films, lost, strict=True)]
+    level = _more_trusted(broad, lost, trust) if len(films) == 2 else _lower_median(broad, lost)
+    total, weights = np.zeros(films[0].shape, np.float32), []
+    merged = np.zeros_like(total)
+    sharp = np.array([_sharpness(film, gone, config.sides_px[-1]) for film, gone in zip(films, lost, strict=True)])
+    sharp = (sharp / max(sharp.max(), 1e-9)) ** 4  # what is blurred adds little but blur
+    for film, gone, sure, smooth, worth in zip(films, lost, trust, broad, sharp.tolist(), strict=True):
+        odd = np.exp(-np.square((smooth - level) / np.float32(config.outlier)))
+        # weights fade towards what is lost, so that no edge of a reflection is printed into the film
+        near = _blurred(gone.astype(np.float32), sigma)
+        weight = np.square(sure) * odd * np.clip(1 - near, 0.0, 1.0) * np.float32(worth)
+        weight = np.where(gone, np.float32(0), weight + np.float32(1e-4))
+        merged += weight * film
+        total += weight
+        weights.append(weight)
+    glare = np.logical_and.reduce(list(lost))
+    film = np.where(glare, films[0], merged / np.maximum(total, np.float32(1e-9)))
+    best = np.maximum.reduce([np.where(gone, np.float32(0), sure) for gone, sure in zip(lost, trust, strict=True)])
+    shares = tuple(float((weight / np.maximum(total, 1e-9))[~glare].mean()) if not glare.all() else 0.0
+                   for weight in weights)  # fmt: skip
+    return Fused(film, glare, best, shares)
+
+
+def _blurred(values: Film, sigma: float) -> Film:
+    """A Gaussian blur, at a quarter of the size where it is wide enough for that not to matter."""
+    if sigma < 8:
+        return cv2.GaussianBlur(values, (0, 0), max(sigma, 0.5))
+    small = cv2.resize(values, None, fx=0.25, fy=0.25, interpolation=cv2.INTER_AREA)
+    blurred = cv2.GaussianBlur(small, (0, 0), sigma / 4)
+    return cv2.resize(blurred, values.shape[::-1], interpolation=cv2.INTER_LINEAR)
+
+
+def _blurred_where(film: Film, known: Bool[np.ndarray, "h w"], sigma: float) -> Film:
+    """The film blurred over what is known of it."""
+    weight = known.astype(np.float32)
+    return _blurred(film * weight, sigma) / np.maximum(_blurred(weight, sigma), np.float32(1e-3))
+
+
+def _more_trusted(values: Sequence[Film], lost: Sequence[Bool[np.ndarray, "h w"]], trust: Sequence[Film]) -> Film:
+    """Of two values at each pixel the one that is trusted more."""
+    first, second = (np.where(gone, np.float32(-1), sure) for gone, sure in zip(lost, trust, strict=True))
+    return np.where(first >= second, values[0], values[1])
+
+
+def _lower_median(values: Sequence[Film], lost: Sequence[Bool[np.ndarray, "h w"]]) -> Film:
+    """The lower median at each pixel of the values that are not lost; of all where all are."""
+    stack = np.stack([np.where(gone, np.float32(np.inf), value) for value, gone in zip(values, lost, strict=True)])
+    stack.sort(axis=0)
+    count = np.isfinite(stack).sum(axis=0)
+    rank = np.maximum((count - 1) // 2, 0)
+    level = np.take_along_axis(stack, rank[None], axis=0)[0]
+    return np.where(np.isfinite(level), level, values[0])
+
+
+def _sharpness(film: Film, gone: Bool[np.ndarray, "h w"], side: int) -> float:
+    """How much detail a film holds where it is seen."""
+    fine = _detail(film, gone, _reduced(film.shape, side))
+    return float(np.sqrt(np.square(fine[fine != 0]).mean())) if fine.any() else 0.0
+
+
+# ---------------------------------------------------------------- all together
+
+
+def fuse(
+    photos: Sequence[UInt8[np.ndarray, "h w 3"]],
+    results: Sequence[RectifyResult],
+    config: FuseConfig | None = None,
+    light: DeilluminateConfig | None = None,
+) -> RectifyResult:
+    """One result of several photos of one film, lying as in the first of them.
+
+    results: of the photos; a film was found in the first, and photos without one are left out. film, glare and
+    confidence are made of all; everything else (rectified, backward, grid) is the first photo's.
+
+    Raises:
+        FusionError: the photos show different films.
+    """
+    config = config or FuseConfig()
+    start = perf_counter()
+    base = results[0]
+    size = (_film_of(base).shape[0], _film_of(base).shape[1])
+    films, lost, trust, notes = [], [], [], []
+    for number, (photo, result) in enumerate(zip(photos, results, strict=True)):
+        if not result.status.ok:
+            notes.append(f"photo {number + 1} left out: no film was found in it")
+            continue
+        if number == 0:
+            film, gone, sure = _film_of(base), _untrusted(base), base.confidence
+        else:
+            found = register(base, result, config, f"photo {number + 1}")
+            notes.append(f"photo {number + 1} moved by up to {found.shift:.1%} of the film")
+            flat = rectify_photo(photo, found.backward, size)
+            recovered = deilluminate(flat.image, flat.valid, base.grid, light)
+            film, gone, sure = recovered.film, recovered.glare | ~flat.valid, recovered.confidence
+        films.append(film)
+        lost.append(gone)
+        trust.append(np.ones(size, np.float32) if sure is None else sure)
+    fused = merge(films, lost, trust, config)
+    shares = ", ".join(f"{share:.0%}" for share in fused.shares)
+    reason = f"{len(films)} photos; {'; '.join(notes)}; shares {shares}"
+    report = StageReport("fuse", True, reason, perf_counter() - start)
+    return replace(
+        base,
+        film=fused.film,
+        glare=fused.glare,
+        confidence=fused.confidence,
+        stages=(*base.stages, report),
+    )
+
+
+__all__ = ["FuseConfig", "Fused", "Registration", "fuse", "merge", "register"]

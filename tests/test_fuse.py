@@ -1,0 +1,163 @@
+"""Several photos of one film, flattened with small errors and lit differently, become one film without glare."""
+
+from __future__ import annotations
+
+import json
+from functools import lru_cache
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from hybrid.backward import BackwardMap, Orientation
+from hybrid.cli import main
+from hybrid.coords import film_centres, film_nodes, pixel_from_film, sample_bilinear, srgb_from_linear
+from hybrid.errors import FusionError
+from hybrid.metrics import psnr_after_gain_offset
+from hybrid.records import RectifyResult, SliceGrid, Status, StatusCode
+from hybrid.rectify.deilluminate import deilluminate
+from hybrid.rectify.fuse import FuseConfig, fuse, merge, register
+from hybrid.rectify.resample import rectify_photo
+from tests.synthetic_film import FilmDrawing, draw_print
+
+SIZE = (600, 480)
+MARGIN = 12
+"""Pixels of the photo around the film."""
+DRAWING = FilmDrawing(rows=4, cols=3, rules=False)
+
+
+@lru_cache
+def printed(seed: int = 0) -> np.ndarray:
+    """(h, w) display grey of a print."""
+    drawn = draw_print(DRAWING, np.random.default_rng(seed)).astype(np.float32) / 255
+    return cv2.resize(drawn, SIZE[::-1], interpolation=cv2.INTER_AREA)
+
+
+def seen(
+    spot: tuple[float, float], seed: int = 0, error_px: float = 2.0, film: int = 0, way: int = 0
+) -> tuple[np.ndarray, RectifyResult]:
+    """A photo of the flat print with clipped glare around ``spot``, and what a map with a smooth error makes of it."""
+    rng = np.random.default_rng(100 + seed)
+    u, v = film_centres(SIZE).transpose(2, 0, 1)
+    glare = 2.0 * np.exp(-((((u - spot[0]) ** 2 + (v - spot[1]) ** 2) / 0.012) ** 2))
+    linear = printed(film).astype(np.float64) ** 2.2 * (0.5 - 0.15 * u * rng.uniform(-1, 1)) + glare
+    photo = np.rint(255 * srgb_from_linear(linear))[..., None] + rng.normal(0, 2, (*SIZE, 3))
+    photo = np.pad(np.clip(photo, 0, 255).astype(np.uint8), ((MARGIN, MARGIN), (MARGIN, MARGIN), (0, 0)))
+    t = np.polynomial.legendre.legvander(np.linspace(-1, 1, 17), 2)
+    error = np.einsum("ia,abk,jb->ijk", t, rng.normal(size=(3, 3, 2)), t)
+    nodes = MARGIN + pixel_from_film(film_nodes((17, 17)), SIZE) + error * error_px / np.sqrt((error**2).sum(-1).mean())
+    turn = Orientation.from_index(way)
+    backward = BackwardMap(nodes).turned(turn)
+    size = (SIZE[1], SIZE[0]) if turn.turns % 2 else SIZE
+    flat = rectify_photo(photo, backward, size)
+    lines = film_nodes((DRAWING.rows + 1, DRAWING.cols + 1))
+    grid = SliceGrid(DRAWING.rows, DRAWING.cols, lines, lines, 1.0).turned(turn)
+    light = deilluminate(flat.image, flat.valid, grid)
+    return photo, RectifyResult(
+        Status(StatusCode.OK),
+        film=light.film,
+        rectified=flat.image,
+        backward=backward,
+        grid=grid,
+        glare=light.glare,
+        confidence=light.confidence,
+    )
+
+
+SPOTS = ((0.2, 0.2), (0.8, 0.4), (0.3, 0.85))
+
+
+def fused(*shown: tuple[np.ndarray, RectifyResult]) -> RectifyResult:
+    return fuse([photo for photo, _ in shown], [result for _, result in shown])
+
+
+def psnr(film: np.ndarray | None, backward: BackwardMap | None) -> float:
+    """Of a film against the print, both as the film's own map has them."""
+    assert film is not None
+    assert backward is not None
+    truth = sample_bilinear(printed(), backward.dense(film.shape) - np.float32(MARGIN))
+    inner = np.s_[12:-12, 12:-12]
+    return psnr_after_gain_offset(film[inner], truth[inner])
+
+
+def test_glare_in_different_places_vanishes():
+    shown = [seen(spot, k) for k, spot in enumerate(SPOTS)]
+    result = fused(*shown)
+    assert all(one.glare.mean() > 0.02 for _, one in shown if one.glare is not None)
+    assert result.glare is not None
+    assert not result.glare.any()
+    best = max(psnr(one.film, one.backward) for _, one in shown)
+    assert psnr(result.film, result.backward) > best + 3
+    assert result.stages[-1].name == "fuse"
+
+
+def test_two_photos_do():
+    shown = [seen(spot, k) for k, spot in enumerate(SPOTS[:2])]
+    result = fused(*shown)
+    assert psnr(result.film, result.backward) > max(psnr(one.film, one.backward) for _, one in shown) + 2
+
+
+def test_glare_that_stays_in_place_stays_marked():
+    (a, first), (b, second) = seen(SPOTS[0], 0), seen(SPOTS[0], 1)
+    result = fuse([a, b], [first, second])
+    assert result.glare is not None
+    assert first.glare is not None
+    both = np.count_nonzero(result.glare & first.glare) / np.count_nonzero(result.glare | first.glare)
+    assert both > 0.7
+    assert result.confidence is not None
+    assert (result.confidence[result.glare] == 0).all()
+
+
+def test_registration_finds_the_true_map():
+    (_, first), (_, second) = seen(SPOTS[0], 0), seen(SPOTS[1], 1)
+    found = register(first, second, FuseConfig())
+    assert first.backward is not None
+    uv = film_nodes((9, 9))[1:-1, 1:-1]
+    error = np.linalg.norm(found.backward.photo_from_film(uv) - first.backward.photo_from_film(uv), axis=-1)
+    assert error.mean() < 0.3
+    assert second.backward is not None
+    before = np.linalg.norm(second.backward.photo_from_film(uv) - first.backward.photo_from_film(uv), axis=-1)
+    assert before.mean() > 1.5
+
+
+@pytest.mark.parametrize("way", [1, 2, 4])
+def test_a_film_that_was_read_another_way_round_is_turned(way: int):
+    (_, first), (_, second) = seen(SPOTS[0], 0), seen(SPOTS[1], 1, way=way)
+    found = register(first, second, FuseConfig())
+    assert found.way.index == Orientation.from_index(way).inverse.index
+
+
+def test_different_films_are_refused_with_a_reason():
+    with pytest.raises(FusionError, match=r"photo 2.*another film.*Leave it out"):
+        fused(seen(SPOTS[0], 0), seen(SPOTS[1], 1, film=1))
+
+
+def test_one_film_merged_with_itself_is_itself():
+    film = printed().astype(np.float32)
+    nothing, trust = np.zeros(SIZE, bool), np.ones(SIZE, np.float32)
+    result = merge([film, film], [nothing, nothing], [trust, trust], FuseConfig())
+    np.testing.assert_allclose(result.film, film, atol=1e-5)
+    np.testing.assert_allclose(result.shares, 0.5, atol=1e-3)
+
+
+def test_a_broad_remains_of_light_in_one_of_three_is_left_out():
+    film = printed().astype(np.float32)
+    u, _ = film_centres(SIZE).transpose(2, 0, 1)
+    veiled = (film + 0.3 * (u > 0.6)).astype(np.float32)
+    nothing, trust = np.zeros(SIZE, bool), np.ones(SIZE, np.float32)
+    result = merge([veiled, film, film], [nothing] * 3, [trust] * 3, FuseConfig())
+    assert np.abs(result.film - film).mean() < 0.005
+
+
+def test_fewer_than_two_photos_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    assert main(["fuse", str(tmp_path / "one.jpg"), "-o", str(tmp_path)]) == 2
+    assert "two or more photos" in capsys.readouterr().out
+
+
+def test_the_command_writes_one_film(tmp_path: Path):
+    example = "hybrid/examples/film.jpg"
+    assert main(["fuse", example, example, "-o", str(tmp_path)]) == 0
+    assert (tmp_path / "film_fused_film.png").exists()
+    stages = json.loads((tmp_path / "film_fused.json").read_text())["stages"]
+    assert stages[-1]["name"] == "fuse"
