@@ -2,11 +2,13 @@
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 from synthetic_film import FilmDrawing, disturbed, make_photo
 
 from hybrid.backward import BackwardMap
+from hybrid.coords import linear_from_srgb, srgb_from_linear
 from hybrid.rectify.curves import best_paths, smooth_curve_weights
-from hybrid.rectify.outline import OutlineConfig, find_outline
+from hybrid.rectify.outline import OutlineConfig, Strip, find_outline, subpixel_edge
 
 CONFIG = OutlineConfig()
 RULE_PX = 2.0
@@ -82,3 +84,16 @@ def test_outliers_from_a_smooth_curve_lose_their_weight():
     weights = smooth_curve_weights(along, depth, np.ones(80, dtype=bool), 0.3)
     assert weights[bad].max() < 0.01
     assert np.median(np.delete(weights, bad)) > 0.8
+
+
+@pytest.mark.parametrize("blur_px", [0.5, 1.5, 2.5])
+@pytest.mark.parametrize("levels", [(230.0, 15.0), (15.0, 120.0)])
+def test_blur_does_not_move_an_edge(blur_px, levels):
+    """A lens blurs light: an edge that is blurred in linear light stays where it is, whatever lies behind the film."""
+    depth = np.arange(-30.0, 31.0)
+    behind, film = (float(linear_from_srgb(np.array(level / 255.0))) for level in levels)
+    light = behind + (film - behind) * norm.cdf((depth - 0.3) / blur_px)
+    grey = 255.0 * srgb_from_linear(light)
+    image = np.repeat(np.repeat(grey[:, None, None], 20, axis=1), 3, axis=2)
+    strip = Strip(image, depth, np.linspace(0, 1, 20), np.ones((61, 20), bool), 1.0)
+    assert np.abs(subpixel_edge(strip, np.full(20, 30)) - 0.3).max() < 0.1

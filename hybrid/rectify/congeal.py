@@ -40,7 +40,7 @@ class CongealConfig:
     min_correlation: float = 0.3
     """Least weighted correlation of a block with the template."""
     clip: float = 3.0
-    """Differences from the template count up to this many spreads."""
+    """Differences from the template count up to this many spreads, and what a shift by the blur explains."""
     correlated_px: float = 10.0
     """Neighbouring pixels whose differences are alike."""
     sigma_px: float = 0.15
@@ -99,7 +99,9 @@ def block_shifts(cells: Float[np.ndarray, "n ch cw"], blur_px: float, config: Co
     gain = both / energy
     bounded = np.clip(gain, config.min_gain, 1.0 / config.min_gain)
     per_pixel = bounded.repeat(np.diff(edges[0]), axis=1).repeat(np.diff(edges[1]), axis=2)
-    difference = np.clip(cells / per_pixel - template, -config.clip * spread, config.clip * spread)
+    # A shift within reach makes differences too: only what is beyond both is cut.
+    bound = config.clip * spread + blur_px * np.hypot(gx, gy)
+    difference = np.clip(cells / per_pixel - template, -bound, bound)
     bx, by = (_block_sums(weight * gradient * difference, edges) for gradient in (gx, gy))
     shift = np.stack([xy * by - yy * bx, xy * bx - xx * by], axis=-1) / det[..., None]
     sigma = np.sqrt(config.correlated_px * np.stack([yy, xx], axis=-1) / det[..., None])

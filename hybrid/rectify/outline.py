@@ -256,4 +256,4 @@ def _line_excess(
     return np.maximum(local.mean(axis=2) - np.maximum(outer.mean(axis=1), inner.mean(axis=1)), 0.0)
 
 
-__all__ = ["SIDES", "OutlineConfig", "Side", "Strip", "edge_score", "find_outline", "sample_strip"]
+__all__ = ["SIDES", "OutlineConfig", "Side", "Strip", "edge_score", "find_outline", "sample_strip", "subpixel_edge"]

@@ -1,9 +1,9 @@
 """A coarse backward map made exact to a fraction of a pixel by what the photo shows of the sheet and its print.
 
 The coarse map is kept and corrected by a smooth displacement of the film plane (sightings.py): the film's shape
-is the network's, only its smooth error is fitted. Sightings are the sheet's edges (outline.py) and the rules or
-gutters between the slices (grid.py). All are looked for again through the improved map, and count only if they
-agree: the spline is fitted to half of them and must explain the other half better than the map before.
+is the network's, only its smooth error is fitted. Sightings are the sheet's edges (outline.py), the rules or
+gutters between the slices (grid.py), and what the cells have in common (repeat.py for the first two rounds, then
+congeal.py). All are looked for again through the improved map, and count only if they agree: the spline is fitted to half of them and must explain the other half better than the map before.
 """
 
 from __future__ import annotations
@@ -293,7 +293,7 @@ def _observe_print(
         if comb is None or sightings is None:
             continue
         pinned = sum(edge.axis == comb.axis for edge in outline) == 2
-        if pinned and not comb.fills_film(config.grid):
+        if pinned and not (comb.sign > 0 and comb.fills_film(config.grid)):
             sightings = replace(sightings, shared_sigma=np.full(2, config.congeal.shared_sigma))
         evidence.append(_Evidence(sightings, comb))
     columns, rows = layout.repeats

@@ -79,8 +79,9 @@ class SplineConfig:
 
     lattice: tuple[int, int] = (9, 9)
     """Rows and columns of the lattice of kernels; finer than any error of a smooth coarse map."""
-    prior_px: float = 18.0
-    """Expected size of the coarse map's error, in pixels of a film 1000 pixels long: holds what nothing observes."""
+    prior_px: float = 40.0
+    """Expected size of the coarse map's error, in pixels of a film 1000 pixels long: holds what nothing observes, and
+    is wide, as edges tell more of the film's inside than the coarse map does."""
     stiffness: tuple[float, float, int] = (5e3, 5e5, 5)
     """Lowest and highest bending weight tried, and how many; the evidence chooses. In 1 / (squared film units)."""
     reweightings: int = 5

@@ -1,0 +1,84 @@
+"""Cells registered to their template: shifts come back, what is covered does not count, anatomy counts little."""
+
+import cv2
+import numpy as np
+import pytest
+
+from hybrid.coords import film_centres_1d
+from hybrid.rectify.congeal import CongealConfig, block_shifts, register_cells
+from hybrid.rectify.film_view import FilmView
+from hybrid.rectify.repeat import Repeats
+from hybrid.rectify.sightings import Sightings, SplineConfig, fit_displacement
+
+CONFIG = CongealConfig()
+SIDE = 96
+
+
+def texture(rng: np.random.Generator, size: tuple[int, int], blur: float = 2.0) -> np.ndarray:
+    smooth = cv2.GaussianBlur(rng.normal(size=size), (0, 0), blur)
+    return 20.0 * smooth / smooth.std()
+
+
+def moved(image: np.ndarray, xy: tuple[float, float]) -> np.ndarray:
+    shift = np.array([[1.0, 0.0, xy[0]], [0.0, 1.0, xy[1]]])
+    return cv2.warpAffine(image, shift, image.shape[::-1], flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT)
+
+
+STEP = 0.07
+"""Pixels by which one linear step may miss a shift of half a pixel; the rounds repeat it."""
+
+
+def test_one_step_finds_the_shift_of_a_dim_cell():
+    rng = np.random.default_rng(0)
+    same = texture(rng, (SIDE, SIDE))
+    cells = np.stack([same] * 9)
+    cells[4] = 0.6 * moved(same, (0.4, -0.3))
+    cells = cells + rng.normal(0, 0.5, cells.shape)
+    shifts = block_shifts(cells, 1.0, CONFIG)
+    inner = shifts.shift[:, 1:-1, 1:-1]
+    assert shifts.good.mean() > 0.9
+    assert np.abs(np.median(inner[4], axis=(0, 1)) - [0.4, -0.3]).max() < STEP
+    assert np.abs(np.median(np.delete(inner, 4, axis=0), axis=(0, 1, 2))).max() < 0.05
+
+
+def test_a_covered_or_empty_cell_does_not_count():
+    rng = np.random.default_rng(1)
+    cells = np.stack([texture(np.random.default_rng(2), (SIDE, SIDE))] * 9) + rng.normal(0, 0.5, (9, SIDE, SIDE))
+    cells[3] = rng.normal(0, 0.5, (SIDE, SIDE))
+    cells[5] = texture(rng, (SIDE, SIDE))
+    good = block_shifts(cells, 1.0, CONFIG).good
+    assert good[[3, 5]].mean() < 0.2
+    assert good[[0, 1, 2, 4, 6, 7, 8]].mean() > 0.95
+
+
+@pytest.mark.parametrize("cells", [1, 3])
+def test_too_few_cells_share_nothing(cells):
+    view = FilmView(
+        np.zeros((64, 64, 1), np.float32), film_centres_1d(64), film_centres_1d(64), np.ones((64, 64), bool)
+    )
+    columns, rows = Repeats(0, 0.0, 1.0 / cells, cells, 1.0), Repeats(1, 0.0, 1.0, 1, 1.0)
+    assert register_cells(view, columns, rows, 1.0, CONFIG) == ()
+
+
+def test_a_blank_film_gives_no_sightings():
+    blank = FilmView(
+        np.full((300, 300, 1), 9.0, np.float32), film_centres_1d(300), film_centres_1d(300), np.ones((300, 300), bool)
+    )
+    assert register_cells(blank, Repeats(0, 0.0, 1 / 3, 3, 1.0), Repeats(1, 0.0, 1 / 3, 3, 1.0), 1.0, CONFIG) == ()
+
+
+def test_what_agrees_outweighs_what_does_not():
+    """Two things seen all over the film: one exact, the other (anatomy) scattered and biased, both stated alike."""
+    rng = np.random.default_rng(3)
+    place = rng.uniform(0, 1, (400, 2))
+    number = np.arange(400) % 2
+    seen = place.copy()
+    seen[:, 0] += np.where(number == 0, rng.normal(0, 3e-4, 400), 0.004 + rng.normal(0, 6e-3, 400))
+    sigma, nothing = np.full(400, 5e-4), (np.zeros((400, 0)), np.zeros(0))
+
+    def error(group) -> float:
+        fit = fit_displacement([Sightings(0, seen, place[:, 0].copy(), sigma, *nothing, group)], SplineConfig())
+        return float(np.abs(fit.displacement.values[:, 0]).mean())
+
+    assert error(number) < 3e-4
+    assert error(number) < 0.7 * error(None)
