@@ -3,7 +3,8 @@
 The coarse map is kept and corrected by a smooth displacement of the film plane (sightings.py): the film's shape
 is the network's, only its smooth error is fitted. Sightings are the sheet's edges (outline.py), the rules or
 gutters between the slices (grid.py), and what the cells have in common (repeat.py for the first two rounds, then
-congeal.py). All are looked for again through the improved map, and count only if they agree: the spline is fitted to half of them and must explain the other half better than the map before.
+congeal.py). All are looked for again through the improved map, and count only if they agree: the spline is fitted
+to half of them and must explain the other half better than the map before.
 """
 
 from __future__ import annotations
