@@ -92,18 +92,20 @@ def _intersect(
     rays: Float[np.ndarray, "H W 3"], near: Float[np.ndarray, " 3"], far: Float[np.ndarray, " 3"]
 ) -> dict[Face, _Hits]:
     """Hits of each face of the box [-near, far]."""
-    flat = rays.reshape(-1, 3)
-    bound = np.where(flat > 0, far, -near).astype(np.float32)
-    distance = bound / np.where(np.abs(flat) < 1e-6, np.float32(1e-6), np.abs(flat)) * np.sign(bound)
-    axis = np.argmin(distance, axis=1)
+    flat = np.ascontiguousarray(rays.reshape(-1, 3).T)
+    x, y, z = (
+        np.where(way > 0, np.float32(far[k]), np.float32(near[k])) / np.maximum(np.abs(way), np.float32(1e-6))
+        for k, way in enumerate(flat)
+    )
+    axis = np.where(z < np.minimum(x, y), 2, (y < x).astype(np.uint8))
     hits: dict[Face, _Hits] = {}
     for k in range(3):
         across, up = ((1, 2), (0, 2), (0, 1))[k]
         for sign in (-1, 1):
-            index = np.flatnonzero((axis == k) & (flat[:, k] * sign > 0))
-            reach = distance[index, k]
+            index = np.flatnonzero((axis == k) & (flat[k] * sign > 0))
+            reach = (x, y, z)[k][index]
             spans = [(-float(near[m]), float(far[m])) for m in (across, up)]
-            hits[k, sign] = _Hits(index, flat[index, across] * reach, flat[index, up] * reach, spans[0], spans[1])
+            hits[k, sign] = _Hits(index, flat[across, index] * reach, flat[up, index] * reach, spans[0], spans[1])
     return hits
 
 
@@ -115,7 +117,7 @@ def _surface(rng: np.random.Generator, hit: _Hits) -> Float[np.ndarray, "n 1"]:
     centre_a, centre_b = (rng.uniform(*span) for span in (hit.span_a, hit.span_b))
     size = rng.uniform(1.0, 4.0)
     pool = np.exp(-((hit.a - centre_a) ** 2 + (hit.b - centre_b) ** 2) / (2 * size**2))
-    phase = rng.uniform(0, 6.3, 4)
+    phase = rng.uniform(0, 6.3, 4).astype(np.float32)
     blotch = np.sin(2.1 * hit.a + phase[0] + np.sin(1.7 * hit.b + phase[1])) * np.sin(2.7 * hit.b + phase[2])
     blotch = blotch + _pattern(rng, hit)
     shade = (0.4 + rng.uniform(0.2, 1.2) * pool) * (1 - rng.uniform(0.1, 0.4) * corner) * (1 + 0.06 * blotch)

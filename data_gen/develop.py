@@ -96,8 +96,10 @@ def displayed(
 
     place: in units of the photo's sides, 0 to 1.
     """
-    fall = 1 - lens.vignette / 2 * ((2 * place - 1) ** 2).sum(axis=-1, keepdims=True)
-    return _toned((radiance * _gains(lens, white) * np.maximum(fall, 0)).astype(np.float32), lens.tone)
+    x, y = place[..., 0], place[..., 1]
+    fall = np.maximum(1 - lens.vignette / 2 * ((2 * x - 1) ** 2 + (2 * y - 1) ** 2), 0).astype(np.float32)
+    exposed = (radiance * _gains(lens, white).astype(np.float32)) * fall[..., None]
+    return _toned(np.ascontiguousarray(exposed, np.float32), lens.tone)
 
 
 def _gains(lens: Lens, white: White) -> Float[np.ndarray, "3"]:

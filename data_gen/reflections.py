@@ -12,12 +12,13 @@ from data_gen.lamps import Lamp, highlight
 from data_gen.lighting import Light, room_from_film
 from data_gen.rooms import FilteredEnvironment, directions, sample_filtered, solid_angles
 from data_gen.seen_film import SeenFilm
+from hybrid.mesh.vectors import turned
 
 
 def reflection(seen: SeenFilm, light: Light, room: FilteredEnvironment, surface: Gloss) -> Float[np.ndarray, "n n 3"]:
     """Radiance of the room in the film's glossy surface; even light comes out as the directional albedo times it."""
     n = len(seen.points)
-    turn = room_from_film(light).T.astype(np.float32)
+    turn = room_from_film(light)
     if surface.alpha >= WIDE_ALPHA:
         stride = max(1, -(-n // int(np.clip(3.0 / surface.alpha, 10, 16))))
         every = slice(stride // 2, None, stride)
@@ -25,7 +26,7 @@ def reflection(seen: SeenFilm, light: Light, room: FilteredEnvironment, surface:
         around = cv2.resize(around, (n, n), interpolation=cv2.INTER_CUBIC)
     else:
         round_lobe = surface.alpha * float(np.sqrt(seen.cosine.mean()))  # the solid angle of a lobe falls with c_o
-        around = sample_filtered(room, seen.mirror @ turn, float(np.sqrt(round_lobe)))
+        around = sample_filtered(room, turned(seen.mirror, turn), float(np.sqrt(round_lobe)))
     return surface.reflected(seen.cosine) * np.float32(light.front) * np.maximum(around, 0)
 
 
@@ -38,9 +39,12 @@ by 7 % at 0.3, and by 10 to 20 % from 0.5 on, where horizon and Fresnel term cut
 def wide_reflection(
     seen: SeenFilm, room: FilteredEnvironment, turn: Float[np.ndarray, "3 3"], surface: Gloss
 ) -> Float[np.ndarray, "m m 3"]:
-    """Mean radiance of the room under a wide lobe, weighted by the BSDF, over a coarse image of all directions."""
+    """Mean radiance of the room under a wide lobe, weighted by the BSDF, over a coarse image of all directions.
+
+    turn: from the film's world to the room.
+    """
     size = room.coarse.shape[:2]
-    towards = directions(size).reshape(-1, 3) @ turn.T
+    towards = directions(size).reshape(-1, 3) @ turn.astype(np.float32)
     eye, normals = seen.view.reshape(-1, 3), seen.normals.reshape(-1, 3)
     o_h = np.sqrt(np.maximum((1 + eye @ towards.T) / 2, np.float32(1e-4)))
     n_i = normals @ towards.T

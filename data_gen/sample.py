@@ -45,6 +45,9 @@ METERING = 0.5
 CLIPPED = 6.0
 """Times the film's white: what is brighter counts no more in metering."""
 
+METERED_EVERY = 3
+"""Of the points at which light is known, every third along both axes is metered."""
+
 COLOUR_TAKEN_OUT = 0.6
 """Power by which white balance follows the light's colour."""
 
@@ -171,7 +174,8 @@ def _metered(light: FilmLight, linear: Float[np.ndarray, "h w 3"]) -> Float[np.n
 
     Phones meter all they see, so a bright background darkens the film; and take out most of the light's colour.
     """
-    bright = np.percentile(light.gain, 90, axis=(0, 1)) + np.percentile(light.veil, 50, axis=(0, 1))
+    every = np.s_[::METERED_EVERY, ::METERED_EVERY]
+    bright = np.percentile(light.gain[every], 90, axis=(0, 1)) + np.percentile(light.veil[every], 50, axis=(0, 1))
     level = max(float(bright.mean()), 1e-6)
     around = float(np.minimum(linear, CLIPPED * level).mean())
     metered = level * max(around / level, 1.0) ** METERING
@@ -200,7 +204,7 @@ def _glare(
     """
     v, u = (film_centres_1d(n) for n in PLACES)
     place = scene.camera.photo_from_world(film.surface(u, v)) / np.array(scene.camera.size[::-1])
-    place = cv2.resize(place, light.gain.shape[1::-1], interpolation=cv2.INTER_LINEAR)
+    place = cv2.resize(place.astype(np.float32), light.gain.shape[1::-1], interpolation=cv2.INTER_LINEAR)
     black, bright = (displayed(x, place, scene.lens, white) for x in (light.veil, light.veil + light.gain))
     red, green, blue = cv2.split(cv2.subtract(bright, black))
     (contrast,) = on_film([cv2.max(cv2.max(red, green), blue)], maps.uv)
@@ -222,9 +226,7 @@ def _uncovered(maps: AnnotationMaps, covered: Bool[np.ndarray, "h w"]) -> Annota
         return maps
     mask = maps.mask & ~covered
     kept = mask[..., None]
-    return AnnotationMaps(
-        mask, np.where(kept, maps.uv, np.nan), np.where(kept, maps.xyz, np.nan), np.where(kept, maps.normal, np.nan)
-    )
+    return AnnotationMaps(mask, *(np.where(kept, x, np.float32(np.nan)) for x in (maps.uv, maps.xyz, maps.normal)))
 
 
 def _sheet(film_print: FilmPrint) -> FilmMesh:

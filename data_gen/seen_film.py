@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 from jaxtyping import Float, Float32
-from scipy.interpolate import make_interp_spline
 
-from data_gen.gloss import cross, dot, unit
 from hybrid.coords import film_centres_1d
-from hybrid.mesh.film import FilmMesh
+from hybrid.mesh.film import FilmMesh, spline_matrices
+from hybrid.mesh.vectors import cross, dot, unit
 
 
 @dataclass(frozen=True, eq=False)
 class SeenFilm:
-    """A lattice of film points as one camera sees them; float32.
+    """A lattice of film points as one camera sees them; float32, planar (hybrid.mesh.vectors).
 
     points: mm. normals: unit, of the side that is seen. view: unit, towards the camera. cosine: between those two.
     """
@@ -40,21 +38,26 @@ def seen_film(film: FilmMesh, camera_mm: Float[np.ndarray, "3"], n: int) -> Seen
 
     The bicubic surface through the vertices is a product of two interpolations: matrices, fast on fine lattices.
     """
-    (u, du), (v, dv) = (_spline_matrices(tuple(lines.tolist()), n) for lines in (film.u_lines, film.v_lines))
-    grid = np.ascontiguousarray(film.vertices.transpose(2, 0, 1), dtype=np.float32)
-
-    def lattice(rows: np.ndarray, cols: np.ndarray) -> np.ndarray:
-        return np.ascontiguousarray(np.moveaxis(rows @ (grid @ cols.T), 0, -1))
-
-    points, normals = lattice(v, u), unit(cross(lattice(dv, u), lattice(v, du)))
+    (u, du), (v, dv) = (_spline(lines, n) for lines in (film.u_lines, film.v_lines))
+    points, normals = _lattice(film, v, u), unit(cross(_lattice(film, dv, u), _lattice(film, v, du)))
     view = unit(camera_mm.astype(np.float32) - points)
     towards = dot(view, normals)[..., None]
     normals *= np.where(towards < 0, np.float32(-1), np.float32(1))
     return SeenFilm(points, normals, view, np.maximum(np.abs(towards), np.float32(0.01)))
 
 
-@lru_cache(maxsize=64)
-def _spline_matrices(lines: tuple[float, ...], n: int) -> tuple[Float32[np.ndarray, "n m"], Float32[np.ndarray, "n m"]]:
-    """What takes values on the m lattice lines of one axis to the cubic spline, and its slope, at n pixel centres."""
-    spline, t = make_interp_spline(np.array(lines), np.eye(len(lines))), film_centres_1d(n)
-    return spline(t).astype(np.float32), spline(t, nu=1).astype(np.float32)
+def film_points(film: FilmMesh, n: int) -> Float[np.ndarray, "n n 3"]:
+    """The points (mm) of that lattice alone."""
+    return _lattice(film, _spline(film.v_lines, n)[0], _spline(film.u_lines, n)[0])
+
+
+def _spline(lines: Float[np.ndarray, " m"], n: int) -> tuple[Float32[np.ndarray, "n m"], Float32[np.ndarray, "n m"]]:
+    values, slopes = spline_matrices(lines, film_centres_1d(n))
+    return values.astype(np.float32), slopes.astype(np.float32)
+
+
+def _lattice(
+    film: FilmMesh, rows: Float32[np.ndarray, "n r"], cols: Float32[np.ndarray, "n c"]
+) -> Float32[np.ndarray, "n n 3"]:
+    grid = np.ascontiguousarray(film.vertices.transpose(2, 0, 1), dtype=np.float32)
+    return np.moveaxis(rows @ (grid @ cols.T), 0, -1)

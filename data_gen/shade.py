@@ -27,7 +27,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float
 
-from data_gen.gloss import Gloss, dot, gloss
+from data_gen.gloss import Gloss, gloss
 from data_gen.lamps import Lamp, lamp_seen, surface_irradiance, vector_irradiance
 from data_gen.lighting import LightBox, Material, room_from_film
 from data_gen.reflections import lamp_highlight, reflection
@@ -36,6 +36,7 @@ from data_gen.scene import Scene
 from data_gen.seen_film import SeenFilm, seen_film
 from data_gen.shadows import film_shadow
 from hybrid.mesh.film import FilmMesh
+from hybrid.mesh.vectors import dot, turned
 
 SMOOTH_LATTICE = 48
 """Film points along each side at which matt light is evaluated: 9 mm on a 35 x 43 cm film."""
@@ -155,8 +156,9 @@ def entering_light(
 ) -> Float[np.ndarray, "m m 3"]:
     """Irradiance on one side that enters the print, over pi (1 for even light of radiance 1). normals: of that side."""
     (lamps, panel), points, light = lit.sources, lit.smooth.points, lit.scene.light
-    turn = room_from_film(light).T.astype(np.float32)
-    entering = sample_irradiance(room, normals @ turn, lit.surface.entry) * np.float32(light.front / np.pi)
+    entering = sample_irradiance(room, turned(normals, room_from_film(light)), lit.surface.entry) * np.float32(
+        light.front / np.pi
+    )
     if panel:
         lamp, box = panel
         share, _ = surface_irradiance(vector_irradiance(lamp, points), normals)
@@ -183,7 +185,7 @@ def _room_straight(lit: LitFilm, room: FilteredEnvironment) -> Float[np.ndarray,
     if not lit.scene.material.clear:
         return np.zeros((1, 1, 3), np.float32)
     (lamps, panel), light, points, rays = lit.sources, lit.scene.light, lit.fine.points, -lit.fine.view
-    behind = sample_environment(room.environment, rays @ room_from_film(light).T.astype(np.float32))
+    behind = sample_environment(room.environment, turned(rays, room_from_film(light)))
     behind *= np.float32(light.front)
     for lamp in lamps:
         behind[lamp_seen(lamp, points, rays)] = lamp.radiance

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from data_gen.rooms import FilteredEnvironment
-from data_gen.seen_film import seen_film
+from data_gen.seen_film import film_points
 from data_gen.shade import Behind, LitFilm, entering_light
 from hybrid.coords import opencv_from_photo
 
@@ -33,10 +33,10 @@ def behind_film(lit: LitFilm, room: FilteredEnvironment, picture: Float[np.ndarr
 
 def _straight(lit: LitFilm, picture: Float[np.ndarray, "h w 3"]) -> Float[np.ndarray, "k k 3"]:
     """Radiance that a clear film shows of the picture behind it, over the film; off the photo as at its rim."""
-    size = [min(n, 2 * LATTICE) for n in picture.shape[:2]]
+    size = [n // max(1, n // (2 * LATTICE)) for n in picture.shape[:2]]  # whole steps are averaged far faster
     small = cv2.resize(picture, size[::-1], interpolation=cv2.INTER_AREA)
     camera = lit.scene.camera
-    points = seen_film(lit.film, camera.centre_world, LATTICE).points
+    points = film_points(lit.film, LATTICE)
     shares = camera.photo_from_world(points) / np.array(camera.size[::-1])
     x, y = np.moveaxis(opencv_from_photo(shares * size[::-1]).astype(np.float32), -1, 0)
     return cv2.remap(small, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)

@@ -64,7 +64,7 @@ def test_the_uv_map_is_the_annotations():
     mask, uv = FilmCaster(film).uv_map(cam)
     maps = FilmCaster(film).annotate(cam)
     np.testing.assert_array_equal(mask, maps.mask)
-    np.testing.assert_allclose(uv[mask], maps.uv[mask], atol=1e-6)
+    np.testing.assert_allclose(uv[mask], maps.uv[mask], atol=5e-5)  # interpolated to 0.01 px
 
 
 def test_a_film_read_right_is_not_mirrored():

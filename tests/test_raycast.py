@@ -32,7 +32,7 @@ def camera(size=SIZE, eye=(60.0, -40.0, -700.0), roll=0.1, distortion=(0.05, -0.
     return Camera(intrinsics, look_at(np.array(eye), np.zeros(3), np.array([roll, 1.0, 0.0])), distortion, size)
 
 
-def supersampled(caster, cam, n=4):
+def supersampled(caster, cam, n=8):
     """Coverage, and mean of the uv seen, by brute force."""
     h, w = cam.size
     mask, uv = caster.uv_map(cam.resized((n * h, n * w)))
@@ -50,17 +50,21 @@ def test_a_view_is_what_many_rays_see(shape, roll):
     assert coverage.max() > 0
     mine = np.zeros(SIZE)
     mine[view.box] = view.coverage
-    difference = np.abs(mine - coverage)
-    assert difference.max() <= 1 / 8  # a ray or two that graze a facet's edge
-    assert difference.mean() < 1e-5
+    difference = mine - coverage
+    assert np.abs(difference).max() <= 1 / 4  # of eight rays against sixty-four
+    assert abs(difference.mean()) < 1e-4
+    assert set(np.flatnonzero(((coverage > 0) & (coverage < 1))[view.box])) <= set(view.rim)
+    assert np.count_nonzero(difference) <= len(view.rim)
     seen = view.uv.copy()
     hits = np.count_nonzero(view.rim_hit, axis=1)
     means = (view.rim_uv * view.rim_hit[..., None]).sum(axis=1) / np.maximum(hits, 1)[:, None]
     seen.reshape(-1, 2)[view.rim] = means
-    whole = mine[view.box] > 0
-    off = np.abs(seen - uv[view.box])[whole] * [350, 430]  # mm; a pixel is about 3 mm
-    assert np.quantile(off, 0.99) < 0.2
-    assert off.max() < 2.0  # at folds a grazing ray counts
+    off = np.abs(seen - uv[view.box]) * [350, 430]  # mm; a pixel is about 3 mm
+    inside = mine[view.box] > 0
+    inside.flat[view.rim] = False
+    assert not inside.any() or off[inside].max() < 0.3
+    rim = off.reshape(-1, 2)[view.rim][(hits > 0) & (coverage[view.box].flat[view.rim] > 0)]
+    assert np.median(rim) < 1.0  # where it folds the few rays mix its layers a little otherwise than the many
 
 
 @pytest.mark.parametrize("shape", SHAPES)

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from hybrid.coords import pixel_centres
+from hybrid.mesh.vectors import cross
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,9 +89,9 @@ def look_at(
 ) -> Float[np.ndarray, "4 4"]:
     """camera_from_world of a camera at ``eye_mm`` that looks at ``target_mm``; ``down`` points to the photo's foot."""
     forward = (target_mm - eye_mm) / np.linalg.norm(target_mm - eye_mm)
-    right = np.cross(down, forward)
+    right = cross(down, forward)
     right = right / np.linalg.norm(right)
-    rotation = np.stack([right, np.cross(forward, right), forward])
+    rotation = np.stack([right, cross(forward, right), forward])
     matrix = np.eye(4)
     matrix[:3, :3] = rotation
     matrix[:3, 3] = -rotation @ eye_mm

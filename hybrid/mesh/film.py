@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.interpolate import RectBivariateSpline
+from scipy.interpolate import BSpline, make_interp_spline
 
 from hybrid.backward import MIN_NODES
 from hybrid.errors import ConfigError, describe
+from hybrid.mesh.vectors import cross
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,23 +53,24 @@ class FilmMesh:
             raise ValueError(f"FilmMesh.bent: got shape {vertices.shape}; allowed: {self.vertices.shape}")
         return FilmMesh(self.u_lines, self.v_lines, vertices, self.size_mm, self.grid_rows, self.grid_cols)
 
-    @cached_property
-    def _splines(self) -> tuple[RectBivariateSpline, ...]:
-        return tuple(RectBivariateSpline(self.v_lines, self.u_lines, self.vertices[..., k]) for k in range(3))
-
     def surface(self, u: np.ndarray, v: np.ndarray) -> Float[np.ndarray, "nv nu 3"]:
         """Points (mm) of the smooth (bicubic) surface on the lattice of film coordinates ``v`` x ``u``."""
-        return np.stack([s(v, u) for s in self._splines], axis=-1)
+        return self._product(spline_matrices(self.v_lines, v)[0], spline_matrices(self.u_lines, u)[0])
 
     def normals(self, u: np.ndarray, v: np.ndarray) -> Float[np.ndarray, "nv nu 3"]:
         """Unit normals of the smooth surface; they point to the side from which the film reads right.
 
         For the flat sheet that is -z: x to the right and y down, as a reader sees it, makes +z point away.
         """
-        du = np.stack([s(v, u, dx=0, dy=1) for s in self._splines], axis=-1)
-        dv = np.stack([s(v, u, dx=1, dy=0) for s in self._splines], axis=-1)
-        normal = np.cross(dv, du)
+        (across, slope_u), (down, slope_v) = spline_matrices(self.u_lines, u), spline_matrices(self.v_lines, v)
+        normal = np.ascontiguousarray(cross(self._product(slope_v, across), self._product(down, slope_u)))
         return normal / np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-30)
+
+    def _product(
+        self, rows: Float[np.ndarray, "nv m"], cols: Float[np.ndarray, "nu k"]
+    ) -> Float[np.ndarray, "nv nu 3"]:
+        """What two one-dimensional interpolations make of the vertices."""
+        return np.stack([rows @ self.vertices[..., k] @ cols.T for k in range(3)], axis=-1)
 
     def triangle_areas(self) -> Float[np.ndarray, " t"]:
         """Area (mm^2) of each triangle."""
@@ -104,6 +106,26 @@ class FilmMesh:
         across = np.linalg.norm(np.diff(self.vertices, axis=1), axis=-1) / (np.diff(self.u_lines) * width) - 1
         down = np.linalg.norm(np.diff(self.vertices, axis=0), axis=-1) / (np.diff(self.v_lines) * height)[:, None] - 1
         return np.concatenate([across.ravel(), down.ravel()])
+
+
+def spline_matrices(
+    lines: Float[np.ndarray, " m"], t: Float[np.ndarray, " n"]
+) -> tuple[Float[np.ndarray, "n m"], Float[np.ndarray, "n m"]]:
+    """What takes values on the lattice lines of one axis to the cubic spline through them, and its slope, at ``t``."""
+    return _spline_matrices(lines.tobytes(), np.asarray(t, np.float64).tobytes())
+
+
+@lru_cache(maxsize=128)
+def _spline_matrices(lines: bytes, t: bytes) -> tuple[np.ndarray, np.ndarray]:
+    spline, at = _interpolation(lines), np.frombuffer(t)
+    return spline(at), spline(at, nu=1)
+
+
+@lru_cache(maxsize=16)
+def _interpolation(lines: bytes) -> BSpline:
+    """The cubic spline, from values 1 on one line and 0 on the others, for each line."""
+    t = np.frombuffer(lines)
+    return make_interp_spline(t, np.eye(len(t)))
 
 
 def lattice_triangles(rows: int, cols: int) -> Int[np.ndarray, "t 3"]:

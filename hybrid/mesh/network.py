@@ -64,8 +64,7 @@ class MassSpring:
 
     du, dv: lattice spacing. mass_kg: (V,), row by row. area: (V,) of the flat sheet.
     membrane: C11, C12, C66 in N per unit length. bending_stiffness: N times unit length.
-    bending_root: S with bending energy |S x|^2 / 2. curvature_u, curvature_v: (V, V), bending stiffness times
-    area-weighted second derivatives: their product with normals is the load of a unit rest curvature.
+    held: vertices that are held fast.
     """
 
     film: FilmMesh
@@ -77,9 +76,48 @@ class MassSpring:
     area: Float[np.ndarray, " v"]
     membrane: tuple[float, float, float]
     bending_stiffness: float
-    bending_root: sparse.csr_array
-    curvature_u: sparse.csr_array
-    curvature_v: sparse.csr_array
+    held: Bool[np.ndarray, "rows cols"]
+
+    @cached_property
+    def bending_root(self) -> sparse.csr_array:
+        """S with bending energy |S x|^2 / 2.
+
+        Where two neighbours are held, a clamp ends at the second: the second difference there covers half a cell within
+        the clamp, which stays straight, and half a cell outside, whose curvature is then twice the difference; together
+        its energy is doubled. Without this a clamp seems to begin half a cell too early, an error of first order.
+        """
+        weight = self.area * self.bending_stiffness
+        grip_u = weight * (1.0 + _clamp_ends(self.held)).ravel()
+        grip_v = weight * (1.0 + _clamp_ends(self.held.T).T).ravel()
+        mixed = sparse.kron(_first_difference(self.dv), _first_difference(self.du)).tocsr()
+        cell = 2 * self.cell_area.ravel() * self.bending_stiffness
+        parts = [(grip_u, self._second_u), (grip_v, self._second_v), (cell, mixed)]
+        root = sparse.vstack([sparse.diags_array(np.sqrt(w)) @ operator for w, operator in parts])
+        root = sparse.csr_array(root)
+        root.eliminate_zeros()
+        return root
+
+    @cached_property
+    def curvature_u(self) -> sparse.csr_array:
+        """(V, V) bending stiffness times area-weighted second derivatives along u: their product with normals is the
+        load of a unit rest curvature."""
+        return self._curvature(self._second_u)
+
+    @cached_property
+    def curvature_v(self) -> sparse.csr_array:
+        """Likewise along v."""
+        return self._curvature(self._second_v)
+
+    def _curvature(self, second: sparse.csr_array) -> sparse.csr_array:
+        return sparse.csr_array(second.T @ sparse.diags_array(self.area * self.bending_stiffness))
+
+    @cached_property
+    def _second_u(self) -> sparse.csr_array:
+        return sparse.kron(sparse.identity(self.film.shape[0]), _second_difference(self.du)).tocsr()
+
+    @cached_property
+    def _second_v(self) -> sparse.csr_array:
+        return sparse.kron(_second_difference(self.dv), sparse.identity(self.film.shape[1])).tocsr()
 
     @cached_property
     def bending(self) -> sparse.csr_array:
@@ -109,14 +147,13 @@ def mass_spring(film: FilmMesh, material: FilmMaterial, metres_per_unit: float =
         ConfigError: lattice lines that do not increase, or a material without stiffness or mass.
     """
     _check(film, material)
-    rows, cols = film.shape
     per_mm = 1 / (MM_PER_M * metres_per_unit)  # units in a millimetre
     height, width = film.size_mm
     du, dv = np.diff(film.u_lines) * width, np.diff(film.v_lines) * height
     area = np.outer(_lumped(dv), _lumped(du)).ravel()
     nu, eh = material.poisson, material.membrane_stiffness / per_mm
     c11 = eh / (1 - nu**2)
-    network = MassSpring(
+    return MassSpring(
         film=film,
         material=material,
         metres_per_unit=metres_per_unit,
@@ -126,39 +163,13 @@ def mass_spring(film: FilmMesh, material: FilmMaterial, metres_per_unit: float =
         area=area,
         membrane=(c11, nu * c11, eh / (2 * (1 + nu))),
         bending_stiffness=material.bending_stiffness * per_mm,
-        bending_root=sparse.csr_array((0, rows * cols)),
-        curvature_u=sparse.csr_array((rows * cols, rows * cols)),
-        curvature_v=sparse.csr_array((rows * cols, rows * cols)),
+        held=np.zeros(film.shape, bool),
     )
-    return clamped(network, np.zeros(film.shape, bool))
 
 
 def clamped(network: MassSpring, held: Bool[np.ndarray, "rows cols"]) -> MassSpring:
-    """The network when the vertices ``held`` are held fast: where two neighbours are held, a clamp ends at the second.
-
-    The second difference at the clamp's last vertex covers half a cell within the clamp, which stays straight, and half
-    a cell outside, whose curvature is then twice the difference: together its energy is doubled. Without this a clamp
-    seems to begin half a cell too early, an error of first order.
-    """
-    rows, cols = network.film.shape
-    du, dv = network.du, network.dv
-    weight = network.area * network.bending_stiffness
-    grip_u = weight * (1.0 + _clamp_ends(held)).ravel()
-    grip_v = weight * (1.0 + _clamp_ends(held.T).T).ravel()
-    second_u = sparse.kron(sparse.identity(rows), _second_difference(du)).tocsr()
-    second_v = sparse.kron(_second_difference(dv), sparse.identity(cols)).tocsr()
-    mixed = sparse.kron(_first_difference(dv), _first_difference(du)).tocsr()
-    cell = 2 * network.cell_area.ravel() * network.bending_stiffness
-    parts = [(grip_u, second_u), (grip_v, second_v), (cell, mixed)]
-    root = sparse.vstack([sparse.diags_array(np.sqrt(w)) @ operator for w, operator in parts])
-    root = sparse.csr_array(root)
-    root.eliminate_zeros()
-    return replace(
-        network,
-        bending_root=root,
-        curvature_u=sparse.csr_array(second_u.T @ sparse.diags_array(weight)),
-        curvature_v=sparse.csr_array(second_v.T @ sparse.diags_array(weight)),
-    )
+    """The network when the vertices ``held`` are held fast."""
+    return replace(network, held=held)
 
 
 def strain(network: MassSpring, x: Float[np.ndarray, "rows cols 3"]) -> Strain:
@@ -166,8 +177,7 @@ def strain(network: MassSpring, x: Float[np.ndarray, "rows cols 3"]) -> Strain:
 
     With the diagonals p and q of a cell a x b, x_u . x_v is (|p|^2 - |q|^2) / (4 a b): the shear spring.
     """
-    across = np.diff(x, axis=1) / network.du[:, None]
-    down = np.diff(x, axis=0) / network.dv[:, None, None]
+    across, down = edge_tangents(network, x)
     mean_u, mean_v = cell_tangents(across, down)
     return Strain(
         across=across,
@@ -176,6 +186,11 @@ def strain(network: MassSpring, x: Float[np.ndarray, "rows cols 3"]) -> Strain:
         along_v=0.5 * (np.einsum("rck,rck->rc", down, down) - 1),
         shear=np.einsum("rck,rck->rc", mean_u, mean_v),
     )
+
+
+def edge_tangents(network: MassSpring, x: Float[np.ndarray, "rows cols 3"]) -> tuple[np.ndarray, np.ndarray]:
+    """x_u of the edges along u, (rows, cols - 1, 3), and x_v of those along v, (rows - 1, cols, 3)."""
+    return (x[:, 1:] - x[:, :-1]) / network.du[:, None], (x[1:] - x[:-1]) / network.dv[:, None, None]
 
 
 def cell_tangents(across: np.ndarray, down: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -189,15 +204,13 @@ def stress(network: MassSpring, along_u: np.ndarray, along_v: np.ndarray, shear:
     area = network.cell_area
     upper, lower, left, right = along_u[:-1], along_u[1:], along_v[:, :-1], along_v[:, 1:]
     poisson_u, poisson_v = 0.25 * c12 * (left + right), 0.25 * c12 * (upper + lower)
-    edges = np.stack(
-        [
-            0.5 * c11 * upper + poisson_u,
-            0.5 * c11 * lower + poisson_u,
-            0.5 * c11 * left + poisson_v,
-            0.5 * c11 * right + poisson_v,
-        ]
-    )
-    return CellStress(area * edges, area * c66 * shear)
+    edges = np.empty((4, *area.shape))
+    edges[0], edges[1], edges[2], edges[3] = upper, lower, left, right
+    edges *= 0.5 * c11
+    edges[:2] += poisson_u
+    edges[2:] += poisson_v
+    edges *= area
+    return CellStress(edges, area * c66 * shear)
 
 
 def stretch_energy(network: MassSpring, state: Strain) -> float:

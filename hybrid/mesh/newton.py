@@ -15,6 +15,7 @@ from hybrid.mesh.network import (
     MassSpring,
     Strain,
     cell_tangents,
+    edge_tangents,
     spring_gradient,
     strain,
     stress,
@@ -91,7 +92,7 @@ class StepProblem:
         """Gradient (V, 3) of the energy and the part of its Hessian that is each vertex's own (V, 3, 3)."""
         network = self.network
         total = self.inertia[:, None] * (x - self.target) - self.force
-        total += network.bending_root.T @ (network.bending_root @ x)
+        total += network.bending @ x
         total += self.hold[:, None] * (x - self.loads.goal_mm)
         total += spring_gradient(network, state, stress(network, state.along_u, state.along_v, state.shear))
         normal = self.drag_normal
@@ -269,9 +270,7 @@ def _returned(problem: StepProblem, x: np.ndarray, promise: _Promise, model: _Mo
 
 def _tangents(problem: StepProblem, move: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Change of the edges' tangents with a move."""
-    network = problem.network
-    lattice = move.reshape(*network.film.shape, 3)
-    return np.diff(lattice, axis=1) / network.du[:, None], np.diff(lattice, axis=0) / network.dv[:, None, None]
+    return edge_tangents(problem.network, move.reshape(*problem.network.film.shape, 3))
 
 
 def _linear_change(problem: StepProblem, state: Strain, move: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -11,17 +11,12 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Int
 
 from hybrid.backward import BackwardMap
-from hybrid.coords import (
-    film_centres,
-    node_centres_1d,
-    opencv_from_photo,
-    photo_from_opencv,
-    pixel_centres,
-    sample_bilinear,
-)
+from hybrid.coords import node_centres_1d, photo_from_opencv, pixel_centres, sample_bilinear
 from hybrid.errors import SimulationError, describe
 from hybrid.mesh.camera import Camera
 from hybrid.mesh.film import FilmMesh, lattice_triangles
+from hybrid.mesh.sparse import FOR_MAPS, FOR_PHOTOS, Blocks, Sparse, bumpy, crossed, enlarged, smooth_film
+from hybrid.mesh.vectors import dot, turned
 
 _MISS = 2**32 - 1
 """Open3D's primitive number of a ray that hits nothing."""
@@ -36,17 +31,11 @@ BACKWARD_NODES = (65, 65)
 """Nodes of a true backward map: its spline then is within 0.02 px of the film in a 256 px photo even along creases
 (33 nodes: 0.15 px)."""
 
-_SPACING = 4
-"""Pixels between the rays from which a photo's smooth parts are interpolated."""
+_RIM_RAYS = np.array([[9, 5], [7, 11], [13, 9], [5, 3], [3, 13], [1, 7], [11, 15], [15, 1]], np.float32) / 16
+"""Points of a pixel at which rays are cast where the film's outline or a fold crosses it. No two share a row or a
+column (eight rooks): upright and level edges, the usual ones, are told in eighths of a pixel."""
 
-_SUPERSAMPLE = 4
-"""Rays along each axis of a pixel that the film's outline or a fold crosses."""
-
-_SMOOTH_PX = 0.03
-"""Largest error, in photo pixels, of a film point interpolated between rays."""
-
-_LINE_BITS = 4
-"""Binary places of the points of OpenCV's lines."""
+_CENTRE = pixel_centres((1, 1))[0, 0].astype(np.float32)
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,16 +104,28 @@ class FilmCaster:
         return mask, uv
 
     def annotate(self, camera: Camera) -> AnnotationMaps:
-        """All maps (float32) of the camera's photo, by one ray through the centre of each pixel."""
+        """All maps (float32) of the camera's photo, at the pixels' centres.
+
+        Near the outline, folds and sharp bends each pixel has its ray; elsewhere one in four, and what lies between is
+        interpolated.
+        """
         mask = np.zeros(camera.size, dtype=bool)
         uv, xyz, normal = (np.full((*camera.size, k), np.nan, dtype=np.float32) for k in (2, 3, 3))
-        box = self._bounding_box(camera)
-        rays = _cropped(camera, box).pixel_rays().astype(np.float32)
-        mask[box], uv[box], depth = self._cast(camera, rays)
-        xyz[box] = rays * depth[..., None]
-        seen = self._normals_at(cv2.patchNaNs(uv[box].copy(), 0.0))
-        seen[~mask[box]] = np.nan
-        normal[box] = seen @ camera.camera_from_world[:3, :3].T.astype(np.float32)
+        projected = self._projected(camera)
+        if projected is None:
+            box = slice(0, camera.size[0]), slice(0, camera.size[1])
+            rays = camera.ray_directions(_centres(camera.size))
+            mask[box], film, depth = self._cast(camera, rays)
+        else:
+            box = _box(projected, camera.size)
+            part = _cropped(camera, box)
+            blocks = self._blocks(part, FOR_MAPS)
+            mask[box], film, wanted = smooth_film(blocks, self._rim(projected, box), part.size, FOR_MAPS)
+            wanted |= bumpy(blocks, float(part.intrinsics[0, 0]), part.size, FOR_MAPS)
+            rays, depth = (enlarged(values, part.size, FOR_MAPS) for values in (blocks.rays, blocks.depth))
+            self._fill(part, wanted, mask[box], film, depth)
+        rays *= depth[..., None]
+        uv[box], xyz[box], normal[box] = film, rays, self._normals_at(film, camera)
         return AnnotationMaps(mask, uv, xyz, normal)
 
     def view(self, camera: Camera, maps: AnnotationMaps | None = None) -> FilmView:
@@ -142,54 +143,52 @@ class FilmCaster:
                 describe(what="view of a film", got="film behind the camera", allowed="z > 1 mm", do="Move the camera.")
             )
         box = _box(projected, camera.size)
-        part = _cropped(camera, box)
-        rim = _drawn(_outline_and_folds(projected - [box[1].start, box[0].start]), part.size)
-        mask, uv, rays = self._centres(part, rim) if maps is None else (maps.mask[box], maps.uv[box], 0)
-        uv = cv2.patchNaNs(np.array(uv, np.float32), 0.0)
+        part, rim = _cropped(camera, box), self._rim(projected, box)
+        rays = 0
+        if maps is None:
+            blocks = self._blocks(part, FOR_PHOTOS)
+            mask, uv, wanted = smooth_film(blocks, rim, part.size, FOR_PHOTOS)
+            wanted &= ~rim
+            self._fill(part, wanted, mask, uv)
+            rays = blocks.hit.size + int(np.count_nonzero(wanted))
+        else:
+            mask, uv = maps.mask[box], maps.uv[box].copy()
+        cv2.patchNaNs(uv, 0.0)
 
-        rows, cols = np.nonzero(rim)
-        inside = film_centres((_SUPERSAMPLE, _SUPERSAMPLE)).reshape(-1, 2).astype(np.float32)
-        at = np.stack([cols, rows], axis=-1).astype(np.float32)
-        rim_hit, rim_uv, _ = self._cast(camera, part.ray_directions(at[:, None] + inside))
-        rim_uv = cv2.patchNaNs(rim_uv, 0.0)
+        at = np.flatnonzero(rim)
+        rim_hit, rim_uv, _ = self._cast(camera, part.ray_directions(_corners(at, part.size)[:, None] + _RIM_RAYS))
+        cv2.patchNaNs(rim_uv, 0.0)
         coverage = mask.astype(np.float32)
-        coverage[rim] = np.count_nonzero(rim_hit, axis=1) / np.float32(_SUPERSAMPLE**2)
-        return FilmView(box, coverage, uv, np.flatnonzero(rim), rim_uv, rim_hit, rays + rim_hit.size)
+        coverage.reshape(-1)[at] = np.count_nonzero(rim_hit, axis=1) / np.float32(len(_RIM_RAYS))
+        return FilmView(box, coverage, uv, at, rim_uv, rim_hit, rays + rim_hit.size)
 
-    def _centres(
-        self, part: Camera, rim: Bool[np.ndarray, "h w"]
-    ) -> tuple[Bool[np.ndarray, "h w"], Float32[np.ndarray, "h w 2"], int]:
-        """Mask and uv at the pixels' centres, where they are not on the rim, and the number of rays cast.
+    def _rim(self, projected: Float[np.ndarray, "nv nu 2"], box: tuple[slice, slice]) -> Bool[np.ndarray, "h w"]:
+        """Pixels of a part of the photo through which the outline or a fold runs."""
+        rows, cols = box
+        size = rows.stop - rows.start, cols.stop - cols.start
+        return crossed(_outline_and_folds(projected - [cols.start, rows.start]), size)
 
-        Within a smooth piece of film uv is interpolated between rays ``_SPACING`` pixels apart wherever its second
-        difference says that this is exact to ``_SMOOTH_PX``; whatever is near the rim, or not smooth, gets a ray.
-        """
-        mask, uv, wanted = self._smooth(part, rim)
-        rows, cols = np.nonzero(wanted)
-        centres = pixel_centres((1, 1))[0, 0].astype(np.float32)
-        at = np.stack([cols, rows], axis=-1).astype(np.float32)
-        mask[wanted], uv[wanted], _ = self._cast(part, part.ray_directions(at + centres))
-        return mask, uv, int(np.prod(_coarse(part.size)) + wanted.sum())
+    def _blocks(self, part: Camera, sparse: Sparse) -> Blocks:
+        """What rays through the centres of blocks of pixels meet."""
+        step, (rows, cols) = sparse.spacing, sparse.blocks(part.size)
+        blocks = part.cropped((-step, -step), (rows * step, cols * step)).resized((rows, cols))
+        rays = blocks.ray_directions(_centres(blocks.size))
+        return Blocks(rays, *self._cast(blocks, rays))
 
-    def _smooth(
-        self, part: Camera, rim: Bool[np.ndarray, "h w"]
-    ) -> tuple[Bool[np.ndarray, "h w"], Float32[np.ndarray, "h w 2"], Bool[np.ndarray, "h w"]]:
-        """Mask and uv interpolated between rays through the centres of blocks, and where that is not good enough."""
-        (rows, cols), (h, w) = _coarse(part.size), part.size
-        blocks = part.cropped((-_SPACING, -_SPACING), (rows * _SPACING, cols * _SPACING)).resized((rows, cols))
-        hit, uv, _ = self._cast(part, blocks.pixel_rays())
-        # Enlarged pixel areas keep their centres: between the blocks' centres this is bilinear interpolation, and a
-        # miss (NaN) spreads to all pixels that a missing ray would have had a share in.
-        here = np.s_[_SPACING : _SPACING + h, _SPACING : _SPACING + w]
-        size = (cols * _SPACING, rows * _SPACING)
-        fine = cv2.resize(uv, size, interpolation=cv2.INTER_LINEAR)[here]
-        share = cv2.resize(hit.astype(np.float32), size, interpolation=cv2.INTER_LINEAR)[here]
-        rough = cv2.resize(_rough(uv).astype(np.uint8), size, interpolation=cv2.INTER_NEAREST)[here]
-        mask = ~np.isnan(fine[..., 0])
-        reach = np.ones((_SPACING + 3, _SPACING + 3), np.uint8)  # a block's centre is at most half a block away
-        near = cv2.dilate(rim.astype(np.uint8), reach)
-        wanted = (near.astype(bool) | rough.astype(bool) | ((share > 0) & ~mask)) & ~rim
-        return mask, fine, wanted
+    def _fill(
+        self,
+        part: Camera,
+        wanted: Bool[np.ndarray, "h w"],
+        mask: Bool[np.ndarray, "h w"],
+        uv: Float32[np.ndarray, "h w 2"],
+        depth: Float32[np.ndarray, "h w"] | None = None,
+    ) -> None:
+        """Cast the centres of the pixels that are wanted and put in what they see."""
+        at = np.flatnonzero(wanted)
+        hit, film, far = self._cast(part, part.ray_directions(_corners(at, part.size) + _CENTRE))
+        mask[wanted], uv.reshape(-1, 2)[at] = hit, film
+        if depth is not None:
+            depth.reshape(-1)[at] = far
 
     def _cast(
         self, camera: Camera, directions: Float[np.ndarray, "*n 3"]
@@ -197,13 +196,13 @@ class FilmCaster:
         """Whether rays (camera axes, z = 1) meet film, its uv there and the depth in mm; both NaN where they do not."""
         rays = np.empty((*directions.shape[:-1], 6), dtype=np.float32)
         rays[..., :3] = camera.centre_world
-        rays[..., 3:] = directions.astype(np.float32) @ camera.camera_from_world[:3, :3].astype(np.float32)
+        np.matmul(directions.astype(np.float32), camera.camera_from_world[:3, :3].astype(np.float32), out=rays[..., 3:])
         answer = self.scene.cast_rays(_tensor(rays))
-        primitive = answer["primitive_ids"].numpy()
+        primitive, depth = answer["primitive_ids"].numpy(), answer["t_hit"].numpy().copy()
         hit = primitive != _MISS
+        missed = ~hit
         uv = self._film_points(primitive, answer["primitive_uvs"].numpy())
-        uv[~hit] = np.nan
-        depth = np.where(hit, answer["t_hit"].numpy(), np.float32(np.nan))
+        uv[missed] = depth[missed] = np.nan
         return hit, uv, depth
 
     def _film_points(self, primitive: np.ndarray, bary: np.ndarray) -> Float32[np.ndarray, "*n 2"]:
@@ -222,11 +221,16 @@ class FilmCaster:
         lattice /= np.array([cols, rows], np.float32)
         return lattice
 
-    def _normals_at(self, uv: Float32[np.ndarray, "h w 2"]) -> Float32[np.ndarray, "h w 3"]:
-        """Unit normals (world axes), bilinear between the vertices of the fine lattice."""
-        place = uv * np.array([self.shape[1] - 1, self.shape[0] - 1], np.float32)  # vertices are at whole numbers
-        mixed = sample_bilinear(self._normals, photo_from_opencv(place))
-        return mixed / np.sqrt(np.einsum("hwk,hwk->hw", mixed, mixed))[..., None]
+    def _normals_at(self, uv: Float32[np.ndarray, "h w 2"], camera: Camera) -> Float32[np.ndarray, "h w 3"]:
+        """Unit normals in the camera's axes, bilinear between the vertices of the fine lattice; NaN where ``uv`` is."""
+        last = np.array([self.shape[1] - 1, self.shape[0] - 1], np.float32)  # vertices are at whole numbers
+        place = cv2.patchNaNs(uv.copy(), 0.0) * last
+        lattice = np.ascontiguousarray(turned(self._normals, camera.camera_from_world[:3, :3]))
+        mixed = sample_bilinear(lattice, photo_from_opencv(place))
+        length = np.sqrt(dot(mixed, mixed))
+        length[np.isnan(uv[..., 0])] = np.nan
+        mixed /= length[..., None]
+        return mixed
 
     def _projected(self, camera: Camera) -> Float[np.ndarray, "nv nu 2"] | None:
         """Photo points of the vertices; None where some are beside or behind the camera."""
@@ -256,32 +260,6 @@ def facet_shape(film: FilmMesh, facet_mm: float) -> tuple[int, int]:
     least, most = _FACET_VERTICES
     across, down = ((n - 1) * np.sqrt((bend + uv) / (4 * facet_mm)) for bend in (uu, vv))
     return int(np.clip(np.ceil(down) + 1, least, most)), int(np.clip(np.ceil(across) + 1, least, most))
-
-
-def _rough(uv: Float32[np.ndarray, "r c 2"]) -> Bool[np.ndarray, "r c"]:
-    """Blocks around which bilinear interpolation of ``uv`` errs by more than ``_SMOOTH_PX``.
-
-    It errs by an eighth of the second difference; the first difference, over two spacings, turns that into pixels.
-    Where a ray missed both are NaN, and the comparison False.
-    """
-    rough = np.zeros(uv.shape[:2], np.uint8)
-    for axis in (0, 1):
-        before, here, after = (_along(uv, axis, k) for k in range(3))
-        bent, way = np.abs(after - 2 * here + before), np.abs(after - before)
-        bent, way = (np.maximum(x[..., 0], x[..., 1]) for x in (bent, way))  # a reduction over two is ten times slower
-        _along(rough, axis, 1)[bent > 8 * _SMOOTH_PX / (2 * _SPACING) * way] = 1
-    return cv2.dilate(rough, np.ones((3, 3), np.uint8)).astype(bool)
-
-
-def _coarse(size: tuple[int, int]) -> tuple[int, int]:
-    """Blocks of ``_SPACING`` pixels that cover a photo, with one more on either side."""
-    return -(-size[0] // _SPACING) + 2, -(-size[1] // _SPACING) + 2
-
-
-def _along(values: np.ndarray, axis: int, start: int) -> np.ndarray:
-    """A view without two of the values along an axis: those before, between or after the two."""
-    stop = values.shape[axis] - 2 + start
-    return values[start:stop] if axis == 0 else values[:, start:stop]
 
 
 def _cropped(camera: Camera, box: tuple[slice, slice]) -> Camera:
@@ -321,13 +299,15 @@ def _turn(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     return first[..., 0] * second[..., 1] - first[..., 1] * second[..., 0]
 
 
-def _drawn(lines: list[Float[np.ndarray, "_ 2"]], size: tuple[int, int]) -> Bool[np.ndarray, "h w"]:
-    """Pixels that the lines run through; a few beside them too."""
-    picture = np.zeros(size, np.uint8)
-    limit = 4.0 * max(size)  # OpenCV's lines take 32-bit numbers; film that far outside does not show
-    points = [np.clip(opencv_from_photo(line), -limit, limit) * 2**_LINE_BITS for line in lines]
-    cv2.polylines(picture, [np.rint(p).astype(np.int32) for p in points], False, 1, 2, cv2.LINE_8, _LINE_BITS)
-    return picture.astype(bool)
+def _centres(size: tuple[int, int]) -> Float32[np.ndarray, "h w 2"]:
+    """Photo points of all pixel centres in single precision."""
+    return pixel_centres(size).astype(np.float32)
+
+
+def _corners(at: Int[np.ndarray, " m"], size: tuple[int, int]) -> Float32[np.ndarray, "m 2"]:
+    """Photo points of the upper left corners of pixels, given by their numbers row by row."""
+    rows, cols = np.divmod(at, size[1])
+    return np.stack([cols, rows], axis=-1).astype(np.float32)
 
 
 def _tensor(values: np.ndarray) -> Any:
