@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,10 +14,15 @@ from torch import Tensor
 from benchmarks.photos import load_photos
 from hybrid.backward import BackwardMap, Orientation
 from hybrid.coords import film_nodes, pixel_centres, rescale_points
+from hybrid.draw import resized
 from hybrid.errors import DataError, describe
 from hybrid.image_io import read_photo
 from hybrid.learn.dewarpnet import coordinate_code
 from hybrid.learn.samples import Place, film_of, open_places, photo_of, truth_at
+from hybrid.rectify.film_size import FilmSizeConfig
+
+SAME_SIZE = 1.25
+"""Ratio of areas up to which a photo counts as being of the size that is asked for."""
 
 CORNERS = (2, 2)
 """Film points that tell the eight ways of reading a film apart."""
@@ -28,15 +33,37 @@ class Case:
     """A photo whose truth is known.
 
     source: its file, or its place in a data set. backward: the true map of the film that reads right, in pixels.
+    size: (height, width) to which the photo is resized; its own if None.
     """
 
     name: str
     source: Path | Place
     backward: BackwardMap
+    size: tuple[int, int] | None = None
 
     def photo(self) -> UInt8[np.ndarray, "h w 3"]:
         """The photo itself, RGB."""
-        return read_photo(self.source) if isinstance(self.source, Path) else photo_of(self.source)
+        photo = read_photo(self.source) if isinstance(self.source, Path) else photo_of(self.source)
+        return photo if self.size is None else resized(photo, self.size)
+
+    def at(self, megapixels: float) -> Case:
+        """The case with its photo resized to so many megapixels, and its truth with it; as it is, if it is near that.
+
+        Near is within SAME_SIZE: a photo that is resized for nothing is only blurred.
+        """
+        height, width = self.photo().shape[:2]
+        area = 1e6 * megapixels / (height * width)
+        if 1 / SAME_SIZE <= area <= SAME_SIZE:
+            return self
+        size = (round(height * area**0.5), round(width * area**0.5))
+        truth = self.backward.cropped((0.0, 0.0), (size[1] / width, size[0] / height))
+        return replace(self, backward=truth, size=size)
+
+    def film_size(self) -> tuple[int, int]:
+        """Size (h, w) of the flat film: what the photo resolves, but no larger than ``hybrid`` makes it."""
+        down, across = self.backward.mean_film_pixels()
+        scale = min(1.0, FilmSizeConfig().max_side_px / max(down, across))
+        return max(1, round(down * scale)), max(1, round(across * scale))
 
 
 def photo_cases(folder: Path) -> list[Case]:

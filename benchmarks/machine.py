@@ -9,7 +9,7 @@ import sys
 from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from hybrid import __version__
 
@@ -28,6 +28,7 @@ def describe_run(command: list[str]) -> dict[str, Any]:
             "processor": processor(),
             "usable_processors": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
             "memory_gib": memory_gib(),
+            "load": load(),
             "system": f"{platform.system()} {platform.machine()}",
         },
         "python": platform.python_version(),
@@ -88,12 +89,40 @@ def memory_gib() -> float | None:
         return None
 
 
+def load() -> float | None:
+    """Processes that wanted a processor over the last 15 minutes, this one among them; None where it is not told."""
+    return round(os.getloadavg()[2], 1) if hasattr(os, "getloadavg") else None
+
+
 def version_of(package: str) -> str | None:
     """The installed version of a package, or None."""
     try:
         return metadata.version(package)
     except metadata.PackageNotFoundError:
         return None
+
+
+def use_threads(count: int) -> None:
+    """From now on OpenCV, torch and the linear algebra libraries use at most ``count`` threads in this process."""
+    import cv2
+    import torch
+    from threadpoolctl import threadpool_limits
+
+    cv2.setNumThreads(count)
+    torch.set_num_threads(count)
+    threadpool_limits(limits=count)
+
+
+def memory_mib(which: Literal["VmRSS", "VmHWM"]) -> float | None:
+    """Memory of this process: in use now (VmRSS) or at most so far (VmHWM); None where the system does not say.
+
+    getrusage's maximum is not taken: on Linux a new process starts with that of the process which started it.
+    """
+    try:
+        lines = Path("/proc/self/status").read_text().splitlines()
+    except OSError:
+        return None
+    return next((int(line.split()[1]) / 1024 for line in lines if line.startswith(f"{which}:")), None)
 
 
 def threads() -> dict[str, int | str | None]:
@@ -108,4 +137,4 @@ def threads() -> dict[str, int | str | None]:
     }
 
 
-__all__ = ["describe_run", "relative_command"]
+__all__ = ["commit", "describe_run", "memory_mib", "relative_command", "use_threads"]

@@ -24,6 +24,7 @@ class TruePhoto:
     """A rendered photo whose true geometry and print are known.
 
     lattice: (n, n, 2) true photo points of a regular lattice of film points, edges included, row 0 the film's top.
+    xyz: the same points in space; None where the file has none.
     texture: the print's file; style, rows, cols: its cell style and number of slices down and across.
     meta: what was simulated.
     """
@@ -31,6 +32,7 @@ class TruePhoto:
     name: str
     path: Path
     lattice: Float[np.ndarray, "n n 2"]
+    xyz: Float[np.ndarray, "n n 3"] | None
     texture: Path
     style: str
     rows: int
@@ -65,6 +67,7 @@ def load_photo(truth: Path) -> TruePhoto:
     try:
         with np.load(truth, allow_pickle=False) as data:
             lattice = data["lattice"].astype(np.float64)
+            xyz = data["xyz"].astype(np.float64) if "xyz" in data else None
             texture = truth.parent / "textures" / str(data["texture"])
             meta = json.loads(str(data["meta"]))
     except (OSError, KeyError, ValueError) as error:
@@ -80,7 +83,9 @@ def load_photo(truth: Path) -> TruePhoto:
         raise DataError(
             describe(what="Print's name", where=texture, got=texture.name, allowed=allowed, do="Rename it.")
         )
-    return TruePhoto(truth.stem, path, lattice, texture, parts["style"], int(parts["rows"]), int(parts["cols"]), meta)
+    return TruePhoto(
+        truth.stem, path, lattice, xyz, texture, parts["style"], int(parts["rows"]), int(parts["cols"]), meta
+    )
 
 
 __all__ = ["TruePhoto", "load_photo", "load_photos"]

@@ -19,10 +19,11 @@ from typing import Annotated, Any
 import cv2
 import numpy as np
 import tyro
-from jaxtyping import Float, UInt8
+from jaxtyping import UInt8
 from tqdm import tqdm
 
 from benchmarks.machine import describe_run
+from benchmarks.measure import at_print_size
 from benchmarks.photos import TruePhoto, load_photos
 from hybrid.backward import end_point_error
 from hybrid.draw import annotated, contact_sheet, fitted, rgb_from_film, side_by_side
@@ -33,9 +34,6 @@ from hybrid.outputs import make_folder
 from hybrid.records import RectifyResult
 
 Rectify = Callable[[np.ndarray], RectifyResult]
-
-PRINT_SIZE = (512, 512)
-"""Size (height, width) at which film and print are compared, both scaled by pixel area."""
 
 TILE_PX = 420
 SHEET_COLUMNS = 3
@@ -128,11 +126,6 @@ def print_scores(truth: TruePhoto, result: RectifyResult) -> dict[str, Any]:
         "print_psnr": psnr_after_gain_offset(at_print_size(result.film), true_print),
         "glare_share": None if result.glare is None else float(result.glare.mean()),
     }
-
-
-def at_print_size(grey: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "a b"]:
-    """A grey picture at the size at which film and print are compared."""
-    return cv2.resize(grey, PRINT_SIZE[::-1], interpolation=cv2.INTER_AREA)
 
 
 # ---------------------------------------------------------------- all photos

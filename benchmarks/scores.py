@@ -9,13 +9,13 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, UInt8
 
 from benchmarks.cases import Case, read_alike
 from benchmarks.methods import Method
 from hybrid.backward import BackwardMap, Orientation, end_point_error
 from hybrid.coords import film_nodes, rescale_points
-from hybrid.metrics import PAPER_SIZE, ImageScores, PaperScores, image_scores, paper_protocol
+from hybrid.metrics import PAPER_SIZE, ImageScores, PaperScores, image_scores, local_distortion, paper_protocol
 
 LATTICE = (33, 33)
 """Film points, edges included, over which the end-point error is taken."""
@@ -28,26 +28,31 @@ MAP_RANGE = 255.0
 
 
 @dataclass(frozen=True)
-class CaseScore:
-    """What was measured on one photo; None where no film was found.
+class MapScore:
+    """How near a found map comes to the true one, read from whatever side it is meant to be up.
 
-    end_point_px: mean distance of found from true photo points, for a photo of REFERENCE_PX. end_point_percent: the
-    same in percent of the film's diagonal as it is seen. paper: scores of the unwarped photo. map: of the backward map
-    as an image. up: whether the map is of the film that reads right, neither turned nor mirrored. seconds: from what
-    the method is given to its map.
+    end_point_px, end_point_p95_px: mean and 95th percentile over the film of the distance of found from true photo
+    points, for a photo of REFERENCE_PX. end_point_percent: the mean in percent of the film's diagonal as it is seen.
+    distortion_px: hybrid.metrics.local_distortion. paper: scores of the unwarped photo. map: of the backward map as
+    an image. up: whether the map is of the film that reads right, neither turned nor mirrored.
     """
+
+    end_point_px: float
+    end_point_p95_px: float
+    end_point_percent: float
+    distortion_px: float
+    paper: PaperScores
+    map: ImageScores
+    up: bool
+
+
+@dataclass(frozen=True)
+class CaseScore:
+    """What was measured on one photo. seconds: from what is given to the map. score: None where the film is lost."""
 
     name: str
     seconds: float
-    end_point_px: float | None = None
-    end_point_percent: float | None = None
-    paper: PaperScores | None = None
-    map: ImageScores | None = None
-    up: bool | None = None
-
-    @property
-    def found(self) -> bool:
-        return self.paper is not None
+    score: MapScore | None = None
 
 
 def score(method: Method, case: Case) -> CaseScore:
@@ -56,17 +61,20 @@ def score(method: Method, case: Case) -> CaseScore:
     start = time.perf_counter()
     found = method.find_or_lose(given)
     seconds = time.perf_counter() - start
-    if found is None:
-        return CaseScore(case.name, seconds)
-    photo, true = case.photo(), case.backward
+    return CaseScore(case.name, seconds, None if found is None else score_map(found, case.backward, case.photo()))
+
+
+def score_map(found: BackwardMap, true: BackwardMap, photo: UInt8[np.ndarray, "h w 3"]) -> MapScore:
+    """A map against the true one of the same photo; the inputs stay as they are."""
     size = (photo.shape[0], photo.shape[1])
     seen, way = read_alike(found, true)
-    error = float(end_point_error(seen, true.photo_from_film(film_nodes(LATTICE))).mean())
-    return CaseScore(
-        name=case.name,
-        seconds=seconds,
-        end_point_px=error * REFERENCE_PX / max(size),
-        end_point_percent=100 * error / float(np.hypot(*true.mean_film_pixels())),
+    errors = end_point_error(seen, true.photo_from_film(film_nodes(LATTICE)))
+    to_reference = REFERENCE_PX / max(size)
+    return MapScore(
+        end_point_px=float(errors.mean()) * to_reference,
+        end_point_p95_px=float(np.percentile(errors, 95)) * to_reference,
+        end_point_percent=100 * float(errors.mean()) / float(np.hypot(*true.mean_film_pixels())),
+        distortion_px=local_distortion(seen, true),
         paper=paper_protocol(photo, seen, true),
         map=image_scores(_as_image(seen, size), _as_image(true, size)),
         up=way == Orientation(0, False),
@@ -86,23 +94,23 @@ def summarise(scores: Sequence[CaseScore], says_up: bool) -> dict[str, Any]:
 
     up: share of all photos whose film reads right, lost ones counting as wrong; None for methods that do not say.
     """
-    found = [one for one in scores if one.found]
+    found = [one.score for one in scores if one.score is not None]
     times = [one.seconds for one in scores]
     summary: dict[str, Any] = {
         "count": len(scores),
         "lost": len(scores) - len(found),
-        "up": sum(bool(one.up) for one in scores) / len(scores) if says_up else None,
+        "up": sum(one.up for one in found) / len(scores) if says_up else None,
         "seconds": {"median": statistics.median(times), "spread": _quartiles(times), "least": min(times)},
     }
     if not found:
         return summary
-    for name in ("end_point_px", "end_point_percent"):
+    for name in ("end_point_px", "end_point_percent", "distortion_px"):
         values = [getattr(one, name) for one in found]
         summary[name] = {"mean": statistics.fmean(values), "median": statistics.median(values)}
     images = {
-        "raw": [one.paper.raw for one in found if one.paper],
-        "deshifted": [one.paper.deshifted for one in found if one.paper],
-        "map": [one.map for one in found if one.map],
+        "raw": [one.paper.raw for one in found],
+        "deshifted": [one.paper.deshifted for one in found],
+        "map": [one.map for one in found],
     }
     return summary | {name: _means(values) for name, values in images.items()}
 
@@ -116,4 +124,4 @@ def _quartiles(values: Sequence[float]) -> list[float]:
     return [float(q) for q in np.quantile(values, (0.25, 0.75))]
 
 
-__all__ = ["CaseScore", "score", "summarise"]
+__all__ = ["CaseScore", "MapScore", "score", "score_map", "summarise"]

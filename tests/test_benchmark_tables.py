@@ -52,21 +52,20 @@ def test_the_truth_scores_perfect_from_whatever_side_it_is_read(cases: list[Case
     for index in range(8):
         way = Orientation.from_index(index)
         one = score(Method("truth", lambda photo, way=way: case.backward.turned(way)), case)
-        assert one.paper is not None
-        assert one.map is not None
-        assert one.end_point_px is not None
-        assert one.end_point_px < EXACT_PX
-        assert (one.paper.raw.psnr, one.map.psnr) == (100, 100)
-        assert one.up == (index == 0)
+        assert one.score is not None
+        assert one.score.end_point_px < EXACT_PX
+        assert one.score.distortion_px < EXACT_PX
+        assert (one.score.paper.raw.psnr, one.score.map.psnr) == (100, 100)
+        assert one.score.up == (index == 0)
 
 
 def test_a_shift_is_measured_for_a_photo_of_1080_px_and_in_parts_of_the_film(cases: list[Case]) -> None:
     case = cases[1]
     one = score(Method("shifted", lambda photo: shifted(case, 1.0)), case)
-    assert one.paper is not None
-    assert one.end_point_px == pytest.approx(1080 / 48, rel=1e-6)
-    assert one.end_point_percent == pytest.approx(100 / np.hypot(*case.backward.mean_film_pixels()), rel=1e-6)
-    assert one.paper.deshifted.psnr > one.paper.raw.psnr + 20
+    assert one.score is not None
+    assert one.score.end_point_px == pytest.approx(1080 / 48, rel=1e-6)
+    assert one.score.end_point_percent == pytest.approx(100 / np.hypot(*case.backward.mean_film_pixels()), rel=1e-6)
+    assert one.score.paper.deshifted.psnr > one.score.paper.raw.psnr + 20
 
 
 def test_the_turn_that_is_taken_back_is_the_one_that_was_made(cases: list[Case]) -> None:

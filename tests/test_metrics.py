@@ -11,16 +11,21 @@ import torch
 from hybrid.backward import BackwardMap, end_point_error
 from hybrid.coords import film_nodes
 from hybrid.metrics import (
+    DISTORTION_AREA_PX,
     MS_SSIM_WEIGHTS,
     PSNR_CAP_DB,
     end_point_statistics,
     image_scores,
+    local_distortion,
     ms_ssim,
     paper_protocol,
     psnr,
     psnr_after_gain_offset,
     ssim,
 )
+
+STORED_SSIM, STORED_MS_SSIM = 0.837399, 0.771388
+"""Of two pictures in closed form, see the end of this file."""
 
 FLOAT32_SCORE = 2e-5  # the independent implementation below runs in float32 convolutions over values up to 255^2
 
@@ -195,3 +200,56 @@ def test_gain_and_offset_are_free(rng: np.random.Generator) -> None:
     assert psnr_after_gain_offset(np.full((64, 64), 0.4), truth) == pytest.approx(
         -10 * np.log10(truth.var()), abs=1e-9
     )  # nothing is left of the film but its mean
+
+
+# ---------------------------------------------------------------- in any order, against stored values
+
+
+def waves(shift: float) -> np.ndarray:
+    """(192, 208, 3) in 0..255, in closed form."""
+    y, x = np.mgrid[:192, :208].astype(np.float64)
+    planes = [
+        np.sin((k + 2) * 0.021 * (x + shift)) * np.cos((k + 1) * 0.047 * y) + 0.3 * np.sin(0.9 * x) for k in range(3)
+    ]
+    return 127.5 + 90 * np.stack(planes, axis=-1)
+
+
+def test_ms_ssim_of_stated_images_is_the_stored_value() -> None:
+    """Stored: what the written-out definition above gives, so that neither can drift unseen."""
+    a, b = waves(0.0), 0.6 * waves(9.0) + 30
+    expected_ssim, expected = torch_ms_ssim(a, b)
+    assert (ssim(a, b), ms_ssim(a, b)) == pytest.approx((STORED_SSIM, STORED_MS_SSIM), abs=1e-6)
+    assert (expected_ssim, expected) == pytest.approx((STORED_SSIM, STORED_MS_SSIM), abs=FLOAT32_SCORE)
+
+
+def test_a_perfect_prediction_is_perfect_in_every_metric_in_any_order(photo: np.ndarray, picture: np.ndarray) -> None:
+    true, film = curved_map(), picture[..., 0] / 255
+    perfect = {
+        "psnr": (lambda: psnr(picture, picture), PSNR_CAP_DB),
+        "ssim": (lambda: ssim(picture, picture), 1.0),
+        "ms_ssim": (lambda: ms_ssim(picture, picture), 1.0),
+        "raw": (lambda: paper_protocol(photo, true, true).raw.psnr, PSNR_CAP_DB),
+        "deshifted": (lambda: paper_protocol(photo, true, true).deshifted.ms_ssim, 1.0),
+        "end point": (lambda: end_point_error(true, true.photo_from_film(film_nodes((9, 9)))).max(), 0.0),
+        "distortion": (lambda: local_distortion(true, true), 0.0),
+        "print": (lambda: psnr_after_gain_offset(film, film), PSNR_CAP_DB),
+    }
+    kept = photo.copy(), picture.copy(), film.copy(), true.nodes.copy()
+    for order in (list(perfect), list(reversed(perfect)), sorted(perfect), 2 * sorted(perfect)[1::2]):
+        for name in order:
+            metric, expected = perfect[name]
+            assert metric() == pytest.approx(expected, abs=1e-6), name
+    for array, before in zip((photo, picture, film, true.nodes), kept, strict=True):
+        np.testing.assert_array_equal(array, before)
+
+
+def test_local_distortion_is_the_distance_on_the_flat_film() -> None:
+    square = BackwardMap.from_function(lambda uv: 100 + 400 * uv)
+    moved = BackwardMap(square.nodes + np.array([3.0, 4.0]))  # reads beyond the sheet along two edges
+    side = DISTORTION_AREA_PX**0.5
+    assert local_distortion(moved, square) == pytest.approx(5 * side / 400, rel=1e-6)
+    tall = BackwardMap.from_function(lambda uv: 100 + uv * np.array([300.0, 600.0]))
+    wider = BackwardMap(tall.nodes + np.array([3.0, 0.0]))
+    assert local_distortion(wider, tall) == pytest.approx(3 * (DISTORTION_AREA_PX / 2) ** 0.5 / 300, rel=1e-6)
+    turned = BackwardMap(np.rot90(square.nodes).copy())
+    assert local_distortion(turned, square) > 0.3 * side

@@ -1,0 +1,151 @@
+"""One method on one photo: seconds of the whole call and of its parts, then how right it is."""
+
+from __future__ import annotations
+
+import multiprocessing
+import statistics
+import time
+from collections.abc import Callable, Sequence
+from multiprocessing.connection import Connection
+from pathlib import Path
+
+import cv2
+import numpy as np
+import torch
+from jaxtyping import Float
+
+from benchmarks.cases import Case, read_alike
+from benchmarks.machine import memory_mib, use_threads
+from benchmarks.methods import Flattened, Method, flattened
+from benchmarks.photos import load_photo
+from benchmarks.results import FilmScore, Forward, Measured, Memory
+from benchmarks.scores import score_map
+from hybrid.errors import ConfigError, describe
+from hybrid.metrics import psnr_after_gain_offset
+
+PRINT_SIZE = (512, 512)
+"""Size (height, width) at which film and print are compared, both scaled by pixel area."""
+
+MEMORY_LIMIT_S = 300.0
+"""A process that measures memory and takes longer is ended, and its figure left out."""
+
+
+def measure(method: Method, case: Case, megapixels: float, repeats: int, warm: bool) -> Measured:
+    """Call a method on a photo; ``warm`` if it was called at this size before, so that no call is thrown away."""
+    given, photo, size = method.given(case), case.photo(), case.film_size()
+    if not warm:
+        flattened(method, given, photo, size)
+    seconds, cpu, results = [], [], []
+    for _ in range(repeats):
+        start, start_cpu = time.perf_counter(), time.process_time()
+        result = flattened(method, given, photo, size)
+        cpu.append(time.process_time() - start_cpu)
+        seconds.append(time.perf_counter() - start)
+        results.append(result.parts)
+    scored = result.backward is not None and not method.unscored
+    return Measured(
+        method=method.name,
+        case=case.name,
+        megapixels=megapixels,
+        size=(photo.shape[0], photo.shape[1]),
+        seconds=tuple(seconds),
+        cpu_seconds=tuple(cpu),
+        parts={name: statistics.median(parts[name] for parts in results) for name in result.parts},
+        found=result.backward is not None,
+        message=result.message,
+        score=score_map(result.backward, case.backward, photo) if scored and result.backward is not None else None,
+        film=film_score(case, result) if scored else None,
+    )
+
+
+def film_score(case: Case, result: Flattened) -> FilmScore | None:
+    """The flat pictures against the print, turned as the map says; None where the print is not known."""
+    if not isinstance(case.source, Path) or result.image is None or result.backward is None:
+        return None
+    way = read_alike(result.backward, case.backward)[1]
+    truth = at_print_size(load_photo(case.source.with_suffix(".npz")).read_print())
+    lit = cv2.cvtColor(result.image, cv2.COLOR_RGB2GRAY).astype(np.float32) / 255
+    film = None if result.film is None else at_print_size(way.moved(result.film))
+    return FilmScore(
+        lit_psnr=psnr_after_gain_offset(at_print_size(way.moved(lit)), truth),
+        psnr=None if film is None else psnr_after_gain_offset(film, truth),
+    )
+
+
+def at_print_size(grey: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "a b"]:
+    """A grey picture at the size at which film and print are compared."""
+    return cv2.resize(np.ascontiguousarray(grey), PRINT_SIZE[::-1], interpolation=cv2.INTER_AREA)
+
+
+# ---------------------------------------------------------------- memory
+
+
+def peak_memory(load: Callable[[], Case], make: Callable[[], Method], megapixels: float, threads: int) -> Memory | None:
+    """What one call of a method takes at most, in a process that has done nothing before.
+
+    load, make: are pickled into the process. The photo is read before the first look at the memory and the method
+    made after it, so that its weights count as its own and the photo does not. None where the process dies or the
+    system does not say.
+    """
+    context = multiprocessing.get_context("spawn")
+    receiving, sending = context.Pipe(duplex=False)
+    process = context.Process(target=_call_once, args=(load, make, megapixels, threads, sending), daemon=True)
+    process.start()
+    sending.close()
+    try:
+        return receiving.recv() if receiving.poll(MEMORY_LIMIT_S) else None
+    except EOFError:  # the process died: out of memory, most likely
+        return None
+    finally:
+        process.kill()
+        process.join()
+
+
+def _call_once(
+    load: Callable[[], Case], make: Callable[[], Method], megapixels: float, threads: int, answer: Connection
+) -> None:
+    use_threads(threads)
+    case = load().at(megapixels)
+    photo = case.photo()
+    before = memory_mib("VmRSS")
+    method = make()
+    flattened(method, method.given(case), photo, case.film_size())
+    peak = memory_mib("VmHWM")
+    answer.send(None if before is None or peak is None else Memory(method.name, megapixels, peak, peak - before))
+
+
+# ---------------------------------------------------------------- networks alone
+
+
+def forward_times(
+    name: str, network: torch.nn.Module, px: int, device: str, batches: Sequence[int], repeats: int
+) -> list[Forward]:
+    """Seconds of a network's forward pass on a device, for each batch size; the first call is not counted.
+
+    Raises:
+        ConfigError: torch sees no such device.
+    """
+    if device == "cuda" and not torch.cuda.is_available():
+        raise ConfigError(describe(what="--device", got="cuda, which torch does not see", do="Leave it out."))
+    network = network.to(device).eval()
+    count = sum(p.numel() for p in network.parameters())
+    times = []
+    for batch in batches:
+        images = torch.rand(batch, 3, px, px, device=device, generator=torch.Generator(device).manual_seed(0))
+        seconds = [_one_pass(network, images, device) for _ in range(repeats + 1)][1:]
+        times.append(Forward(name, device, batch, px, count, tuple(seconds)))
+    return times
+
+
+@torch.inference_mode()
+def _one_pass(network: torch.nn.Module, images: torch.Tensor, device: str) -> float:
+    if device == "cuda":
+        torch.cuda.synchronize()
+    start = time.perf_counter()
+    network(images)
+    if device == "cuda":
+        torch.cuda.synchronize()
+    return time.perf_counter() - start
+
+
+__all__ = ["at_print_size", "film_score", "forward_times", "measure", "peak_memory"]

@@ -1,0 +1,29 @@
+"""Photos with truth for benchmarks that are given none: made by the project's own generator, kept for the next run."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from data_gen.generate import GenerateConfig, generate
+from data_gen.sample import SampleConfig
+from hybrid.image_io import write_bytes
+
+PHOTO_PX, MAP_PX = 1080, 256
+SHARD = 8
+
+
+def make_photos(folder: Path, count: int, seed: int) -> Path:
+    """A data set of at least ``count`` photos, each of another film; what is there already is not made again."""
+    done = folder / f".made_{count}_{seed}"
+    if not done.exists():
+        sample = SampleConfig(photos_per_film=1)
+        generate(
+            GenerateConfig(
+                count, folder, seed=seed, size=PHOTO_PX, map_size=MAP_PX, workers=2, shard_size=SHARD, sample=sample
+            )
+        )
+        write_bytes(done, b"")
+    return folder
+
+
+__all__ = ["make_photos"]

@@ -1,0 +1,126 @@
+"""The page and the README's table, made from results: ``python -m benchmarks.page --out OUT``.
+
+OUT holds run.json and, if they were made, stability.json and soak.json.
+"""
+
+from __future__ import annotations
+
+import shutil
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import tyro
+
+from benchmarks.lineup import CONFIGURATIONS
+from benchmarks.page_text import Results, number, page_text, pair, table
+from benchmarks.results import Report
+from benchmarks.schema import read_record
+from benchmarks.stress_records import SoakReport, StabilityReport
+from benchmarks.summary import FLOOR, MAIN, rows_of, split_rows
+from hybrid.errors import HybridError
+from hybrid.image_io import write_bytes
+from hybrid.outputs import make_folder
+
+BEGIN, END = "<!-- figures: begin -->", "<!-- figures: end -->"
+PICTURES = ("time_error.png", "bend.png", "stages.png", "gallery.jpg")
+PREFIX = "benchmarks_"
+
+
+def read_results(folder: Path, prefix: str = "") -> Results:
+    """The results in a folder; ``prefix``: what their names start with.
+
+    Raises:
+        DataError: no run.json there, or one that is not as it should be.
+    """
+    stability, soak = folder / f"{prefix}stability.json", folder / f"{prefix}soak.json"
+    return Results(
+        read_record(folder / f"{prefix}run.json", Report),
+        read_record(stability, StabilityReport) if stability.exists() else None,
+        read_record(soak, SoakReport) if soak.exists() else None,
+    )
+
+
+# ---------------------------------------------------------------- README, files
+
+
+def readme_table(report: Report) -> str:
+    """The README's block: each method at the first size, and `hybrid` by cell style."""
+    size = report.settings.sizes[0]
+    rows = [r for r in rows_of(report, size) if r.method.name not in {*CONFIGURATIONS, FLOOR, "scanner"}]
+    cells = [
+        [
+            r.method.label,
+            r.method.unscored or f"{number(r.error, 1)} px ({number(r.worst_px, 1)})",
+            pair(r.figures.get("psnr"), r.figures.get("ms_ssim"), 2) if r.error is not None else "-",
+            f"{r.seconds[0]:.2g}",
+        ]
+        for r in rows
+    ]
+    kinds = split_rows(report, MAIN, size) if any(m.name == MAIN for m in report.methods) else []
+    styles = "; ".join(f"{kind} {number(row.error, 1)} px" for title, kind, row in kinds if title == "cell style")
+    photos = max((r.photos for r in rows), default=0)
+    head = ("", "end-point error, median photo (worst)", "paper's protocol, raw: PSNR (MS-SSIM)", "seconds")
+    return (
+        f"{photos} photos of {size:g} megapixels with truth, threads: {report.settings.threads}, no GPU:\n\n"
+        + table(head, cells)
+        + (f"\n\n`hybrid` by what separates the slices: {styles}." if styles else "")
+    )
+
+
+def with_table(readme: str, block: str) -> str:
+    """The README with the block between its marks; as it is, if it has none."""
+    if BEGIN not in readme or END not in readme:
+        return readme
+    before, _, rest = readme.partition(BEGIN)
+    return f"{before}{BEGIN}\n{block}\n{END}{rest.partition(END)[2]}"
+
+
+def write_page(page: Path, out: Path, readme: Path | None = None) -> None:
+    """Write the page, its figures and pictures beside it, and the table of a README.
+
+    Raises:
+        DataError: the results in ``out`` are not complete.
+    """
+    results = read_results(out)
+    make_folder(page.parent / "images")
+    write_bytes(page, page_text(results).encode())
+    for name in ("run", "stability", "soak"):
+        if (out / f"{name}.json").exists():
+            shutil.copyfile(out / f"{name}.json", page.parent / f"{PREFIX}{name}.json")
+    for name in PICTURES:
+        if (out / "pictures" / name).exists():
+            shutil.copyfile(out / "pictures" / name, page.parent / "images" / f"{PREFIX}{name}")
+    if readme is not None:
+        write_bytes(readme, with_table(readme.read_text(), readme_table(results.run)).encode())
+
+
+@dataclass(frozen=True)
+class Options:
+    """Make the page from results that are there.
+
+    out: folder of run.json and, if made, stability.json and soak.json. page: the file to write. readme: a README whose
+    table is made anew as well.
+    """
+
+    out: Path
+    page: Path = Path("docs/benchmarks.md")
+    readme: Path | None = None
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The command; 0 if it went through."""
+    try:
+        options = tyro.cli(Options, args=arguments, prog="python -m benchmarks.page")
+        write_page(options.page, options.out, options.readme)
+    except HybridError as error:
+        print(f"benchmarks.page: {error}", file=sys.stderr)
+        return 1
+    return 0
+
+
+__all__ = ["PREFIX", "read_results", "readme_table", "with_table", "write_page"]
+
+if __name__ == "__main__":
+    sys.exit(main())

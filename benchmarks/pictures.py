@@ -1,0 +1,162 @@
+"""The pictures of ``benchmarks.run``: time against error, error against bend, seconds by stage, a gallery."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from benchmarks.cases import Case, read_alike
+from benchmarks.charts import Axis, Chart, Picture, Points, page_of, scatter, stacked_bars
+from benchmarks.lineup import CONFIGURATIONS
+from benchmarks.results import Report
+from benchmarks.summary import FLOOR, MAIN, rows_of
+from hybrid.backward import end_point_error
+from hybrid.coords import film_nodes
+from hybrid.draw import annotated, contact_sheet, fitted, rgb_from_film, side_by_side
+from hybrid.image_io import write_rgb
+from hybrid.outputs import make_folder
+from hybrid.pipeline import Rectifier, RectifyConfig
+from hybrid.records import RectifyResult
+
+TILE_PX = 420
+ERROR_RANGE_PX = 10.0
+"""End-point error (1080 px) that is drawn brightest in the gallery."""
+
+BEND_METHODS = (MAIN, "filmnet", "scanner_true", "scanner", "dewarpnet", "firenet")
+
+
+def write_pictures(report: Report, cases: Sequence[Case], weights: Path | None, folder: Path) -> None:
+    """All pictures of a report into a folder; the gallery runs ``hybrid`` again on three photos."""
+    make_folder(folder)
+    write_rgb(folder / "time_error.png", time_against_error(report))
+    write_rgb(folder / "bend.png", error_against_bend(report))
+    write_rgb(folder / "stages.png", seconds_by_stage(report))
+    chosen = best_median_worst(report)
+    if chosen:
+        by_name = {case.name: case for case in cases}
+        rectify = Rectifier(RectifyConfig(weights=weights and _filmnet(weights)))
+        picture = gallery([(label, by_name[name], rectify(by_name[name].photo())) for label, name in chosen])
+        write_rgb(folder / "gallery.jpg", picture)
+
+
+def _filmnet(weights: Path) -> Path | None:
+    from benchmarks.methods import weights_path
+
+    return weights_path(weights, "filmnet")
+
+
+def time_against_error(report: Report) -> Picture:
+    """A chart for each size: seconds against end-point error, both logarithmic, with the floor.
+
+    Methods that are not scored stand as rings along the upper edge.
+    """
+    shown = [row for size in report.settings.sizes for row in rows_of(report, size)]
+    shown = [row for row in shown if row.method.name not in CONFIGURATIONS]
+    seconds = [row.seconds[0] for row in shown]
+    errors = [row.error for row in shown if row.error is not None]
+    low, high = min(errors, default=1.0), max(errors, default=10.0)
+    x = Axis("seconds, photo in memory to flat film", 0.6 * min(seconds), 2.5 * max(seconds))
+    y = Axis("median end-point error, px of a 1080 px photo", 0.6 * min(low, 1.0), 12 * high)
+    names = list(dict.fromkeys(row.method.name for row in shown if row.method.name != FLOOR))
+    charts = []
+    for size in report.settings.sizes:
+        rows = [row for row in shown if row.megapixels == size]
+        points = []
+        for name in names:
+            for row in rows:
+                if row.method.name == name:
+                    hollow = row.error is None
+                    label = (
+                        f"{row.method.label} ({row.method.unscored or 'no film found'})" if hollow else row.method.label
+                    )
+                    at = (row.seconds[0], y.high / 1.6 ** (1 + len(points) % 3) if row.error is None else row.error)
+                    points.append(Points(name, (at,), (label,), hollow))
+        marks = {row.method.label: row.seconds[0] for row in rows if row.method.name == FLOOR}
+        charts.append(scatter(Chart(f"{size:g} megapixels", x, y, tuple(points), marks)))
+    return page_of(charts, min(2, len(charts)))
+
+
+def error_against_bend(report: Report) -> Picture:
+    """Each photo of the first size: how far it is bent against the error of each method."""
+    bend = {case.name: case.bend_deg for case in report.cases if case.bend_deg is not None}
+    size = report.settings.sizes[0]
+    points = []
+    for method in report.methods:
+        if method.name in BEND_METHODS and not method.unscored:
+            found = [m for m in report.measured if (m.method, m.megapixels) == (method.name, size)]
+            xy = tuple((bend[m.case], m.score.end_point_px) for m in found if m.score and m.case in bend)
+            if xy:
+                points.append(Points(method.label, xy))
+    errors = [y for p in points for _, y in p.xy] or [1.0]
+    farthest = 1.1 * max(bend.values(), default=1.0)
+    return scatter(
+        Chart(
+            f"Error against bend, {size:g} megapixels",
+            Axis("largest angle between the sheet and its mean plane, degrees", 0.0, farthest, log=False),
+            Axis("end-point error, px of a 1080 px photo", 0.6 * max(min(errors), 0.05), 6 * max(errors)),
+            tuple(points),
+            legend=True,
+        )
+    )
+
+
+def seconds_by_stage(report: Report) -> Picture:
+    """A bar for each size: how long the stages of ``hybrid`` take."""
+    bars = []
+    for size in report.settings.sizes:
+        found = [m for m in report.measured if (m.method, m.megapixels) == (MAIN, size)]
+        if found:
+            names = list(dict.fromkeys(name for m in found for name in m.parts))
+            parts = [(name, float(np.median([m.parts.get(name, 0.0) for m in found]))) for name in names]
+            bars.append((f"{size:g} MP", [(name, 1e3 * seconds) for name, seconds in parts]))
+    return stacked_bars("hybrid by stage", bars, "ms")
+
+
+def best_median_worst(report: Report) -> list[tuple[str, str]]:
+    """Photos by the error of ``hybrid`` at the first size: label and name; lost ones count as worst."""
+    size = report.settings.sizes[0]
+    found = [m for m in report.measured if (m.method, m.megapixels) == (MAIN, size)]
+    ranked = sorted(found, key=lambda m: np.inf if m.score is None else m.score.end_point_px)
+    if not ranked:
+        return []
+    places = {0: "best", (len(ranked) - 1) // 2: "median", len(ranked) - 1: "worst"}  # of few photos, two may be one
+    return [(label, ranked[place].case) for place, label in places.items()]
+
+
+def gallery(results: Sequence[tuple[str, Case, RectifyResult]]) -> Picture:
+    """Rows of the photo with what was found, the film, and the end-point error over the film."""
+    tiles, captions = [], []
+    for label, case, result in results:
+        photo, square = case.photo(), (TILE_PX, TILE_PX)
+        film = np.zeros((TILE_PX, TILE_PX, 3), np.uint8) if result.film is None else rgb_from_film(result.film)
+        error, text = _error_picture(case, result, max(photo.shape[:2]))
+        row = [fitted(annotated(photo, result), square), fitted(film, square), fitted(error, square)]
+        tiles.append(side_by_side(row, height=TILE_PX))
+        captions.append(f"{label}: {case.name}   {text}   error from 0 to {ERROR_RANGE_PX:g} px of 1080 on the right")
+    return contact_sheet(tiles, captions, 1)
+
+
+def _error_picture(case: Case, result: RectifyResult, longer_px: int) -> tuple[Picture, str]:
+    """The error over the true film as colours, and its mean."""
+    nodes = film_nodes((65, 65))
+    if result.backward is None:
+        return np.zeros((65, 65, 3), np.uint8), str(result.status)
+    seen, _ = read_alike(result.backward, case.backward)
+    errors = end_point_error(seen, case.backward.photo_from_film(nodes)) * 1080 / longer_px
+    level = np.clip(255 * errors / ERROR_RANGE_PX, 0, 255).astype(np.uint8)
+    size = case.film_size()
+    large = cv2.resize(cv2.applyColorMap(level, cv2.COLORMAP_VIRIDIS), size[::-1], interpolation=cv2.INTER_LINEAR)
+    return cv2.cvtColor(large, cv2.COLOR_BGR2RGB), f"{errors.mean():.2f} px"
+
+
+__all__ = [
+    "best_median_worst",
+    "error_against_bend",
+    "gallery",
+    "seconds_by_stage",
+    "time_against_error",
+    "write_pictures",
+]

@@ -1,0 +1,258 @@
+"""What breaks: ``python -m benchmarks.stability --out DIR [--damaged 500]``.
+
+Random problems for the solver, the spline, the inversion and the grid; then photos damaged at random, each rectified
+in a process that is watched: it may refuse with a reason, but neither die, nor hang, nor give a number that is not
+finite, nor call a film flattened whose points lie elsewhere. Every result is kept in DIR as it comes: a run that was
+cut off goes on with the same command.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from multiprocessing.connection import Connection
+from multiprocessing.context import SpawnProcess
+from pathlib import Path
+
+import numpy as np
+import tyro
+from tqdm import tqdm
+
+from benchmarks.cases import Case, read_alike, sample_cases
+from benchmarks.damage import CUT_OFF, Damaged, cut_file, damaged, visible_error_px
+from benchmarks.machine import describe_run, use_threads
+from benchmarks.own_photos import make_photos
+from benchmarks.problems import PROBLEMS, ended, part_of
+from benchmarks.schema import kept, write_record
+from benchmarks.stress_records import DamagedPhoto, Part, StabilityReport
+from hybrid.errors import ConfigError, HybridError, PhotoError, describe
+from hybrid.image_io import write_bytes
+from hybrid.pipeline import Rectifier, RectifyConfig
+from hybrid.records import RectifyResult
+
+TRUTHFUL_PX = 5.0
+"""Largest end-point error of a film that is reported ok, in pixels of the photo (1080) before it was damaged; in one
+that was shrunk so far that its own pixels are larger, one of those."""
+
+LIMIT_S, LIMIT_S_PER_MEGAPIXEL = 120.0, 6.0
+"""After these a photo counts as hanging; a hundred times what it takes, for busy machines."""
+
+CUT_SHARE = 0.1
+"""Of the damaged photos that are files which end too soon."""
+
+OWN_PHOTOS = 12
+
+Rectify = Callable[..., RectifyResult]
+"""From a photo or its path."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """Try to break every part, and the whole."""
+
+    out: Path
+    """Folder for stability.json and the single results."""
+
+    data: tuple[Path, ...] = ()
+    """Data sets whose photos are damaged; without any, some are made."""
+
+    damaged: int = 40
+    """Photos to damage."""
+
+    problems: int = 200
+    """Problems for each part."""
+
+    seed: int = 0
+    """Of problems and damage."""
+
+    threads: int = 2
+    """That rectifying may use."""
+
+    weights: Path | None = None
+    """Another network than the packaged one."""
+
+    def __post_init__(self) -> None:
+        if min(self.damaged, self.problems) < 0 or self.threads < 1:
+            got = f"--damaged {self.damaged} --problems {self.problems} --threads {self.threads}"
+            raise ConfigError(describe(what="counts", got=got, allowed=">= 0 (threads: >= 1)", do="Choose others."))
+
+
+def run(options: Options, command: list[str]) -> StabilityReport:
+    """Try everything that was not tried yet; write and return the report."""
+    parts = tuple(_part(options, name) for name in PROBLEMS) if options.problems else ()
+    report = StabilityReport(describe_run(command), options.seed, TRUTHFUL_PX, parts, tuple(_photos(options)))
+    write_record(options.out / "stability.json", report)
+    return report
+
+
+def _part(options: Options, name: str) -> Part:
+    problem, what, unit = PROBLEMS[name]
+
+    def solve() -> Part:
+        seeds = tqdm(range(options.problems), desc=name, unit="problem")
+        return part_of(name, what, unit, [ended(problem, options.seed + k) for k in seeds])
+
+    path = options.out / "parts" / f"{name}_{options.problems}_{options.seed}.json"
+    found = kept(path, Part, solve)
+    assert found is not None
+    return found
+
+
+# ---------------------------------------------------------------- photos, in a process that is watched
+
+
+def _photos(options: Options) -> list[DamagedPhoto]:
+    folders = options.data or (make_photos(options.out / "photos", OWN_PHOTOS, options.seed),)
+    watched = _Watched(tuple(folders), options)
+    results = []
+    try:
+        for number in tqdm(range(options.damaged), desc="damaged", unit="photo"):
+            path = options.out / "damaged" / f"{options.seed}_{number}.json"
+            found = kept(path, DamagedPhoto, partial(watched.try_photo, number))
+            assert found is not None
+            results.append(found)
+    finally:
+        watched.end()
+    return results
+
+
+class _Watched:
+    """A process that rectifies damaged photos; a new one takes its place when it dies or hangs."""
+
+    def __init__(self, folders: tuple[Path, ...], options: Options) -> None:
+        self._arguments = (folders, options)
+        self._process: SpawnProcess | None = None
+        self._line: Connection | None = None
+
+    def try_photo(self, number: int) -> DamagedPhoto:
+        """How photo ``number`` ended."""
+        line = self._start() if self._line is None else self._line
+        start, told = time.perf_counter(), DamagedPhoto(number, (), (0, 0), "crash", "before the photo was made", 0.0)
+        try:
+            line.send(number)
+            if not line.poll(10 * LIMIT_S):
+                raise TimeoutError
+            told = line.recv()  # what will be tried
+            if told.outcome != "tried":
+                return told
+            if not line.poll(LIMIT_S + LIMIT_S_PER_MEGAPIXEL * told.size[0] * told.size[1] / 1e6):
+                raise TimeoutError
+            return line.recv()
+        except TimeoutError:
+            return self._lost(told, "hang", time.perf_counter() - start)
+        except (EOFError, OSError):
+            return self._lost(told, "crash", time.perf_counter() - start)
+
+    def _lost(self, told: DamagedPhoto, outcome: str, seconds: float) -> DamagedPhoto:
+        code = None if self._process is None else self._process.exitcode
+        self.end()
+        return DamagedPhoto(told.number, told.damage, told.size, outcome, f"exit code {code}", seconds)
+
+    def _start(self) -> Connection:
+        context = multiprocessing.get_context("spawn")
+        ours, theirs = context.Pipe()
+        process = context.Process(target=_serve, args=(*self._arguments, theirs), daemon=True)
+        process.start()
+        theirs.close()
+        self._line, self._process = ours, process
+        return ours
+
+    def end(self) -> None:
+        """End the process, whatever it does."""
+        if self._process is not None:
+            self._process.kill()
+            self._process.join()
+        self._process, self._line = None, None
+
+
+def _serve(folders: tuple[Path, ...], options: Options, line: Connection) -> None:
+    """Answer numbers with what is tried and then with how it ended."""
+    use_threads(options.threads)
+    cases, rectifier = sample_cases(folders), Rectifier(RectifyConfig(weights=options.weights))
+    while True:
+        try:
+            number = line.recv()
+        except EOFError:
+            return
+        rng = np.random.default_rng((options.seed, number))
+        case = cases[int(rng.integers(len(cases)))]
+        if rng.random() < CUT_SHARE:
+            line.send(_cut_off(number, case, rectifier, rng))
+        else:
+            it = damaged(case.photo(), case.backward, rng)
+            line.send(DamagedPhoto(number, it.kinds, (it.photo.shape[0], it.photo.shape[1]), "tried", "", 0.0))
+            line.send(_rectified(number, it, rectifier))
+
+
+def _rectified(number: int, it: Damaged, rectify: Rectify) -> DamagedPhoto:
+    """How rectifying a damaged photo ended."""
+    size = (it.photo.shape[0], it.photo.shape[1])
+    start = time.perf_counter()
+    try:
+        result = rectify(it.photo)
+    except PhotoError as refusal:
+        return DamagedPhoto(number, it.kinds, size, "refused", str(refusal), time.perf_counter() - start)
+    except Exception as error:
+        text = f"{type(error).__name__}: {error}"
+        return DamagedPhoto(number, it.kinds, size, "crash", text, time.perf_counter() - start)
+    seconds = time.perf_counter() - start
+    if not result.status.ok:
+        return DamagedPhoto(number, it.kinds, size, "refused", str(result.status), seconds)
+    if result.backward is None or not _finite(result):
+        return DamagedPhoto(number, it.kinds, size, "nan", str(result.status), seconds)
+    seen, _ = read_alike(result.backward, it.backward)
+    error = min(visible_error_px(seen, it.backward, size) / it.scale, 1e9)
+    allowed = max(TRUTHFUL_PX, 1 / it.scale)
+    outcome = "ok" if error <= allowed else "untruthful"
+    return DamagedPhoto(number, it.kinds, size, outcome, str(result.status), seconds, error, allowed)
+
+
+def _finite(result: RectifyResult) -> bool:
+    """Whether all numbers of a result are numbers, and grey is within its range."""
+    arrays = [a for a in (result.film, result.confidence) if a is not None]
+    return len(arrays) == 2 and all(np.isfinite(a).all() and a.min() >= 0 and a.max() <= 1 for a in arrays)
+
+
+def _cut_off(number: int, case: Case, rectify: Rectify, rng: np.random.Generator) -> DamagedPhoto:
+    """A file that ends too soon is refused; were it read, then only because no pixel is missing."""
+    photo, start = case.photo(), time.perf_counter()
+    size = (photo.shape[0], photo.shape[1])
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "photo.jpg"
+        write_bytes(path, cut_file(photo, rng))
+        try:
+            status = rectify(path).status
+            outcome, message = ("untruthful" if status.ok else "refused"), str(status)
+        except PhotoError as refusal:
+            outcome, message = "refused", str(refusal).replace(folder, "")
+        except Exception as error:
+            outcome, message = "crash", f"{type(error).__name__}: {error}"
+    return DamagedPhoto(number, (CUT_OFF,), size, outcome, message, time.perf_counter() - start)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The command; 0 if nothing failed, 2 if something did."""
+    arguments = list(sys.argv[1:] if arguments is None else arguments)
+    try:
+        options = tyro.cli(Options, args=arguments, prog="python -m benchmarks.stability")
+        report = run(options, ["python -m benchmarks.stability", *arguments])
+    except HybridError as error:
+        print(f"benchmarks.stability: {error}", file=sys.stderr)
+        return 1
+    for part in report.parts:
+        print(
+            f"{part.name}: {part.tried} tried, {part.refused} refused, {part.failed} failed", *part.failures, sep="\n  "
+        )
+    print("photos:", ", ".join(f"{name} {count}" for name, count in report.counts().items()))
+    return 0 if report.failures == 0 else 2
+
+
+__all__ = ["Options", "main", "run"]
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,362 @@
+"""The benchmark of run time against error: perfect is perfect, results are kept, a method is one small file."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from simple_samples import CONFIG, simple_film
+
+import data_gen.generate
+import data_gen.work
+from benchmarks.cases import Case, sample_cases
+from benchmarks.lineup import (
+    LINEUP,
+    NOT_TRAINED,
+    Prompt,
+    PromptedFiReNet,
+    lineup,
+    true_dewarpnet_answer,
+    true_firenet_answer,
+)
+from benchmarks.measure import forward_times, measure, peak_memory
+from benchmarks.methods import Method, flattened
+from benchmarks.page import BEGIN, END, read_results, readme_table, with_table
+from benchmarks.page_text import duel_text, page_text
+from benchmarks.results import Report
+from benchmarks.run import Options, main, run, spread
+from benchmarks.scanner import find_corners, map_of_corners, true_corners
+from benchmarks.schema import kept, problems, read_record, schema_of, write_record
+from benchmarks.scores import score_map
+from benchmarks.summary import duels, rows_of
+from data_gen.generate import GenerateConfig, generate
+from hybrid.backward import BackwardMap, end_point_error
+from hybrid.coords import film_nodes, pixel_centres
+from hybrid.errors import ConfigError, DataError
+from hybrid.learn.baselines import recover
+from hybrid.learn.firenet import FiReNet, FiReNetConfig
+from hybrid.learn.network import FilmNet, FilmNetConfig
+from hybrid.learn.samples import truth_at
+
+MINE = '''"""A method in one small file: it takes every film to fill the middle of the photo."""
+
+import numpy as np
+
+from benchmarks.methods import Method
+from hybrid.backward import BackwardMap
+
+
+def middle(photo):
+    h, w = photo.shape[:2]
+    return BackwardMap.from_function(lambda uv: (0.2 + 0.6 * uv) * np.array([w, h]))
+
+
+METHODS = {"middle": lambda weights: Method("middle", middle, label="the middle")}
+'''
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Four samples of rolled sheets in photos of 48 px."""
+    out = tmp_path_factory.mktemp("data")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(data_gen.work, "film_samples", simple_film)
+        patch.setattr(data_gen.generate, "write_card", lambda folder: None)
+        generate(GenerateConfig(count=4, out=out, size=48, map_size=32, workers=0, shard_size=4, sample=CONFIG))
+    return out
+
+
+@pytest.fixture(scope="module")
+def cases(dataset: Path) -> list[Case]:
+    return sample_cases([dataset])
+
+
+@pytest.fixture
+def mine(tmp_path: Path) -> Path:
+    path = tmp_path / "mine.py"
+    path.write_text(MINE)
+    return path
+
+
+def truth_of(case: Case) -> Method:
+    return Method("truth", lambda photo: case.backward)
+
+
+# ---------------------------------------------------------------- cases and methods
+
+
+def test_a_resized_photo_keeps_its_truth(cases: list[Case]) -> None:
+    large = cases[0].at(0.05)
+    assert large.photo().shape[0] == pytest.approx(0.05e6**0.5, abs=1)
+    scale = large.photo().shape[0] / 48
+    np.testing.assert_allclose(large.backward.nodes, cases[0].backward.nodes * scale, rtol=1e-9)
+    assert cases[0].at(48 * 48 / 1e6) is cases[0]
+    assert max(cases[0].at(100.0).film_size()) == 2048
+
+
+def test_the_truth_is_perfect_at_any_size(cases: list[Case]) -> None:
+    for case in (cases[0], cases[0].at(0.05)):
+        found = measure(truth_of(case), case, 0.05, repeats=2, warm=False)
+        assert found.score is not None
+        assert found.score.end_point_px < 1e-6
+        assert found.score.distortion_px < 1e-6
+        assert found.score.paper.deshifted.ms_ssim == pytest.approx(1)
+        assert len(found.seconds) == 2
+        assert set(found.parts) == {"map", "resample"}
+
+
+def test_a_lost_film_has_no_score(cases: list[Case]) -> None:
+    found = measure(Method("none", lambda photo: None), cases[0], 0.002, repeats=1, warm=True)
+    assert (found.found, found.score, found.message) == (False, None, "no film")
+
+
+def test_the_scanner_finds_a_plain_sheet_and_its_bound_is_a_homography() -> None:
+    corners = np.array([[210.3, 130.8], [700.2, 180.1], [655.7, 590.4], [160.9, 540.6]])
+    true = map_of_corners(corners)
+    photo = np.full((720, 900, 3), 190, np.uint8)
+    on_film = np.isfinite(true.film_from_photo(pixel_centres((720, 900)))).all(axis=-1)
+    photo[on_film] = 40
+    found = find_corners(photo)
+    assert found is not None
+    assert np.abs(found - corners).max() < 2.0
+    np.testing.assert_allclose(true_corners(true), corners, atol=1e-3)
+    assert find_corners(np.full((300, 300, 3), 90, np.uint8)) is None
+
+
+def test_an_untrained_network_is_waited_for_and_answered_for(cases: list[Case]) -> None:
+    case = cases[0].at(0.05)
+    network = FiReNet(FiReNetConfig(width=0.03, input_px=64)).eval()
+    prompt = Prompt(case.photo(), true_firenet_answer(case, 64))
+    found = recover(PromptedFiReNet(network, prompt.answer), prompt.photo).backward
+    assert score_map(found, case.backward, prompt.photo).end_point_percent < 1
+    nodes = true_dewarpnet_answer(case).backward[0].permute(1, 2, 0).numpy()
+    assert BackwardMap(nodes).nodes.max() < 1.2  # in units of the photo's sides
+
+
+def test_untrained_methods_say_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    import benchmarks.lineup
+
+    monkeypatch.setattr(benchmarks.lineup, "FiReNetConfig", lambda: FiReNetConfig(width=0.03))
+    method = LINEUP["firenet"](None)
+    assert method is not None
+    assert method.unscored == NOT_TRAINED
+
+
+def test_configurations_are_methods_like_others(cases: list[Case]) -> None:
+    method = LINEUP["hybrid_light_kept"](None)
+    assert method is not None
+    photo = cases[0].at(0.05).photo()
+    made = flattened(method, photo, photo, (64, 64))
+    assert {"read", "survey", "network"} <= set(made.parts)
+    assert made.message
+
+
+# ---------------------------------------------------------------- a method in one small file
+
+
+def test_anyone_can_add_a_method(mine: Path, dataset: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    options = Options(
+        out,
+        data=(dataset,),
+        sizes=(0.003,),
+        counts=(2,),
+        repeats=1,
+        add=(mine,),
+        methods=("middle", "remap"),
+        memory=False,
+    )
+    report = run(options, ["python -m benchmarks.run"])
+    (row, floor) = rows_of(report, 0.003)
+    assert (row.method.label, row.photos, row.lost) == ("the middle", 2, 0)
+    assert row.error is not None
+    assert row.error > 0
+    assert floor.method.unscored
+    assert (out / "pictures" / "time_error.png").exists()
+
+
+def test_a_file_without_methods_is_refused(tmp_path: Path, mine: Path) -> None:
+    (tmp_path / "empty.py").write_text("x = 1\n")
+    with pytest.raises(ConfigError, match=r"empty\.py.*METHODS"):
+        lineup((tmp_path / "empty.py",))
+    with pytest.raises(ConfigError, match=r"Name a \.py file"):
+        lineup((tmp_path / "missing.py",))
+    mine.write_text(MINE.replace('"middle":', '"hybrid":'))
+    with pytest.raises(ConfigError, match="Choose other names"):
+        lineup((mine,))
+
+
+# ---------------------------------------------------------------- reports
+
+
+@pytest.fixture(scope="module")
+def made(dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Options, Report]:
+    folder = tmp_path_factory.mktemp("run")
+    (folder / "mine.py").write_text(MINE)
+    options = Options(
+        folder / "out",
+        data=(dataset,),
+        sizes=(0.003, 0.05),
+        counts=(3, 2),
+        repeats=2,
+        add=(folder / "mine.py",),
+        methods=("remap", "scanner_true", "middle"),
+        memory=False,
+        page=folder / "docs" / "benchmarks.md",
+    )
+    return options, run(options, ["python -m benchmarks.run", "--data", str(dataset)])
+
+
+def test_the_report_is_as_its_schema_says(made: tuple[Options, Report]) -> None:
+    options, report = made
+    value = json.loads((options.out / "run.json").read_text())
+    schema = schema_of(Report)
+    assert problems(value, schema) == []
+    assert read_record(options.out / "run.json", Report) == report
+    assert str(options.out) not in json.dumps(value)
+    del value["measured"][0]["seconds"]
+    value["memory"] = [{"method": 3}]
+    value["surprise"] = True
+    found = " ".join(problems(value, schema))
+    assert all(text in found for text in ("no seconds", "memory[0].method: got int", "no peak_mib", "unknown surprise"))
+
+
+def test_a_run_goes_on_where_it_was_cut_off(made: tuple[Options, Report]) -> None:
+    options, report = made
+    lost = options.out / "measured" / f"0.003_{report.cases[0].name}_middle.json"
+    assert lost.exists()
+    lost.unlink()
+    again = run(options, ["python -m benchmarks.run"])
+    same = [one for one in again.measured if (one.method, one.case) != ("middle", report.cases[0].name)]
+    assert set(map(repr, same)) <= set(map(repr, report.measured))
+    assert len(again.measured) == len(report.measured) == 3 * 3 + 3 * 2
+    with pytest.raises(ConfigError, match="other settings"):
+        run(replace(options, repeats=3), ["x"])
+
+
+def test_the_page_and_the_readme_come_from_the_figures(made: tuple[Options, Report]) -> None:
+    options, report = made
+    assert options.page is not None
+    text = options.page.read_text()
+    assert text == page_text(read_results(options.page.parent, "benchmarks_"))
+    assert all(word in text for word in ("cv2.remap alone", "the middle", "### 0.05 megapixels", "No GPU was at hand"))
+    assert (options.page.parent / "images" / "benchmarks_time_error.png").exists()
+    readme = with_table(f"a\n{BEGIN}\nold\n{END}\nb\n", readme_table(report))
+    assert readme.startswith(f"a\n{BEGIN}\n")
+    assert readme.endswith(f"{END}\nb\n")
+    assert "old" not in readme
+    assert "the middle" in readme
+    assert with_table("no marks", "x") == "no marks"
+
+
+def test_the_page_says_where_it_loses(made: tuple[Options, Report]) -> None:
+    _, report = made
+    against = duels(report, ("scanner_true",), "middle")
+    assert len(against) == 2
+    assert "Its error is larger than that of: four corners" in duel_text(against)
+    assert "fastest" not in duel_text(against)
+    better = [replace(duel, faster=2.0, closer=3.0) for duel in against]
+    assert "It is faster than each" in duel_text(better)
+
+
+def test_published_figures_make_the_published_page() -> None:
+    docs = Path(__file__).parents[1] / "docs"
+    if not (docs / "benchmarks_run.json").exists():
+        pytest.skip("docs/benchmarks_run.json has not been made yet")
+    assert (docs / "benchmarks.md").read_text() == page_text(read_results(docs, "benchmarks_"))
+
+
+def test_results_that_are_none_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(DataError, match="Run the benchmark again"):
+        read_results(tmp_path)
+    (tmp_path / "run.json").write_text('{"run": {}}')
+    with pytest.raises(DataError, match="no settings"):
+        read_record(tmp_path / "run.json", Report)
+
+
+def test_kept_results_are_not_made_twice(made: tuple[Options, Report], tmp_path: Path) -> None:
+    note, calls = made[1].cases[0], []
+    path = tmp_path / "note.json"
+    for _ in range(2):
+        assert kept(path, type(note), lambda: calls.append(1) or note) == note
+    assert len(calls) == 1
+    path.write_text("{}")
+    assert kept(path, type(note), lambda: None) is None
+    write_record(path, note)
+    assert read_record(path, type(note)) == note
+
+
+# ---------------------------------------------------------------- memory, networks, options
+
+
+class _First:
+    """Picklable: the first case of a data set, for a process of its own."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    def __call__(self) -> Case:
+        return sample_cases([self.folder])[0]
+
+
+class _Hungry:
+    """Picklable: a method that takes about 100 MiB."""
+
+    def __call__(self) -> Method:
+        def find(photo: np.ndarray) -> None:
+            np.ones(100 * 2**20, np.uint8)
+
+        return Method("hungry", find)
+
+
+def test_memory_is_the_methods_own(dataset: Path) -> None:
+    found = peak_memory(_First(dataset), _Hungry(), 0.003, threads=1)
+    if found is None:
+        pytest.skip("this system does not tell a process's memory")
+    assert 95 < found.own_mib < 130
+    assert found.peak_mib > found.own_mib
+
+
+def test_networks_alone_are_timed() -> None:
+    network = FilmNet(FilmNetConfig(widths=(4, 8, 8, 8), blocks=(1, 1, 1), input_px=64))
+    (found,) = forward_times("filmnet", network, 64, "cpu", (2,), repeats=2)
+    assert (found.batch, found.device, len(found.seconds)) == (2, "cpu", 2)
+
+
+def test_wrong_options_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(ConfigError, match="as many counts as sizes"):
+        Options(tmp_path, sizes=(1.0,), counts=(1, 2))
+    with pytest.raises(ConfigError, match="unet"):
+        Options(tmp_path, methods=("unet",))
+    assert main(["--out", str(tmp_path), "--photos", str(tmp_path)]) == 1
+    assert "Name a folder" in capsys.readouterr().err
+
+
+def test_photos_are_spread_over_the_set(cases: list[Case]) -> None:
+    assert spread(cases, 2) == [cases[0], cases[2]]
+    assert spread(cases, 9) == cases
+
+
+def test_a_photo_and_its_truth_are_scored_without_being_touched(cases: list[Case]) -> None:
+    photo, true = cases[1].photo(), cases[1].backward
+    before, nodes = photo.copy(), true.nodes.copy()
+    first = score_map(true, true, photo)
+    assert score_map(true, true, photo) == first
+    np.testing.assert_array_equal(photo, before)
+    np.testing.assert_array_equal(true.nodes, nodes)
+    assert end_point_error(true, true.photo_from_film(film_nodes((9, 9)))).max() == 0
+
+
+@pytest.mark.parametrize("px", [16, 24, 29, 48])
+def test_resized_maps_hold_no_pixel_mixed_with_background(cases: list[Case], px: int) -> None:
+    for case in cases:
+        assert not isinstance(case.source, Path)
+        points = pixel_centres((px, px)) * (48 / px)
+        truth = truth_at(case.source, points, (48, 48))
+        assert truth.mask.any()
+        film, seen = truth.uv[truth.mask].astype(np.float64), points[truth.mask]
+        film_per_px = np.median(film / seen)  # these films lie flat, their top left corner in the photo's
+        assert np.linalg.norm(film / film_per_px - seen, axis=-1).max() * px / 48 < 1.0

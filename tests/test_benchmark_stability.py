@@ -1,0 +1,233 @@
+"""Stability and soak: damage keeps the truth true, what fails is counted as such, and a run goes on."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from simple_samples import CONFIG, simple_film
+
+import benchmarks.soak
+import benchmarks.stability
+import data_gen.generate
+import data_gen.work
+from benchmarks.damage import DAMAGES, Damaged, cut_file, damaged, visible_error_px
+from benchmarks.problems import PROBLEMS, End, ended, part_of, random_sheet
+from benchmarks.schema import problems, schema_of
+from benchmarks.soak import digest, soak
+from benchmarks.stability import Options, _rectified, run
+from benchmarks.stress_records import DamagedPhoto, SoakReport, StabilityReport
+from data_gen.generate import GenerateConfig, generate
+from hybrid.backward import BackwardMap
+from hybrid.coords import sample_bilinear
+from hybrid.errors import ConfigError, PhotoError
+from hybrid.image_io import read_photo
+from hybrid.records import RectifyResult, Status, StatusCode
+
+SIZE = (240, 320)
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Four samples of rolled sheets in photos of 48 px."""
+    out = tmp_path_factory.mktemp("data")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(data_gen.work, "film_samples", simple_film)
+        patch.setattr(data_gen.generate, "write_card", lambda folder: None)
+        generate(GenerateConfig(count=4, out=out, size=48, map_size=32, workers=0, shard_size=4, sample=CONFIG))
+    return out
+
+
+def sheet() -> BackwardMap:
+    return BackwardMap.from_function(lambda uv: np.array([60.0, 40.0]) + uv * np.array([200.0, 150.0]))
+
+
+def ramp() -> np.ndarray:
+    """A photo whose red and green tell the place."""
+    y, x = np.mgrid[: SIZE[0], : SIZE[1]]
+    return np.stack([x * 0.75, y, np.full_like(x, 90)], axis=-1).astype(np.uint8)
+
+
+# ---------------------------------------------------------------- damage
+
+
+@pytest.mark.parametrize("name", ["crop", "rotate", "resize"])
+def test_damage_to_the_geometry_moves_the_truth_with_it(name: str) -> None:
+    for seed in range(4):
+        it = DAMAGES[name](Damaged(ramp(), sheet()), np.random.default_rng(seed))
+        if it.photo.shape[0] * it.photo.shape[1] > 4e6 or min(it.photo.shape[:2]) < 60:
+            continue
+        middle = np.array([[[0.5, 0.5], [0.45, 0.55]]])
+        points = it.backward.photo_from_film(middle)
+        if not ((points > 2) & (points < np.array(it.photo.shape[1::-1]) - 2)).all():
+            continue
+        before = sample_bilinear(ramp(), sheet().photo_from_film(middle)).astype(float)
+        assert np.abs(sample_bilinear(it.photo, points).astype(float) - before).max() < 3
+
+
+def test_damage_is_reproducible_and_spares_its_input() -> None:
+    photo = ramp()
+    first, second = (damaged(photo, sheet(), np.random.default_rng(5)) for _ in range(2))
+    np.testing.assert_array_equal(first.photo, second.photo)
+    np.testing.assert_array_equal(photo, ramp())
+    kinds = {
+        kind for seed in range(40) for kind in damaged(ramp()[::4, ::4], sheet(), np.random.default_rng(seed)).kinds
+    }
+    assert kinds == set(DAMAGES)
+
+
+def test_cut_files_are_not_whole(tmp_path: Path) -> None:
+    for seed in range(12):
+        path = tmp_path / f"{seed}.jpg"
+        path.write_bytes(cut_file(ramp(), np.random.default_rng(seed)))
+        with pytest.raises(PhotoError):
+            read_photo(path)
+
+
+def test_only_what_is_in_the_photo_counts() -> None:
+    true = sheet()
+    moved = BackwardMap(true.nodes + np.array([3.0, 4.0]))
+    assert visible_error_px(moved, true, SIZE) == pytest.approx(5)
+    assert visible_error_px(moved, true, (100, 100)) == pytest.approx(5)
+    assert visible_error_px(moved, true, (20, 20)) == float("inf")
+
+
+# ---------------------------------------------------------------- statuses
+
+
+class Says:
+    """A rectifier that finds the film so many pixels from where it is, or fails as told."""
+
+    def __init__(self, off: float = 0.0, film: float = 0.5, error: Exception | None = None) -> None:
+        self.off, self.film, self.error = off, film, error
+
+    def __call__(self, photo: np.ndarray) -> RectifyResult:
+        if self.error is not None:
+            raise self.error
+        film = np.full((8, 8), self.film, np.float32)
+        found = BackwardMap(sheet().nodes + np.array([self.off, 0.0]))
+        return RectifyResult(Status(StatusCode.OK), (), film, None, found, None, None, film)
+
+
+def refuses(photo: np.ndarray) -> RectifyResult:
+    return RectifyResult(Status(StatusCode.NO_FILM))
+
+
+@pytest.mark.parametrize(
+    ("rectify", "outcome"),
+    [
+        (Says(), "ok"),
+        (Says(off=4.9), "ok"),
+        (Says(off=5.1), "untruthful"),
+        (Says(film=np.nan), "nan"),
+        (Says(film=1.5), "nan"),
+        (Says(error=PhotoError("no photo")), "refused"),
+        (Says(error=ZeroDivisionError()), "crash"),
+        (refuses, "refused"),
+    ],
+)
+def test_every_end_is_told_apart(rectify, outcome: str) -> None:
+    it = Damaged(ramp(), sheet(), kinds=("noise",))
+    assert _rectified(0, it, rectify).outcome == outcome
+
+
+def test_a_shrunk_photo_may_be_off_by_one_of_its_own_pixels() -> None:
+    it = Damaged(ramp(), sheet(), scale=0.1)
+    assert _rectified(0, it, Says(off=0.9)).outcome == "ok"
+    assert _rectified(0, it, Says(off=1.1)).outcome == "untruthful"
+
+
+# ---------------------------------------------------------------- parts
+
+
+@pytest.mark.parametrize("name", list(PROBLEMS))
+def test_no_problem_breaks_a_part(name: str) -> None:
+    problem, what, unit = PROBLEMS[name]
+    part = part_of(name, what, unit, [ended(problem, seed) for seed in range(8 if name == "solver" else 25)])
+    assert part.failed == 0, part.failures
+    assert part.refused < part.tried
+
+
+def test_broken_parts_are_counted() -> None:
+    def breaks(rng: np.random.Generator) -> End:
+        raise ZeroDivisionError("x")
+
+    def mumbles(rng: np.random.Generator) -> End:
+        raise PhotoError("no")
+
+    part = part_of("some", "what", "px", [ended(breaks, 1), ended(mumbles, 2), End(residual=2.0), End(refusal="No")])
+    assert (part.tried, part.refused, part.failed, part.worst) == (4, 1, 2, 2.0)
+    assert "ZeroDivisionError" in part.failures[0]
+
+
+def test_random_sheets_do_not_fold() -> None:
+    assert not any(random_sheet(np.random.default_rng(seed)).folds() for seed in range(20))
+
+
+# ---------------------------------------------------------------- the commands
+
+
+def test_a_stability_run_is_whole_and_goes_on(dataset: Path, tmp_path: Path) -> None:
+    options = Options(tmp_path, data=(dataset,), damaged=2, problems=3, threads=1)
+    report = run(options, ["python -m benchmarks.stability"])
+    value = json.loads((tmp_path / "stability.json").read_text())
+    assert problems(value, schema_of(StabilityReport)) == []
+    assert [part.tried for part in report.parts] == [3] * len(PROBLEMS)
+    assert len(report.photos) == 2
+    assert sum(report.counts().values()) == 2
+    (tmp_path / "damaged" / "0_1.json").unlink()
+    again = run(replace(options, damaged=1), ["x"])
+    assert again.photos == report.photos[:1]
+    with pytest.raises(ConfigError, match="--damaged -1"):
+        Options(tmp_path, damaged=-1)
+
+
+def test_a_process_that_dies_is_a_crash(dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    watched = benchmarks.stability._Watched((tmp_path / "no data",), Options(tmp_path, damaged=0))
+    assert watched.try_photo(0).outcome == "crash"
+    watched.end()
+
+
+def test_counts_by_damage() -> None:
+    ends = [("ok", ("noise",)), ("refused", ("noise", "crop")), ("untruthful", ("crop",))]
+    photos = tuple(DamagedPhoto(k, kinds, SIZE, end, "", 0.1) for k, (end, kinds) in enumerate(ends))
+    report = StabilityReport({}, 0, 5.0, (), photos)
+    assert [(row.damage, row.ok, row.refused, row.failed) for row in report.by_damage()] == [
+        ("crop", 0, 1, 1),
+        ("noise", 1, 1, 0),
+    ]
+    assert report.failures == 1
+
+
+def test_soak_counts_what_differs() -> None:
+    calls = []
+
+    def rectify(photo: np.ndarray) -> RectifyResult:
+        calls.append(1)
+        return Says(off=0.0 if len(calls) != 30 else 1e-9)(photo)
+
+    memory, seconds, different = soak(rectify, [ramp(), ramp()[::2]], 40)
+    assert (len(seconds), len(memory), different) == (40, 36, 1)
+    assert digest(Says()(ramp())) != digest(refuses(ramp()))
+
+
+def test_growth_and_drift() -> None:
+    flat = SoakReport({}, 100, 2, 64, 10, (100.0,) * 20, (0.1,) * 100, 0)
+    assert (flat.memory_growth(), flat.time_drift()) == (0, 0)
+    rising = replace(
+        flat, memory_mib=tuple(100.0 + k for k in range(20)), cpu_seconds=tuple(1.0 + k for k in range(100))
+    )
+    assert rising.memory_growth() == pytest.approx(18 / 100.5)
+    assert rising.time_drift() > 1
+
+
+def test_a_soak_is_whole(dataset: Path, tmp_path: Path) -> None:
+    options = benchmarks.soak.Options(tmp_path, data=(dataset,), films=20, photos=2, photo_px=64, threads=1)
+    report = benchmarks.soak.run(options, ["python -m benchmarks.soak"])
+    assert problems(json.loads((tmp_path / "soak.json").read_text()), schema_of(SoakReport)) == []
+    assert (report.films, report.different) == (20, 0)
+    with pytest.raises(ConfigError, match="films >= 20"):
+        benchmarks.soak.Options(tmp_path, films=3)
