@@ -5,6 +5,10 @@ GDCM decodes such frames exactly as libjpeg-turbo does; pydicom's plug-in for GD
 
 from __future__ import annotations
 
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib.util import find_spec
 from typing import Any
 
@@ -12,6 +16,7 @@ from pydicom.pixels.decoders.base import JPEGExtended12BitDecoder
 from pydicom.uid import JPEGExtended12Bit
 
 LABEL = "gdcm_12_bit"
+STDERR = 2
 DECODER_DEPENDENCIES = {JPEGExtended12Bit: ("python-gdcm>=3.0",)}
 
 
@@ -47,7 +52,26 @@ def decode_frame(source: bytes, runner: Any) -> bytes:
     image.SetTransferSyntax(gdcm.TransferSyntax(gdcm.TransferSyntax.GetTSType(str(JPEGExtended12Bit))))
     bits = runner.bits_stored
     image.SetPixelFormat(gdcm.PixelFormat(1, runner.bits_allocated, bits, bits - 1, runner.pixel_representation))
-    return image.GetBuffer().encode("utf-8", "surrogateescape")  # GDCM's wrapper gives bytes as text
+    with _silent():
+        return image.GetBuffer().encode("utf-8", "surrogateescape")  # GDCM's wrapper gives bytes as text
+
+
+@contextmanager
+def _silent() -> Iterator[None]:
+    """Nothing reaches this process's standard error meanwhile.
+
+    GDCM tries its 8-bit JPEG library on each frame first, which prints "Unsupported JPEG data precision 12" past
+    GDCM's own switches, and then decodes with its 12-bit one.
+    """
+    sys.stderr.flush()
+    kept, nowhere = os.dup(STDERR), os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(nowhere, STDERR)
+        yield
+    finally:
+        os.dup2(kept, STDERR)
+        os.close(kept)
+        os.close(nowhere)
 
 
 __all__ = ["DECODER_DEPENDENCIES", "LABEL", "decode_frame", "is_available", "register"]

@@ -62,7 +62,7 @@ def make_print(volume: CtVolume, rng: np.random.Generator, config: PrintConfig =
             draw_labels(image, layout.cell(k + look.scout), labels, numbers)
     header = _draw_header(rng, image, layout, look) if layout.header_px else ""
     vertices = film_from_pixel(layout.vertices_px(), (image.shape[0], image.shape[1]))
-    parameters = {"volume": volume.name, "px_per_mm": px_per_mm, "header": header, **_layout_parameters(layout)}
+    parameters = {"volume": volume.label, "px_per_mm": px_per_mm, "header": header, **_layout_parameters(layout)}
     parameters |= _look_parameters(look, deal, labels)
     return FilmPrint(image, layout.size_mm, layout.rows, layout.cols, vertices, layout.style, parameters)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import logging
 import zipfile
@@ -37,12 +38,14 @@ class CtVolume:
 
     hu: (slices, rows, cols) Hounsfield units; slice 0 is caudal, row 0 anterior, column 0 the patient's right.
     spacing_mm: (z, y, x) distances between voxel centres, all positive.
-    name: for messages and for the record of a sample; never the patient's.
+    name: for messages and to choose by; of a file, its own.
+    label: what data sets call it, since a file's name may be a patient's; the name where none is given.
     """
 
     hu: Int16[np.ndarray, "slices rows cols"]
     spacing_mm: tuple[float, float, float]
     name: str
+    label: str = ""
 
     def __post_init__(self) -> None:
         if self.hu.ndim != 3 or self.hu.dtype != np.int16 or min(self.hu.shape) < 1:
@@ -68,6 +71,7 @@ class CtVolume:
                 )
             )
         object.__setattr__(self, "spacing_mm", (z, y, x))
+        object.__setattr__(self, "label", self.label or self.name)
 
 
 def window(hu: np.ndarray, level: float, width: float) -> Float[np.ndarray, "*shape"]:
@@ -148,7 +152,8 @@ def read_npz(path: Path) -> CtVolume:
             )
         )
     name = meta.get("name", path.stem) if isinstance(meta, dict) else path.stem
-    return CtVolume(as_hounsfield(hu), (z, y, x), str(name))
+    label = f"npz_{hashlib.sha256(str(name).encode()).hexdigest()[:8]}"
+    return CtVolume(as_hounsfield(hu), (z, y, x), str(name), label)
 
 
 def load_volumes(folder: Path | str) -> list[CtVolume]:

@@ -52,9 +52,9 @@ def film_bytes(seed: int, number: int, config: SampleConfig) -> list[bytes]:
 
 
 def source_names(config: SourceConfig) -> dict[str, list[str]]:
-    """Names of the volumes and the environments that samples are made from, besides embedded ones."""
+    """Labels of the volumes and names of the environments that samples are made from, besides embedded ones."""
     volumes, environments = loaded(config)
-    return {"volumes": [v.name for v in volumes], "environments": [e.name for e in environments]}
+    return {"volumes": [v.label for v in volumes], "environments": [e.name for e in environments]}
 
 
 @lru_cache(maxsize=1)

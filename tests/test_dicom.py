@@ -303,10 +303,13 @@ def test_real_odd_files_are_read_or_refused():
     [("bigendian", 0, 0), ("deflated", 0, 0), ("rle", 0, 0), ("jls", 0, 0), ("jls_near", 1, 1), ("jpegll_p14", 0, 0),
      ("jpegll_sv1", 0, 0), ("j2k_lossless", 0, 0), ("j2k", 2, 8), ("jpeg12", 4, 40)],
 )  # fmt: skip
-def test_every_encoding_of_a_ct_gives_the_same_units(kind: str, typical_hu: int, largest_hu: int):
-    """Lossless syntaxes exactly; lossy ones within what their own quantisation leaves."""
+def test_every_encoding_of_a_ct_gives_the_same_units(
+    kind: str, typical_hu: int, largest_hu: int, capfd: pytest.CaptureFixture[str]
+):
+    """Lossless syntaxes exactly; lossy ones within what their own quantisation leaves. Decoders print nothing."""
     single = Path(str(SHARED)) / "dicom" / "single"
     plain, other = (read_series(single / f"c3d_CT_{name}.dcm")[0].hu.astype(int) for name in ("implicit", kind))
     error = np.abs(other - plain)
     assert np.median(error) <= typical_hu
     assert error.max() <= largest_hu
+    assert capfd.readouterr() == ("", "")

@@ -10,6 +10,7 @@ import pytest
 nibabel = pytest.importorskip("nibabel", reason="nibabel is not installed")
 
 from data_gen.nifti import NotCtError, read_nifti  # noqa: E402
+from data_gen.prints import PrintConfig, make_print  # noqa: E402
 from data_gen.volumes import CtVolume, is_body, load_volumes, read_npz, tissue_width_mm, window  # noqa: E402
 from hybrid.errors import DataError  # noqa: E402
 
@@ -62,6 +63,17 @@ def test_npz_round_trip(tmp_path: Path):
     assert np.array_equal(got.hu, volume.hu)
     assert got.spacing_mm == volume.spacing_mm
     assert got.name == "x"
+
+
+def test_the_name_of_a_file_reaches_no_data_set(tmp_path: Path):
+    """It may be a patient's."""
+    volume = cylinder(200.0)
+    path = save(tmp_path / "Jane Doe.npz", hu=volume.hu, spacing_mm=np.array(volume.spacing_mm))
+    read = read_npz(path)
+    printed = make_print(read, np.random.default_rng(0), PrintConfig()).parameters
+    assert printed["volume"] == read.label
+    assert "Jane" not in json.dumps(printed)
+    assert read_npz(path).label == read.label
 
 
 def test_npz_damaged_or_foreign_is_refused_with_the_path(tmp_path: Path):
