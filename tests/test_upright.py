@@ -123,10 +123,10 @@ def test_it_is_small(reader):
 @pytest.mark.parametrize("way", WAYS)
 def test_a_written_film_is_read_whatever_way_it_lies(reader, way):
     seen = way.inverse.moved(written_film())
-    chances = orientation_chances(reader, rgb(seen))
+    chances = orientation_chances(reader, rgb(seen), UprightConfig().prior)
     assert chances.sum() == pytest.approx(1, abs=1e-5)
     assert upright_way(chances, UprightConfig())[0] == way
-    np.testing.assert_array_equal(orientation_chances(reader, rgb(seen)), chances)
+    np.testing.assert_array_equal(orientation_chances(reader, rgb(seen), UprightConfig().prior), chances)
 
 
 def test_what_cannot_be_read_is_left_as_it_lies(reader):
@@ -137,6 +137,13 @@ def test_what_cannot_be_read_is_left_as_it_lies(reader):
     tissue = draw_print(FilmDrawing(texts=False), rng)
     for film in (blank, noise, tissue):
         assert upright_way(orientation_chances(reader, rgb(film), config.prior), config)[0] == RIGHT
+
+
+def test_without_evidence_most_films_lie_right():
+    prior = UprightConfig().prior
+    assert prior.sum() == pytest.approx(1)
+    assert prior[0] > 0.8
+    assert prior[1:4].min() > prior[4:].max()  # photographed from behind: rarer than turned
 
 
 def test_weak_evidence_moves_no_film():

@@ -29,7 +29,7 @@ class UprightNetConfig:
     widths: tuple[int, int, int] = (8, 16, 32)
     input_px: int = 32
     film_px: float = 1200.0
-    patches: int = 64
+    patches: int = 32
 
     @property
     def cut(self) -> PatchConfig:
@@ -110,28 +110,36 @@ def upright_losses(output: PatchVotes, truth: Int64[Tensor, " b"]) -> dict[str, 
 
 @torch.inference_mode()
 def orientation_chances(
-    network: UprightNet, film: UInt8[np.ndarray, "h w 3"], prior: float = 1 / 8
+    network: UprightNet, film: UInt8[np.ndarray, "h w 3"], prior: Float[np.ndarray, " 8"]
 ) -> Float32[np.ndarray, " 8"]:
     """Probabilities that a flat film (sRGB) has to be moved in each of the eight ways to read right.
 
-    ``prior``: how probable it is, before anything was read, that it lies right.
+    ``prior``: the same before anything was read.
     """
     patches = text_patches(cv2.cvtColor(film, cv2.COLOR_RGB2GRAY), network.config.cut)
-    before = torch.tensor([prior, *[(1 - prior) / 7] * 7]).log()
-    return functional.softmax(network(torch.from_numpy(patches)[None]).films[0] + before, dim=0).numpy()
+    votes = network(torch.from_numpy(patches)[None]).films[0]
+    return functional.softmax(votes + torch.from_numpy(np.log(prior)).to(votes), dim=0).numpy()
 
 
 @dataclass(frozen=True)
 class UprightConfig:
     """When a film is turned or mirrored.
 
-    prior: share of films that lie right. min_probability: a film is moved only where it is this sure, with the prior
-    counted in. min_film_px: nothing is read on films whose longer side is less.
+    turned, mirrored: shares of films that are photographed turned by quarters, and from behind; the others lie right.
+    min_probability: a film is moved only where it is this sure, these shares counted in. min_film_px: nothing is read
+    on films whose longer side is less.
     """
 
-    prior: float = 0.9
+    turned: float = 0.1
+    mirrored: float = 0.02
     min_probability: float = 0.98
     min_film_px: int = 400
+
+    @property
+    def prior(self) -> Float[np.ndarray, " 8"]:
+        """Probability of each of the eight ways before anything was read."""
+        right = 1 - self.turned - self.mirrored
+        return np.array([right, *[self.turned / 3] * 3, *[self.mirrored / 4] * 4])
 
 
 def upright_way(chances: Float32[np.ndarray, " 8"], config: UprightConfig) -> tuple[Orientation, str]:

@@ -19,12 +19,14 @@ CUE_SHARE = 0.5
 STROKE_PX = 5
 """At that resolution, strokes are thinner than this."""
 LINES = (
-    np.ones((1, 11), np.uint8),
-    np.ones((11, 1), np.uint8),
-    np.eye(8, dtype=np.uint8),
-    np.eye(8, dtype=np.uint8)[::-1],
+    np.ones((1, 9), np.uint8),
+    np.ones((9, 1), np.uint8),
+    np.eye(7, dtype=np.uint8),
+    np.eye(7, dtype=np.uint8)[::-1],
 )
 """What holds these lines is no letter but a rule, a scale bar, the table or a skull."""
+NEAR_PX = 13
+"""What is thick and bright counts so far around: letters stand apart from slices, the edges of bones do not."""
 DARK = 20.0
 """Grey level (of 255) that is added to the ground's, so that black ground does not count without bounds."""
 APART = 0.55
@@ -93,7 +95,8 @@ def writing(film: UInt8[np.ndarray, "h w"], scale: float, side: int) -> Float32[
     thin = cv2.subtract(small, ground)
     lines = [cv2.morphologyEx(thin, cv2.MORPH_OPEN, line) for line in LINES]
     thin = cv2.subtract(thin, np.max(lines, axis=0))
-    return _around(thin, side) / (_around(ground, side) + np.float32(DARK))
+    ground = cv2.dilate(ground, np.ones((NEAR_PX, NEAR_PX), np.uint8))
+    return _around(thin, side) / (_around(ground, side) + np.float32(DARK)) ** 2
 
 
 def _around(values: UInt8[np.ndarray, "h w"], side: int) -> Float32[np.ndarray, "h w"]:
