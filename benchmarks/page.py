@@ -24,7 +24,7 @@ from hybrid.image_io import write_bytes
 from hybrid.outputs import make_folder
 
 BEGIN, END = "<!-- figures: begin -->", "<!-- figures: end -->"
-PICTURES = ("time_error.png", "bend.png", "stages.png", "gallery.jpg")
+PICTURES, GALLERY = ("time_error.png", "bend.png", "stages.png"), "gallery.jpg"
 PREFIX = "benchmarks_"
 
 
@@ -39,6 +39,7 @@ def read_results(folder: Path, prefix: str = "") -> Results:
         read_record(folder / f"{prefix}run.json", Report),
         read_record(stability, StabilityReport) if stability.exists() else None,
         read_record(soak, SoakReport) if soak.exists() else None,
+        (folder / ("images" if prefix else "pictures") / f"{prefix}{GALLERY}").exists(),
     )
 
 
@@ -89,7 +90,7 @@ def write_page(page: Path, out: Path, readme: Path | None = None) -> None:
     for name in ("run", "stability", "soak"):
         if (out / f"{name}.json").exists():
             shutil.copyfile(out / f"{name}.json", page.parent / f"{PREFIX}{name}.json")
-    for name in PICTURES:
+    for name in (*PICTURES, GALLERY):
         if (out / "pictures" / name).exists():
             shutil.copyfile(out / "pictures" / name, page.parent / "images" / f"{PREFIX}{name}")
     if readme is not None:

@@ -15,11 +15,12 @@ RIVALS = ("scanner", "scanner_true", "dewarpnet_published", "dewarpnet", "firene
 
 @dataclass(frozen=True)
 class Results:
-    """What a page is made of."""
+    """What a page is made of. gallery: whether the photos themselves may be shown, and a picture of them is there."""
 
     run: Report
     stability: StabilityReport | None = None
     soak: SoakReport | None = None
+    gallery: bool = False
 
 
 def page_text(results: Results) -> str:
@@ -33,8 +34,11 @@ def page_text(results: Results) -> str:
         "## Kinds of photos\n\n" + _split_text(report),
         "## What the parts are worth\n\n" + _configuration_text(report),
         "## Networks alone\n\n" + _forward_text(report),
-        "## Best, median, worst\n\n![Photo with what was found, film, error](images/benchmarks_gallery.jpg)",
     ]
+    if results.gallery:
+        parts.append(
+            "## Best, median, worst\n\n![Photo with what was found, film, error](images/benchmarks_gallery.jpg)"
+        )
     if results.stability is not None:
         parts.append("## Stability\n\n" + _stability_text(results.stability))
     if results.soak is not None:

@@ -11,6 +11,7 @@ import numpy as np
 from benchmarks.cases import Case, read_alike
 from benchmarks.charts import Axis, Chart, Picture, Points, page_of, scatter, stacked_bars
 from benchmarks.lineup import CONFIGURATIONS
+from benchmarks.methods import weights_path
 from benchmarks.results import Report
 from benchmarks.summary import FLOOR, MAIN, rows_of
 from hybrid.backward import end_point_error
@@ -28,24 +29,23 @@ ERROR_RANGE_PX = 10.0
 BEND_METHODS = (MAIN, "filmnet", "scanner_true", "scanner", "dewarpnet", "firenet")
 
 
-def write_pictures(report: Report, cases: Sequence[Case], weights: Path | None, folder: Path) -> None:
-    """All pictures of a report into a folder; the gallery runs ``hybrid`` again on three photos."""
+def write_pictures(report: Report, folder: Path) -> None:
+    """The charts of a report into a folder."""
     make_folder(folder)
     write_rgb(folder / "time_error.png", time_against_error(report))
     write_rgb(folder / "bend.png", error_against_bend(report))
     write_rgb(folder / "stages.png", seconds_by_stage(report))
+
+
+def write_gallery(report: Report, cases: Sequence[Case], weights: Path | None, folder: Path) -> None:
+    """Best, median and worst photo of ``hybrid``, which runs on them again; nothing, if it was not run."""
     chosen = best_median_worst(report)
     if chosen:
+        make_folder(folder)
         by_name = {case.name: case for case in cases}
-        rectify = Rectifier(RectifyConfig(weights=weights and _filmnet(weights)))
+        rectify = Rectifier(RectifyConfig(weights=weights_path(weights, "filmnet")))
         picture = gallery([(label, by_name[name], rectify(by_name[name].photo())) for label, name in chosen])
         write_rgb(folder / "gallery.jpg", picture)
-
-
-def _filmnet(weights: Path) -> Path | None:
-    from benchmarks.methods import weights_path
-
-    return weights_path(weights, "filmnet")
 
 
 def time_against_error(report: Report) -> Picture:
@@ -158,5 +158,6 @@ __all__ = [
     "gallery",
     "seconds_by_stage",
     "time_against_error",
+    "write_gallery",
     "write_pictures",
 ]

@@ -27,7 +27,7 @@ from benchmarks.methods import Method
 from benchmarks.own_photos import make_photos
 from benchmarks.page import write_page
 from benchmarks.page_text import size_section
-from benchmarks.pictures import write_pictures
+from benchmarks.pictures import write_gallery, write_pictures
 from benchmarks.results import Forward, Measured, Memory, MethodNote, Report, Settings
 from benchmarks.schema import kept, read_record, write_record
 from benchmarks.traits import note_of
@@ -83,6 +83,9 @@ class Options:
     memory: bool = True
     """Whether peak memory is measured, each method in a process of its own."""
 
+    gallery: bool = True
+    """Whether best, median and worst photo are drawn; not for photos that must not be published."""
+
     page: Path | None = None
     """Where the page goes, for example docs/benchmarks.md; pictures go beside it into images/."""
 
@@ -125,7 +128,9 @@ def run(options: Options, command: list[str]) -> Report:
     )
     write_record(options.out / "run.json", report)
     print(*(size_section(report, size) for size in options.sizes), sep="\n\n")
-    write_pictures(report, cases, options.weights, options.out / "pictures")
+    write_pictures(report, options.out / "pictures")
+    if options.gallery:
+        write_gallery(report, cases, options.weights, options.out / "pictures")
     if options.page is not None:
         write_page(options.page, options.out)
     return report

@@ -51,7 +51,8 @@ def test_commands_exist(text: str) -> None:
         assert (ROOT / Path(*module.split("."))).with_suffix(".py").exists(), f"python -m {module}"
 
 
-PAGES = ["README.md", "docs/how_it_works.md", "docs/training.md", "docs/conventions.md", "CHANGELOG.md"]
+PAGES = ["README.md", "CHANGELOG.md"]
+PAGES += [f"docs/{name}.md" for name in ("benchmarks", "conventions", "how_it_works", "training")]
 
 
 @pytest.mark.parametrize("page", PAGES)
