@@ -227,6 +227,56 @@ def test_print_within_one_slice_is_no_reflection():
     )
 
 
+def print_of_wedges() -> tuple[np.ndarray, np.ndarray]:
+    """Cells with a step wedge each: display grey (h, w), and the step's number (0: none); 10 of 255 levels apart."""
+    film, step = np.full(SIZE, 0.05), np.zeros(SIZE, int)
+    for i in range(5):
+        for j in range(4):
+            for k in range(24):
+                y, x = i * 120 + 24 + 20 * (k // 6), j * 120 + 15 + 15 * (k % 6)
+                film[y : y + 20, x : x + 15] = (13 + 10 * k) / 255
+                step[y + 4 : y + 16, x + 3 : x + 12] = k + 1
+            text = cv2.putText(np.zeros((120, 120), np.uint8), "IM 12", (4, 14), 0, 0.4, 255, 1) / 255.0
+            cell = film[i * 120 : (i + 1) * 120, j * 120 : (j + 1) * 120]
+            np.maximum(cell, text, out=cell)
+    return film, step
+
+
+def test_contrast_between_close_greys_is_the_same_over_the_sheet():
+    """Of steps 10 of 255 levels apart, within 20 % of what it is elsewhere on the sheet (median of each cell)."""
+    gain, veil = uneven()
+    film, step = print_of_wedges()
+    linear = (film**1.6 * gain + veil)[..., None].repeat(3, axis=2)
+    photo = np.rint(255 * srgb_from_linear(linear)).astype(np.uint8)
+    contrasts = {}
+    pictures = {
+        "lit": photo[..., 1] / 255.0,
+        "blind": deilluminate(photo, everywhere()).film,
+        "with grid": deilluminate(photo, everywhere(), grid_of_cells()).film,
+    }
+    for name, picture in pictures.items():
+        means = np.array(
+            [
+                [picture[i : i + 120, j : j + 120][step[i : i + 120, j : j + 120] == k].mean() for k in range(1, 25)]
+                for i in range(0, 600, 120)
+                for j in range(0, 480, 120)
+            ]
+        )
+        of_cell = np.diff(means, axis=1)
+        contrasts[name] = np.median(of_cell / np.median(of_cell, axis=0), axis=1)
+    assert np.abs(contrasts["blind"] - 1).max() < 0.2
+    assert np.abs(contrasts["with grid"] - 1).max() < 0.05
+    assert np.abs(contrasts["lit"] - 1).max() > 0.4  # what it was before
+
+
+def test_applied_twice_it_changes_nothing_but_the_tone_curve():
+    once = deilluminate(light(*uneven()), everywhere()).film
+    level = np.rint(255 * once).astype(np.uint8)
+    twice = deilluminate(level[..., None].repeat(3, axis=2), everywhere()).film
+    spread = [float(twice[level == k].std()) for k in np.unique(level) if np.count_nonzero(level == k) > 50]
+    assert max(spread) < 0.02
+
+
 @pytest.mark.skipif("HYBRID_SHARED_DATA" not in os.environ, reason="HYBRID_SHARED_DATA names no folder of photos")
 def test_rendered_photos_come_closer_to_their_print():
     folder = Path(os.environ["HYBRID_SHARED_DATA"], "photos")

@@ -17,7 +17,8 @@ from hybrid.errors import FusionError
 from hybrid.metrics import psnr_after_gain_offset
 from hybrid.records import RectifyResult, SliceGrid, Status, StatusCode
 from hybrid.rectify.deilluminate import deilluminate
-from hybrid.rectify.fuse import FuseConfig, fuse, merge, register
+from hybrid.rectify.fuse import FuseConfig, fuse, register
+from hybrid.rectify.merge import MergeConfig, merge
 from hybrid.rectify.resample import rectify_photo
 from tests.synthetic_film import FilmDrawing, draw_print
 
@@ -136,7 +137,7 @@ def test_different_films_are_refused_with_a_reason():
 def test_one_film_merged_with_itself_is_itself():
     film = printed().astype(np.float32)
     nothing, trust = np.zeros(SIZE, bool), np.ones(SIZE, np.float32)
-    result = merge([film, film], [nothing, nothing], [trust, trust], FuseConfig())
+    result = merge([film, film], [nothing, nothing], [trust, trust], MergeConfig())
     np.testing.assert_allclose(result.film, film, atol=1e-5)
     np.testing.assert_allclose(result.shares, 0.5, atol=1e-3)
 
@@ -146,7 +147,7 @@ def test_a_broad_remains_of_light_in_one_of_three_is_left_out():
     u, _ = film_centres(SIZE).transpose(2, 0, 1)
     veiled = (film + 0.3 * (u > 0.6)).astype(np.float32)
     nothing, trust = np.zeros(SIZE, bool), np.ones(SIZE, np.float32)
-    result = merge([veiled, film, film], [nothing] * 3, [trust] * 3, FuseConfig())
+    result = merge([veiled, film, film], [nothing] * 3, [trust] * 3, MergeConfig())
     assert np.abs(result.film - film).mean() < 0.005
 
 

@@ -8,7 +8,7 @@ into the photo's map, so that its pixels are still read only once. What differs 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from time import perf_counter
 
 import cv2
@@ -22,10 +22,10 @@ from hybrid.records import RectifyResult, SliceGrid, StageReport
 from hybrid.rectify import bspline
 from hybrid.rectify.bspline import NormalEquations
 from hybrid.rectify.deilluminate import DeilluminateConfig, deilluminate
+from hybrid.rectify.merge import Film, MergeConfig, detail_of, merge, reduced
 from hybrid.rectify.reflections import seen_slices
 from hybrid.rectify.resample import rectify_photo
 
-Film = Float32[np.ndarray, "h w"]
 AnyFilm = Float32[np.ndarray, "_ _"]
 """One of several of different sizes."""
 
@@ -57,10 +57,7 @@ class FuseConfig:
     """Standard deviation of a patch's detail, relative to the film's, below which it says nothing."""
     same: float = 0.4
     """Share of slices found in their place on both films, once registered, from which they are the same print."""
-    detail: float = 0.01
-    """Part of the longer side below which changes of grey are detail, and no remains of light."""
-    outlier: float = 0.06
-    """Display grey by which a photo may differ from the others, detail apart, before it is left out."""
+    merge: MergeConfig = field(default_factory=MergeConfig)
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,16 +72,6 @@ class Registration:
     way: Orientation
     agreement: float
     shift: float
-
-
-@dataclass(frozen=True, eq=False)
-class Fused:
-    """The merged film, where no photo tells, how far it can be trusted, and each photo's share in it."""
-
-    film: Film
-    glare: Bool[np.ndarray, "h w"]
-    confidence: Film
-    shares: tuple[float, ...]
 
 
 # ---------------------------------------------------------------- registration
@@ -125,7 +112,7 @@ def register(first: RectifyResult, other: RectifyResult, config: FuseConfig, nam
 def _details(result: RectifyResult, way: Orientation, size: tuple[int, ...], config: FuseConfig) -> list[AnyFilm]:
     """The detail of a film, moved in one way, on copies of a film of ``size``."""
     film, unseen = (np.ascontiguousarray(way.moved(x)) for x in (_film_of(result), _untrusted(result)))
-    return [_detail(film, unseen, _reduced(size, side)) for side in config.sides_px]
+    return [detail_of(film, unseen, reduced(size, side)) for side in config.sides_px]
 
 
 def _registered(
@@ -152,21 +139,6 @@ def _untrusted(result: RectifyResult) -> Bool[np.ndarray, "h w"]:
     """Pixels that show glare, or nothing at all."""
     lost = np.zeros(_film_of(result).shape, bool) if result.glare is None else result.glare
     return lost if result.confidence is None else lost | (result.confidence <= 0)
-
-
-def _reduced(size: tuple[int, ...], longer: int) -> tuple[int, int]:
-    """Size (h, w) with ``longer`` as its longer side; never enlarged."""
-    factor = min(1.0, longer / max(size))
-    return max(round(size[0] * factor), 1), max(round(size[1] * factor), 1)
-
-
-def _detail(film: Film, unseen: Bool[np.ndarray, "h w"], size: tuple[int, int]) -> Float32[np.ndarray, "sh sw"]:
-    """The film at another size without its slow changes, 0 where it cannot be trusted: light does not change that."""
-    small = cv2.resize(film, size[::-1], interpolation=cv2.INTER_AREA)
-    sigma = max(size) / 100
-    fine = small - cv2.GaussianBlur(small, (0, 0), sigma)
-    lost = cv2.resize(unseen.astype(np.float32), size[::-1], interpolation=cv2.INTER_AREA)
-    return np.where(cv2.GaussianBlur(lost, (0, 0), sigma) > 0.1, np.float32(0), fine)
 
 
 def _whole_shift(fixed: Film, moving: Film) -> Float[np.ndarray, "2"]:
@@ -259,83 +231,6 @@ def _own_of_slices(detail: Film, grid: SliceGrid) -> Float[np.ndarray, "slices n
     return slices.swapaxes(1, 2).reshape(grid.rows * grid.cols, -1)
 
 
-# ---------------------------------------------------------------- merging
-
-
-def merge(
-    films: Sequence[Film],
-    lost: Sequence[Bool[np.ndarray, "h w"]],
-    trust: Sequence[Film],
-    config: FuseConfig,
-) -> Fused:
-    """One film of several that lie on each other: their mean, weighted by trust, without what differs from the others.
-
-    lost: where a photo tells nothing (glare, or beyond its edge). trust: in [0, 1].
-
-    What light leaves behind is broad, and mostly too bright: it is judged on blurred films against their lower median,
-    or of two against the one that is trusted more.
-    """
-    sigma = config.detail * max(films[0].shape)
-    broad = [_blurred_where(film, ~gone, sigma) for film, gone in zip(films, lost, strict=True)]
-    level = _more_trusted(broad, lost, trust) if len(films) == 2 else _lower_median(broad, lost)
-    total, weights = np.zeros(films[0].shape, np.float32), []
-    merged = np.zeros_like(total)
-    sharp = np.array([_sharpness(film, gone, config.sides_px[-1]) for film, gone in zip(films, lost, strict=True)])
-    sharp = (sharp / max(sharp.max(), 1e-9)) ** 4  # what is blurred adds little but blur
-    for film, gone, sure, smooth, worth in zip(films, lost, trust, broad, sharp.tolist(), strict=True):
-        odd = np.exp(-np.square((smooth - level) / np.float32(config.outlier)))
-        # weights fade towards what is lost, so that no edge of a reflection is printed into the film
-        near = _blurred(gone.astype(np.float32), sigma)
-        weight = np.square(sure) * odd * np.clip(1 - near, 0.0, 1.0) * np.float32(worth)
-        weight = np.where(gone, np.float32(0), weight + np.float32(1e-4))
-        merged += weight * film
-        total += weight
-        weights.append(weight)
-    glare = np.logical_and.reduce(list(lost))
-    film = np.where(glare, films[0], merged / np.maximum(total, np.float32(1e-9)))
-    best = np.maximum.reduce([np.where(gone, np.float32(0), sure) for gone, sure in zip(lost, trust, strict=True)])
-    shares = tuple(float((weight / np.maximum(total, 1e-9))[~glare].mean()) if not glare.all() else 0.0
-                   for weight in weights)  # fmt: skip
-    return Fused(film, glare, best, shares)
-
-
-def _blurred(values: Film, sigma: float) -> Film:
-    """A Gaussian blur, at a quarter of the size where it is wide enough for that not to matter."""
-    if sigma < 8:
-        return cv2.GaussianBlur(values, (0, 0), max(sigma, 0.5))
-    small = cv2.resize(values, None, fx=0.25, fy=0.25, interpolation=cv2.INTER_AREA)
-    blurred = cv2.GaussianBlur(small, (0, 0), sigma / 4)
-    return cv2.resize(blurred, values.shape[::-1], interpolation=cv2.INTER_LINEAR)
-
-
-def _blurred_where(film: Film, known: Bool[np.ndarray, "h w"], sigma: float) -> Film:
-    """The film blurred over what is known of it."""
-    weight = known.astype(np.float32)
-    return _blurred(film * weight, sigma) / np.maximum(_blurred(weight, sigma), np.float32(1e-3))
-
-
-def _more_trusted(values: Sequence[Film], lost: Sequence[Bool[np.ndarray, "h w"]], trust: Sequence[Film]) -> Film:
-    """Of two values at each pixel the one that is trusted more."""
-    first, second = (np.where(gone, np.float32(-1), sure) for gone, sure in zip(lost, trust, strict=True))
-    return np.where(first >= second, values[0], values[1])
-
-
-def _lower_median(values: Sequence[Film], lost: Sequence[Bool[np.ndarray, "h w"]]) -> Film:
-    """The lower median at each pixel of the values that are not lost; of all where all are."""
-    stack = np.stack([np.where(gone, np.float32(np.inf), value) for value, gone in zip(values, lost, strict=True)])
-    stack.sort(axis=0)
-    count = np.isfinite(stack).sum(axis=0)
-    rank = np.maximum((count - 1) // 2, 0)
-    level = np.take_along_axis(stack, rank[None], axis=0)[0]
-    return np.where(np.isfinite(level), level, values[0])
-
-
-def _sharpness(film: Film, gone: Bool[np.ndarray, "h w"], side: int) -> float:
-    """How much detail a film holds where it is seen."""
-    fine = _detail(film, gone, _reduced(film.shape, side))
-    return float(np.sqrt(np.square(fine[fine != 0]).mean())) if fine.any() else 0.0
-
-
 # ---------------------------------------------------------------- all together
 
 
@@ -373,7 +268,7 @@ def fuse(
         films.append(film)
         lost.append(gone)
         trust.append(np.ones(size, np.float32) if sure is None else sure)
-    fused = merge(films, lost, trust, config)
+    fused = merge(films, lost, trust, config.merge)
     shares = ", ".join(f"{share:.0%}" for share in fused.shares)
     reason = f"{len(films)} photos; {'; '.join(notes)}; shares {shares}"
     report = StageReport("fuse", True, reason, perf_counter() - start)
@@ -386,4 +281,4 @@ def fuse(
     )
 
 
-__all__ = ["FuseConfig", "Fused", "Registration", "fuse", "merge", "register"]
+__all__ = ["FuseConfig", "Registration", "fuse", "register"]

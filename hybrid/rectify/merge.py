@@ -1,0 +1,126 @@
+"""Films that lie on each other made into one: a mean weighted by trust, without what differs from the others."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float32
+
+Film = Float32[np.ndarray, "h w"]
+
+
+@dataclass(frozen=True)
+class MergeConfig:
+    """How films are merged."""
+
+    detail: float = 0.01
+    """Part of the longer side below which changes of grey are detail, and no remains of light."""
+    outlier: float = 0.06
+    """Display grey by which a photo may differ from the others, detail apart, before it is left out."""
+    sharpness_px: int = 1024
+    """Longer side of the copies on which films are compared by the detail they hold."""
+
+
+@dataclass(frozen=True, eq=False)
+class Fused:
+    """The merged film, where no photo tells, how far it can be trusted, and each photo's share in it."""
+
+    film: Film
+    glare: Bool[np.ndarray, "h w"]
+    confidence: Film
+    shares: tuple[float, ...]
+
+
+def reduced(size: tuple[int, ...], longer: int) -> tuple[int, int]:
+    """Size (h, w) with ``longer`` as its longer side; never enlarged."""
+    factor = min(1.0, longer / max(size))
+    return max(round(size[0] * factor), 1), max(round(size[1] * factor), 1)
+
+
+def detail_of(film: Film, unseen: Bool[np.ndarray, "h w"], size: tuple[int, int]) -> Float32[np.ndarray, "sh sw"]:
+    """The film at another size without its slow changes, 0 where it cannot be trusted: light does not change that."""
+    small = cv2.resize(film, size[::-1], interpolation=cv2.INTER_AREA)
+    sigma = max(size) / 100
+    fine = small - cv2.GaussianBlur(small, (0, 0), sigma)
+    lost = cv2.resize(unseen.astype(np.float32), size[::-1], interpolation=cv2.INTER_AREA)
+    return np.where(cv2.GaussianBlur(lost, (0, 0), sigma) > 0.1, np.float32(0), fine)
+
+
+def merge(
+    films: Sequence[Film],
+    lost: Sequence[Bool[np.ndarray, "h w"]],
+    trust: Sequence[Film],
+    config: MergeConfig,
+) -> Fused:
+    """One film of several that lie on each other: their mean, weighted by trust, without what differs from the others.
+
+    lost: where a photo tells nothing (glare, or beyond its edge). trust: in [0, 1].
+
+    What light leaves behind is broad, and mostly too bright: it is judged on blurred films against their lower median,
+    or of two against the one that is trusted more.
+    """
+    sigma = config.detail * max(films[0].shape)
+    broad = [_blurred_where(film, ~gone, sigma) for film, gone in zip(films, lost, strict=True)]
+    level = _more_trusted(broad, lost, trust) if len(films) == 2 else _lower_median(broad, lost)
+    total, weights = np.zeros(films[0].shape, np.float32), []
+    merged = np.zeros_like(total)
+    sharp = np.array([_sharpness(film, gone, config.sharpness_px) for film, gone in zip(films, lost, strict=True)])
+    sharp = (sharp / max(sharp.max(), 1e-9)) ** 4  # what is blurred adds little but blur
+    for film, gone, sure, smooth, worth in zip(films, lost, trust, broad, sharp.tolist(), strict=True):
+        odd = np.exp(-np.square((smooth - level) / np.float32(config.outlier)))
+        # weights fade towards what is lost, so that no edge of a reflection is printed into the film
+        near = _blurred(gone.astype(np.float32), sigma)
+        weight = np.square(sure) * odd * np.clip(1 - near, 0.0, 1.0) * np.float32(worth)
+        weight = np.where(gone, np.float32(0), weight + np.float32(1e-4))
+        merged += weight * film
+        total += weight
+        weights.append(weight)
+    glare = np.logical_and.reduce(list(lost))
+    film = np.where(glare, films[0], merged / np.maximum(total, np.float32(1e-9)))
+    best = np.maximum.reduce([np.where(gone, np.float32(0), sure) for gone, sure in zip(lost, trust, strict=True)])
+    shares = tuple(float((weight / np.maximum(total, 1e-9))[~glare].mean()) if not glare.all() else 0.0
+                   for weight in weights)  # fmt: skip
+    return Fused(film, glare, best, shares)
+
+
+def _blurred(values: Film, sigma: float) -> Film:
+    """A Gaussian blur, at a quarter of the size where it is wide enough for that not to matter."""
+    if sigma < 8:
+        return cv2.GaussianBlur(values, (0, 0), max(sigma, 0.5))
+    small = cv2.resize(values, None, fx=0.25, fy=0.25, interpolation=cv2.INTER_AREA)
+    blurred = cv2.GaussianBlur(small, (0, 0), sigma / 4)
+    return cv2.resize(blurred, values.shape[::-1], interpolation=cv2.INTER_LINEAR)
+
+
+def _blurred_where(film: Film, known: Bool[np.ndarray, "h w"], sigma: float) -> Film:
+    """The film blurred over what is known of it."""
+    weight = known.astype(np.float32)
+    return _blurred(film * weight, sigma) / np.maximum(_blurred(weight, sigma), np.float32(1e-3))
+
+
+def _more_trusted(values: Sequence[Film], lost: Sequence[Bool[np.ndarray, "h w"]], trust: Sequence[Film]) -> Film:
+    """Of two values at each pixel the one that is trusted more."""
+    first, second = (np.where(gone, np.float32(-1), sure) for gone, sure in zip(lost, trust, strict=True))
+    return np.where(first >= second, values[0], values[1])
+
+
+def _lower_median(values: Sequence[Film], lost: Sequence[Bool[np.ndarray, "h w"]]) -> Film:
+    """The lower median at each pixel of the values that are not lost; of all where all are."""
+    stack = np.stack([np.where(gone, np.float32(np.inf), value) for value, gone in zip(values, lost, strict=True)])
+    stack.sort(axis=0)
+    count = np.isfinite(stack).sum(axis=0)
+    rank = np.maximum((count - 1) // 2, 0)
+    level = np.take_along_axis(stack, rank[None], axis=0)[0]
+    return np.where(np.isfinite(level), level, values[0])
+
+
+def _sharpness(film: Film, gone: Bool[np.ndarray, "h w"], side: int) -> float:
+    """How much detail a film holds where it is seen."""
+    fine = detail_of(film, gone, reduced(film.shape, side))
+    return float(np.sqrt(np.square(fine[fine != 0]).mean())) if fine.any() else 0.0
+
+
+__all__ = ["Film", "Fused", "MergeConfig", "detail_of", "merge", "reduced"]
