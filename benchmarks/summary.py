@@ -92,8 +92,8 @@ def _known(figure: Callable[[Measured], float | None], measured: Sequence[Measur
 SPLITS: dict[str, Callable[[CaseNote], str]] = {
     "cell style": lambda c: c.style,
     "light": lambda c: c.light,
-    "bend": lambda c: "unknown" if c.bend_deg is None else _range(c.bend_deg, (10, 30), "degrees"),
-    "coverage": lambda c: _range(100 * c.coverage, (25, 50), "% of the photo"),
+    "bend": lambda c: "unknown" if c.bend_deg is None else _range(c.bend_deg, (10.0, 30.0), "degrees"),
+    "coverage": lambda c: _range(100 * c.coverage, (25.0, 50.0), "% of the photo"),
 }
 """Kinds of photos by what they are split by."""
 
@@ -101,8 +101,8 @@ SPLITS: dict[str, Callable[[CaseNote], str]] = {
 def _range(value: float, bounds: tuple[float, float], unit: str) -> str:
     low, high = bounds
     if value < low:
-        return f"under {low} {unit}"
-    return f"{low} to {high} {unit}" if value < high else f"over {high} {unit}"
+        return f"under {low:g} {unit}"
+    return f"{low:g} to {high:g} {unit}" if value < high else f"over {high:g} {unit}"
 
 
 def split_rows(report: Report, method: str, megapixels: float) -> list[tuple[str, str, Row]]:

@@ -244,10 +244,10 @@ def test_the_page_and_the_readme_come_from_the_figures(made: tuple[Options, Repo
     assert text == page_text(read_results(options.page.parent, "benchmarks_"))
     assert all(word in text for word in ("cv2.remap alone", "the middle", "### 0.05 megapixels", "No GPU was at hand"))
     assert (options.page.parent / "images" / "benchmarks_time_error.png").exists()
-    readme = with_table(f"a\n{BEGIN}\nold\n{END}\nb\n", readme_table(report))
+    readme = with_table(f"a\n{BEGIN}\nformer\n{END}\nb\n", readme_table(report))
     assert readme.startswith(f"a\n{BEGIN}\n")
     assert readme.endswith(f"{END}\nb\n")
-    assert "old" not in readme
+    assert "former" not in readme
     assert "the middle" in readme
     assert with_table("no marks", "x") == "no marks"
 
