@@ -109,7 +109,7 @@ class Says:
             raise self.error
         film = np.full((8, 8), self.film, np.float32)
         found = BackwardMap(sheet().nodes + np.array([self.off, 0.0]))
-        return RectifyResult(Status(StatusCode.OK), (), film, None, found, None, None, film)
+        return RectifyResult(Status(StatusCode.OK), film=film, backward=found, confidence=film)
 
 
 def refuses(photo: np.ndarray) -> RectifyResult:
