@@ -22,7 +22,6 @@ from hybrid.errors import HybridError
 from hybrid.records import CoarseMaps
 from hybrid.rectify.grid import GridConfig, find_comb
 from hybrid.rectify.invert import NotInverted, fit_backward
-from hybrid.rectify.refine import RefineConfig
 from hybrid.rectify.tps import affine_basis, choose_smoothing, fit_tps, fit_tps_robust
 
 SHOWN = 8
@@ -220,7 +219,7 @@ def grid(rng: np.random.Generator) -> End:
             rng.normal(0, 40, (3, 3)).astype(np.float32), (width, height), interpolation=cv2.INTER_CUBIC
         )
     comb = find_comb(image, 0, GridConfig())
-    if comb is None or comb.cells < 3 or comb.strength < RefineConfig().sure_lines:
+    if comb is None or comb.cells < 3 or comb.strength < GridConfig().sure_share:
         return End(refusal="no comb" if comb is None else "not sure")
     lines = comb.lines()
     if not np.isfinite(lines).all():

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from hybrid.coords import film_centres_1d
-from hybrid.rectify.congeal import CongealConfig, block_shifts, register_cells
+from hybrid.rectify.congeal import CongealConfig, block_shifts, median_image, register_cells
 from hybrid.rectify.film_view import FilmView
 from hybrid.rectify.repeat import Repeats
 from hybrid.rectify.sightings import Sightings, SplineConfig, fit_displacement
@@ -82,3 +82,11 @@ def test_what_agrees_outweighs_what_does_not():
 
     assert error(number) < 3e-4
     assert error(number) < 0.7 * error(None)
+
+
+@pytest.mark.parametrize("n", [1, 2, 3, 7, 20, 33])
+def test_the_median_image_is_the_median_of_each_pixel(n):
+    images = np.random.default_rng(n).normal(size=(n, 9, 11)).astype(np.float32)
+    kept = images.copy()
+    np.testing.assert_array_equal(median_image(images), np.median(images, axis=0))
+    np.testing.assert_array_equal(images, kept)

@@ -6,8 +6,10 @@ from synthetic_film import FilmDrawing, draw_print, make_photo
 
 from hybrid.coords import film_centres_1d
 from hybrid.rectify.film_view import FilmView, extended_weights, lattice_points, view_film
-from hybrid.rectify.grid import GridConfig, find_comb, follow_comb
-from hybrid.rectify.repeat import RepeatConfig, cell_agreement, find_repeats, match_cells
+from hybrid.rectify.follow import follow_comb
+from hybrid.rectify.grid import GridConfig, find_comb
+from hybrid.rectify.match import match_cells
+from hybrid.rectify.repeat import RepeatConfig, cell_agreement, find_repeats
 
 GRID, REPEAT = GridConfig(), RepeatConfig()
 

@@ -81,7 +81,7 @@ def test_outliers_from_a_smooth_curve_lose_their_weight():
     depth = 3 * along**2 + rng.normal(0, 0.1, 80)
     bad = rng.permutation(80)[:16]
     depth[bad] += rng.choice([-1, 1], 16) * rng.uniform(3, 9, 16)
-    weights = smooth_curve_weights(along, depth, np.ones(80, dtype=bool), 0.3)
+    weights = smooth_curve_weights(along, depth[None], np.ones((1, 80), dtype=bool), np.array([0.3]))[0]
     assert weights[bad].max() < 0.01
     assert np.median(np.delete(weights, bad)) > 0.8
 

@@ -9,7 +9,8 @@ the place in the cell, and the pitch is unknown too: the sheet's outline has to 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -17,7 +18,7 @@ from jaxtyping import Bool, Float, Int
 
 from hybrid.coords import centres_1d
 from hybrid.rectify.film_view import FilmView
-from hybrid.rectify.repeat import Repeats, cell_image, detail
+from hybrid.rectify.repeat import Repeats, cell_image, detail, shrunk
 from hybrid.rectify.sightings import Sightings
 from hybrid.rectify.tps import MAD_TO_SIGMA
 
@@ -29,7 +30,7 @@ class CongealConfig:
     blurs_px: tuple[float, ...] = (3.0, 2.0, 1.5, 1.0, 1.0)
     """One round each: details below this size, in pixels of the view, are smoothed away. Coarse reaches far, fine is
     exact."""
-    block_px: int = 24
+    block_px: float = 24.0
     """About the side of a block, in pixels of the view."""
     min_cells: int = 4
     """Fewer cells have no median that tells what they share."""
@@ -51,6 +52,18 @@ class CongealConfig:
     """Largest shift believed, in multiples of the blur: a linear step does not reach beyond."""
     shared_sigma: float = 0.03
     """Prior standard deviation of what all cells have in common, and of the pitch, in film units."""
+    shrink_blur_px: float = 2.0
+    """From this blur on, a view of half the size shows as much, and is four times as quick."""
+
+    def shrunk(self, factor: int) -> CongealConfig:
+        """The same options in pixels of a view that is reduced by ``factor``."""
+        return replace(
+            self,
+            block_px=self.block_px / factor,
+            correlated_px=self.correlated_px / factor**2,
+            sigma_px=self.sigma_px / factor,
+            worst_sigma_px=self.worst_sigma_px / factor,
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +89,10 @@ def register_cells(
     """
     if columns.cells * rows.cells < config.min_cells:
         return ()
-    image = detail(view.image[..., 0], blur_px, 4.0 * blur_px + 4.0)
+    shrink = 2 if blur_px >= config.shrink_blur_px else 1
+    config = config.shrunk(shrink)
+    blur_px, light_px = blur_px / shrink, (4.0 * blur_px + 4.0) / shrink
+    image = detail(shrunk(view.image[..., 0], shrink), blur_px, light_px)
     number = [(j, i) for i in range(rows.cells) for j in range(columns.cells)]
     cells = np.stack([cell_image(image, columns, rows, j, i) for j, i in number])
     shifts = block_shifts(cells, blur_px, config)
@@ -86,29 +102,64 @@ def register_cells(
 
 def block_shifts(cells: Float[np.ndarray, "n ch cw"], blur_px: float, config: CongealConfig) -> _Shifts:
     """One least-squares step of all blocks of all cells towards the cells' median."""
-    template = np.median(cells, axis=0)
-    spread = cv2.blur(MAD_TO_SIGMA * np.median(np.abs(cells - template), axis=0), (3, 3))
+    template = median_image(cells)
+    spread = cv2.blur(MAD_TO_SIGMA * median_image(np.abs(cells - template)), (3, 3))
     spread = np.hypot(spread, np.median(spread) + 1e-3)
     weight = 1.0 / spread**2
     edges = tuple(_block_edges(n, config.block_px) for n in template.shape)
     gy, gx = np.gradient(template)
     xx, xy, yy = (_block_sums(weight * product, edges) for product in (gx * gx, gx * gy, gy * gy))
     det = np.maximum(xx * yy - xy * xy, 1e-6 * (xx + yy) ** 2 + 1e-12)
-    both, own = _block_sums(weight * template * cells, edges), _block_sums(weight * cells * cells, edges)
+    both, own = _block_sums((weight * template) * cells, edges), _block_sums(weight * np.square(cells), edges)
     energy = np.maximum(_block_sums(weight * template * template, edges), 1e-9)
     gain = both / energy
     bounded = np.clip(gain, config.min_gain, 1.0 / config.min_gain)
     per_pixel = bounded.repeat(np.diff(edges[0]), axis=1).repeat(np.diff(edges[1]), axis=2)
     # A shift within reach makes differences too: only what is beyond both is cut.
     bound = config.clip * spread + blur_px * np.hypot(gx, gy)
-    difference = np.clip(cells / per_pixel - template, -bound, bound)
-    bx, by = (_block_sums(weight * gradient * difference, edges) for gradient in (gx, gy))
+    difference = cells / per_pixel
+    difference -= template
+    np.clip(difference, -bound, bound, out=difference)
+    bx, by = (_block_sums((weight * gradient) * difference, edges) for gradient in (gx, gy))
     shift = np.stack([xy * by - yy * bx, xy * bx - xx * by], axis=-1) / det[..., None]
     sigma = np.sqrt(config.correlated_px * np.stack([yy, xx], axis=-1) / det[..., None])
     good = (gain > config.min_gain) & (both > config.min_correlation * np.sqrt(energy * np.maximum(own, 1e-9)))
     good &= np.abs(shift).max(axis=-1) < config.reach * blur_px
     at = _block_centres(weight * (gx * gx + gy * gy), edges) / np.array(template.shape[::-1])
     return _Shifts(shift, sigma / np.minimum(bounded, 1.0)[..., None], good, at)
+
+
+def median_image(images: Float[np.ndarray, "n h w"]) -> Float[np.ndarray, "h w"]:
+    """Median over the images, pixel by pixel: the same as NumPy's, which is ten times slower along the first axis."""
+    planes = list(images.copy())
+    lower = np.empty_like(planes[0])
+    for a, b in _median_network(len(planes)):
+        np.minimum(planes[a], planes[b], out=lower)
+        np.maximum(planes[a], planes[b], out=planes[b])
+        planes[a], lower = lower, planes[a]
+    return 0.5 * (planes[(len(planes) - 1) // 2] + planes[len(planes) // 2])
+
+
+@lru_cache(maxsize=32)
+def _median_network(n: int) -> tuple[tuple[int, int], ...]:
+    """Pairs to be put in order, one after the other, until what is in the middle is the median of n.
+
+    Batcher's odd-even merge sort (Knuth, The Art of Computer Programming 3, 5.2.2), less what the middle does not need.
+    """
+    pairs = []
+    sizes = [2**k for k in range((n - 1).bit_length())]
+    for size in sizes:
+        for step in [s for s in reversed(sizes) if s <= size]:
+            for first in range(step % size, n - step, 2 * step):
+                for a in range(first, min(first + step, n - step)):
+                    if a // (2 * size) == (a + step) // (2 * size):
+                        pairs.append((a, a + step))
+    needed, kept = {(n - 1) // 2, n // 2}, []
+    for pair in reversed(pairs):
+        if needed & set(pair):
+            needed |= set(pair)
+            kept.append(pair)
+    return tuple(reversed(kept))
 
 
 def _sightings(
@@ -140,7 +191,7 @@ def _sightings(
     )
 
 
-def _block_edges(n: int, block_px: int) -> Int[np.ndarray, " k"]:
+def _block_edges(n: int, block_px: float) -> Int[np.ndarray, " k"]:
     """Where the blocks along one axis of n pixels begin and end."""
     return np.linspace(0, n, max(1, round(n / block_px)) + 1).astype(int)
 
@@ -158,4 +209,4 @@ def _block_centres(density: Float[np.ndarray, "ch cw"], edges: tuple[np.ndarray,
     return np.stack([x, y], axis=-1) / total[..., None]
 
 
-__all__ = ["CongealConfig", "block_shifts", "register_cells"]
+__all__ = ["CongealConfig", "block_shifts", "median_image", "register_cells"]

@@ -13,23 +13,24 @@ def best_paths(score: Float[np.ndarray, "b d p"], max_step: int = 2, cost: float
     each row stepped."""
     b, d, p = score.shape
     steps = np.arange(-max_step, max_step + 1)
-    padded = np.full((b, d + 2 * max_step), -np.inf)
-    total = padded[:, max_step : max_step + d]
-    total[:] = score[:, :, 0]
-    came_from = np.zeros((p, b, d), dtype=np.int8)
-    choices = np.empty((len(steps), b, d))
+    # Best sum of a path from the first column to each place; rows beyond the image are never worth a step.
+    sums = np.full((p, b, d + 2 * max_step), -np.inf)
+    sums[0, :, max_step : max_step + d] = score[:, :, 0]
+    stepped = np.empty((b, d))
     for column in range(1, p):
-        for k, step in enumerate(steps):
-            np.subtract(padded[:, max_step + step : max_step + step + d], cost * abs(step), out=choices[k])
-        best = came_from[column]
-        np.argmax(choices, axis=0, out=(index := np.empty((b, d), dtype=np.intp)))
-        best[:] = index
-        np.add(choices.max(axis=0), score[:, :, column], out=total)
+        before, total = sums[column - 1], sums[column, :, max_step : max_step + d]
+        total[:] = before[:, max_step : max_step + d]
+        for step in range(1, max_step + 1):
+            np.maximum(before[:, max_step - step :][:, :d], before[:, max_step + step :][:, :d], out=stepped)
+            np.subtract(stepped, cost * step, out=stepped)
+            np.maximum(total, stepped, out=total)
+        np.add(total, score[:, :, column], out=total)
     path = np.empty((b, p), dtype=np.intp)
-    path[:, -1] = np.argmax(total, axis=1)
-    rows = np.arange(b)
+    path[:, -1] = np.argmax(sums[-1, :, max_step : max_step + d], axis=1)
+    rows = np.arange(b)[:, None]
     for column in range(p - 1, 0, -1):
-        path[:, column - 1] = path[:, column] + steps[came_from[column, rows, path[:, column]]]
+        near = sums[column - 1, rows, path[:, column, None] + max_step + steps] - cost * np.abs(steps)
+        path[:, column - 1] = path[:, column] + steps[np.argmax(near, axis=1)]
     return path
 
 
@@ -43,21 +44,37 @@ def parabola_peak(values: Float[np.ndarray, "d p"]) -> Float[np.ndarray, " p"]:
 
 
 def smooth_curve_weights(
-    along: Float[np.ndarray, " p"], depth: Float[np.ndarray, " p"], good: Bool[np.ndarray, " p"], sigma: float
-) -> Float[np.ndarray, " p"]:
-    """Weights of edge points around a smooth curve (Legendre polynomial of degree 7) through most of them."""
+    along: Float[np.ndarray, " p"],
+    depth: Float[np.ndarray, "b p"],
+    good: Bool[np.ndarray, "b p"],
+    sigma: Float[np.ndarray, " b"],
+) -> Float[np.ndarray, "b p"]:
+    """Weights of the points of b curves, each around a smooth curve (Legendre polynomial of degree 7) through most of
+    its good points; 0 where a curve has too few of these. sigma: noise of a good point of each curve."""
     basis = np.polynomial.legendre.legvander(2.0 * along - 1.0, 7)
+    products = (basis[:, :, None] * basis[:, None, :]).reshape(len(along), -1)
     ridge = 1e-3 * np.diag(np.arange(8.0) ** 2)
+    enough = good.sum(axis=1) >= 12
+    good = good & enough[:, None]
+    depth = np.where(good, depth, 0.0)
+    centred = np.abs(depth - _medians(depth, good)[:, None])
+    noise = np.maximum(sigma, _medians(centred, good))
     weights = good.astype(np.float64)
-    if good.sum() < 12:
-        return np.zeros(len(along))
-    noise = max(sigma, float(np.median(np.abs(depth[good] - np.median(depth[good])))))
+    # A curve without points gets the zero polynomial instead of a singular system.
+    ridge = ridge + np.where(enough, 0.0, 1.0)[:, None, None] * np.eye(8)
     for _ in range(8):
-        weighted = basis * weights[:, None]
-        fit = basis @ np.linalg.solve(weighted.T @ basis + ridge, weighted.T @ np.where(good, depth, 0.0))
-        noise = max(sigma, 0.6 * noise)
-        weights = np.where(good, tukey_weights((depth - fit) / noise), 0.0)
+        normal = (weights @ products).reshape(-1, 8, 8) + ridge
+        fit = np.linalg.solve(normal, ((weights * depth) @ basis)[..., None])[..., 0] @ basis.T
+        noise = np.maximum(sigma, 0.6 * noise)
+        weights = np.where(good, tukey_weights((depth - fit) / noise[:, None]), 0.0)
     return weights
+
+
+def _medians(values: Float[np.ndarray, "b p"], good: Bool[np.ndarray, "b p"]) -> Float[np.ndarray, " b"]:
+    """Median of the good values of each row; 0 where there are none."""
+    ordered, row, count = np.sort(np.where(good, values, np.inf), axis=1), np.arange(len(values)), good.sum(axis=1)
+    middle = 0.5 * (ordered[row, np.maximum(count - 1, 0) // 2] + ordered[row, count // 2])
+    return np.where(count > 0, middle, 0.0)
 
 
 __all__ = ["best_paths", "parabola_peak", "smooth_curve_weights"]

@@ -72,7 +72,10 @@ def view_film(
         photo, opencv_from_photo(x), opencv_from_photo(y), cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT
     )
     height, width = photo.shape[:2]
-    inside = (x >= 0) & (x <= width) & (y >= 0) & (y <= height)
+    if min(x.min(), y.min()) >= 0 and x.max() <= width and y.max() <= height:  # as nearly always, and quicker to tell
+        inside = np.ones(x.shape, dtype=bool)
+    else:
+        inside = (x >= 0) & (x <= width) & (y >= 0) & (y <= height)
     return FilmView(np.atleast_3d(image).astype(np.float32), u, v, inside)
 
 

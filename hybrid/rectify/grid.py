@@ -2,7 +2,7 @@
 
 A line counts where it is seen in nearly all strips across the film: slices, texts and scale bars are each too
 short for that. Lines that lie at a regular pitch make a comb; a comb is believed if all its inner lines are
-seen. Then each line is followed along its length, which observes the coordinate across it at many points.
+seen. Then each line is followed along its length (follow.py).
 """
 
 from __future__ import annotations
@@ -14,8 +14,6 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from hybrid.coords import film_centres_1d
-from hybrid.rectify.curves import best_paths, smooth_curve_weights
-from hybrid.rectify.film_view import FilmView
 from hybrid.rectify.sightings import Sightings
 
 
@@ -31,6 +29,8 @@ class GridConfig:
     """Share of the strips that must see a line."""
     lone_share: float = 0.9
     """The same where there is only one line between the cells, so that no pitch bears it out."""
+    sure_share: float = 0.95
+    """The same if nothing repeats at the lines' pitch."""
     slack_px: int = 3
     """How far a line may wander from one strip to the next, in pixels."""
     cap_levels: float = 12.0
@@ -122,9 +122,13 @@ class _Line:
         return float(self.track.mean())
 
 
-def narrowed(grey: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h n"]:
-    """The view averaged over 8 columns: lines along the rows stay, and there is less to do."""
-    return cv2.resize(grey, (max(grey.shape[1] // 8, 16), grey.shape[0]), interpolation=cv2.INTER_AREA)
+def narrowed(grey: Float[np.ndarray, "h w"], axis: int) -> Float[np.ndarray, "d n"]:
+    """The view, lying so that lines across ``axis`` run along the rows, averaged over 8 pixels along them: the lines
+    stay, and there is less to do."""
+    h, w = grey.shape
+    size = (max(w // 8, 16), h) if axis == 1 else (w, max(h // 8, 16))
+    image = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
+    return image if axis == 1 else np.ascontiguousarray(image.T)
 
 
 def line_response(image: Float[np.ndarray, "h n"], width: int) -> Float[np.ndarray, "h n"]:
@@ -153,61 +157,79 @@ def find_comb(
     pitch_range: the pitches considered, where something else tells about them. Of the widths that show the comb
     about as well the narrowest counts: it is the most exact.
     """
-    image = narrowed(grey if axis == 1 else np.ascontiguousarray(grey.T))
+    image = narrowed(grey, axis)
     found: list[Comb] = []
-    for width in config.widths_px:
-        response = line_response(image, width)
-        for sign in (1, -1):
-            lines = _find_lines(sign * response, config)
-            match = _fit_comb(lines, pitch_range, config)
-            if match is not None:
-                tracks = np.stack([lines[k].track for k in match.matched])
-                found.append(
-                    Comb(axis, match.first, match.pitch, match.cells, match.seen, width, sign, match.strength, tracks)
-                )
+    kinds = [(width, sign) for width in config.widths_px for sign in (1, -1)]
+    for (width, sign), lines in zip(kinds, _find_lines(image, config), strict=True):
+        match = _fit_comb(lines, pitch_range, config)
+        if match is not None:
+            tracks = np.stack([lines[k].track for k in match.matched])
+            found.append(
+                Comb(axis, match.first, match.pitch, match.cells, match.seen, width, sign, match.strength, tracks)
+            )
     strongest = max((comb.strength for comb in found), default=0.0)
     return next((comb for comb in found if comb.strength >= 0.85 * strongest), None)
 
 
-def _find_lines(response: Float[np.ndarray, "h n"], config: GridConfig) -> list[_Line]:
-    """Lines that run from one end of the film to the other, strongest first.
+def _find_lines(image: Float[np.ndarray, "h n"], config: GridConfig) -> list[list[_Line]]:
+    """Lines that run from one end of the film to the other, strongest first: bright and dark ones of each width.
 
     A line may wander ``slack_px`` rows from strip to strip: the best such path through each row of the middle
-    strip is found by dynamic programming. Each strip counts at most 1, so that the sum tells in how many strips
-    the line is seen.
+    strip is found by dynamic programming, for all kinds of lines at once. Each strip counts at most 1, so that the sum
+    tells in how many strips the line is seen.
     """
-    h = len(response)
-    strips = cv2.resize(
-        np.clip(response, -config.cap_levels, config.cap_levels), (config.strips, h), interpolation=cv2.INTER_AREA
-    )
-    scale = max(config.min_levels, config.min_sigmas * float(np.median(np.abs(strips))))
-    votes = np.clip(strips / scale, -0.5, 1.0).astype(np.float32)
+    h = len(image)
+    votes = np.concatenate([_votes(line_response(image, width), config) for width in config.widths_px], axis=2)
     kernel = np.ones((2 * config.slack_px + 1, 1), np.uint8)
     middle = config.strips // 2
-    sums = votes.copy()  # best sum of a path from the nearer end of the film to this place
+    sums = votes  # best sum of a path from the nearer end of the film to this place
     for k in range(1, middle):
-        sums[:, k] += cv2.dilate(sums[:, k - 1 : k], kernel)[:, 0]
+        sums[k] += cv2.dilate(sums[k - 1], kernel)
     for k in range(config.strips - 2, middle, -1):
-        sums[:, k] += cv2.dilate(sums[:, k + 1 : k + 2], kernel)[:, 0]
+        sums[k] += cv2.dilate(sums[k + 1], kernel)
     for k in (middle - 1, middle + 1):
-        sums[:, middle] += cv2.dilate(sums[:, k : k + 1], kernel)[:, 0]
-    share = sums[:, middle] / config.strips
+        sums[middle] += cv2.dilate(sums[k], kernel)
+    share = sums[middle] / config.strips
     around = np.ones((2 * max(2, round(0.012 * h)) + 1, 1), np.uint8)
-    rows = np.flatnonzero((share >= cv2.dilate(share[:, None], around)[:, 0]) & (share >= config.share))
-    groups = np.split(rows, np.flatnonzero(np.diff(rows) > config.slack_px) + 1) if len(rows) else []
-    starts = sorted((g[len(g) // 2] for g in groups), key=lambda r: -share[r])[:12]
-    return [_Line(_trace(sums, int(r), config.slack_px), float(share[r])) for r in starts]
+    candidate = (share >= cv2.dilate(share, around)) & (share >= config.share)
+    starts = [_strongest(np.flatnonzero(candidate[:, k]), share[:, k], config.slack_px) for k in range(share.shape[1])]
+    kind = np.repeat(np.arange(len(starts)), [len(rows) for rows in starts])
+    row = np.concatenate(starts)
+    lines: list[list[_Line]] = [[] for _ in starts]
+    for k, track, evidence in zip(kind, _trace(sums, row, kind, config.slack_px), share[row, kind], strict=True):
+        lines[k].append(_Line(track, float(evidence)))
+    return lines
 
 
-def _trace(sums: Float[np.ndarray, "h s"], start: int, slack: int) -> Float[np.ndarray, " s"]:
-    """Film coordinates, strip by strip, of the best path through row ``start`` of the middle strip."""
-    h, n = sums.shape
+def _votes(response: Float[np.ndarray, "h n"], config: GridConfig) -> Float[np.ndarray, "s h 2"]:
+    """How clearly each row of each strip shows a bright line, and a dark one."""
+    strips = cv2.resize(
+        np.clip(response, -config.cap_levels, config.cap_levels),
+        (config.strips, len(response)),
+        interpolation=cv2.INTER_AREA,
+    )
+    scale = max(config.min_levels, config.min_sigmas * float(np.median(np.abs(strips))))
+    return np.clip(np.stack([strips.T, -strips.T], axis=2) / scale, -0.5, 1.0).astype(np.float32)
+
+
+def _strongest(rows: Int[np.ndarray, " n"], share: Float[np.ndarray, " h"], slack: int) -> Int[np.ndarray, " k"]:
+    """Of rows where lines may be, the middle one of each group; the twelve best, best first."""
+    groups = np.split(rows, np.flatnonzero(np.diff(rows) > slack) + 1) if len(rows) else []
+    return np.array(sorted((g[len(g) // 2] for g in groups), key=lambda r: -share[r])[:12], dtype=np.intp)
+
+
+def _trace(
+    sums: Float[np.ndarray, "s h c"], start: Int[np.ndarray, " k"], kind: Int[np.ndarray, " k"], slack: int
+) -> Float[np.ndarray, "k s"]:
+    """Film coordinates, strip by strip, of the best paths of some kinds through rows ``start`` of the middle strip."""
+    n, h, _ = sums.shape
     middle = n // 2
-    rows = np.full(n, start)
+    rows = np.repeat(start[:, None], n, axis=1)
+    step, line = np.arange(-slack, slack + 1), np.arange(len(start))
     for strips, came_from in ((range(middle - 1, -1, -1), 1), (range(middle + 1, n), -1)):
         for k in strips:
-            low = max(0, rows[k + came_from] - slack)
-            rows[k] = low + int(np.argmax(sums[low : rows[k + came_from] + slack + 1, k]))
+            near = np.clip(rows[:, k + came_from, None] + step, 0, h - 1)
+            rows[:, k] = near[line, np.argmax(sums[k, near, kind[:, None]], axis=1)]
     return film_centres_1d(h)[rows]
 
 
@@ -279,74 +301,4 @@ def _match_comb(
     return _Match(anchor + pitch * int(index[0]), pitch, len(index) - 1, np.flatnonzero(met), nearest[met], strength)
 
 
-# ---------------------------------------------------------------- following
-
-
-def follow_comb(view: FilmView, comb: Comb, config: GridConfig) -> Sightings | None:
-    """Each line that was seen, observed at many places along its length; None where too little is left.
-
-    Straightness and equal spacing are in the constants shared by all: where the comb's middle lies from the film's,
-    and by how much its pitch differs.
-    """
-    grey = view.image[..., 0]
-    image = narrowed(grey if comb.axis == 1 else np.ascontiguousarray(grey.T))
-    response = comb.sign * line_response(image, comb.width_px)
-    h, n = response.shape
-    lines = comb.lines()
-    inside = (lines[comb.seen] > config.edge) & (lines[comb.seen] < 1.0 - config.edge)
-    inner, tracks = comb.seen[inside], comb.tracks[inside]
-    if len(inner) == 0:
-        return None
-    stations = film_centres_1d(n)
-    start = np.stack([np.interp(stations, film_centres_1d(tracks.shape[1]), track) for track in tracks])
-    start = np.rint(start * h).astype(int) - config.reach_px
-    rows = np.clip(start[:, None, :] + np.arange(2 * config.reach_px + 1)[:, None], 0, h - 1)
-    bands = response[rows, np.arange(n)]  # (lines, rows around each line, stations)
-    smooth = cv2.GaussianBlur(bands.reshape(-1, n).astype(np.float32), (5, 1), 1.0).reshape(bands.shape)
-    typical = np.maximum(np.median(smooth.max(axis=1), axis=1), config.min_levels)[:, None, None]
-    paths = best_paths(np.clip(smooth / typical, 0.0, 1.2), max_step=1, cost=0.1)
-    seen, index = _peaks_on_paths(smooth, paths, config)
-    on_curve = np.zeros(len(index), dtype=bool)
-    for k in range(len(inner)):
-        of_line = np.flatnonzero(index == k)
-        row = start[k, seen[of_line, 0].astype(int)] + seen[of_line, 1]
-        weights = smooth_curve_weights(stations[seen[of_line, 0].astype(int)], row, np.ones(len(row), dtype=bool), 0.4)
-        on_curve[of_line] = weights > 0.2
-    covered = np.bincount(index[on_curve], minlength=len(inner)) / n >= config.coverage
-    if covered.mean() < 0.7:
-        return None
-    on_curve &= covered[index]
-    seen, index = seen[on_curve], index[on_curve]
-    station = seen[:, 0].astype(int)
-    along = stations[station]
-    across = np.interp(start[index, station] + seen[:, 1], np.arange(h), film_centres_1d(h))
-    uv = np.column_stack([along, across] if comb.axis == 1 else [across, along])
-    sigma = np.full(len(across), config.sigma_px / h * np.sqrt(max(1.0, n / config.stations)))
-    from_centre = inner[index] - 0.5 * comb.cells
-    if comb.fills_film(config):
-        pitch, shared_sigma = 1.0 / comb.cells, config.snug_sigma * np.array([1.0, 1.0 / comb.cells])
-    else:
-        pitch, shared_sigma = comb.pitch, np.array([config.centre_sigma[comb.axis], config.pitch_sigma])
-    shared = np.column_stack([np.ones(len(across)), from_centre])
-    return Sightings(comb.axis, uv, 0.5 + from_centre * pitch, sigma, shared, shared_sigma)
-
-
-def _peaks_on_paths(
-    bands: Float[np.ndarray, "b d n"], paths: Int[np.ndarray, "b n"], config: GridConfig
-) -> tuple[Float[np.ndarray, "k 2"], Int[np.ndarray, " k"]]:
-    """(station, row to a fraction) of the response's peaks along the paths where it is a peak and strong enough,
-    and the band of each."""
-    b, d, n = bands.shape
-    near = np.clip(paths[:, None, :] + np.arange(-1, 2)[:, None], 1, d - 2)
-    row = np.take_along_axis(near, np.take_along_axis(bands, near, axis=1).argmax(axis=1)[:, None], axis=1)[:, 0]
-    band, station = np.meshgrid(np.arange(b), np.arange(n), indexing="ij")
-    above, here, below = (bands[band, row + k, station] for k in (-1, 0, 1))
-    curvature = above - 2 * here + below
-    peak = (curvature < 0) & (here >= above) & (here >= below)
-    shift = np.where(peak, 0.5 * (above - below) / np.where(peak, curvature, 1.0), 0.0)
-    typical = np.median(here, axis=1, keepdims=True)
-    good = peak & (here >= np.maximum(0.4 * typical, 0.7 * config.min_levels)) & (here <= 3.0 * typical + 3.0)
-    return np.column_stack([station[good], (row + shift)[good]]).astype(np.float64), band[good]
-
-
-__all__ = ["Comb", "GridConfig", "find_comb", "follow_comb", "line_response"]
+__all__ = ["Comb", "GridConfig", "find_comb", "line_response", "narrowed"]

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 from scipy.ndimage import gaussian_filter1d, uniform_filter1d
@@ -103,11 +104,13 @@ def find_outline(
         score = edge_score(strip, config) - prior[:, None]
         scores[k, : len(strip.depth)] = np.where(searched[:, None], score, _NOWHERE)
     paths = outermost_paths(scores, strips, config)
-    found = [
-        _side_sightings(strip, side, path, np.take_along_axis(score, path[None], axis=0)[0], config)
-        for strip, side, path, score in zip(strips, SIDES, paths, scores, strict=True)
-    ]
-    return tuple(f for f in found if f is not None)
+    at_path = np.take_along_axis(scores, paths[:, None], axis=1)[:, 0]
+    depth = np.stack([subpixel_edge(strip, path) for strip, path in zip(strips, paths, strict=True)])
+    good = (at_path >= config.min_score) & np.isfinite(depth)
+    rough = 1.2 * np.array([strip.pixel for strip in strips])
+    good &= smooth_curve_weights(strips[0].along, depth, good, rough) > 0.2
+    seen = zip(strips, SIDES, depth, at_path, good, strict=True)
+    return tuple(_side_sightings(*of_side, config) for of_side in seen if of_side[-1].mean() >= config.min_share)
 
 
 def sample_strip(photo: UInt8[np.ndarray, "H W 3"], backward: BackwardMap, side: Side, config: OutlineConfig) -> Strip:
@@ -126,12 +129,11 @@ def sample_strip(photo: UInt8[np.ndarray, "H W 3"], backward: BackwardMap, side:
     else:
         view = view_film(photo, backward, across, along_fine)
         image, inside = view.image.transpose(1, 0, 2), view.inside.T
-    groups = (len(depth), config.profiles, fine)
     return Strip(
-        image.reshape(*groups, 3).mean(axis=2),
+        cv2.resize(image, (config.profiles, len(depth)), interpolation=cv2.INTER_AREA),  # the mean of each ``fine``
         depth,
         film_centres_1d(config.profiles),
-        np.asarray(inside.reshape(groups).all(axis=2)),
+        np.asarray(inside.reshape(len(depth), config.profiles, fine).all(axis=2)),
         pixel,
     )
 
@@ -150,24 +152,17 @@ def edge_score(strip: Strip, config: OutlineConfig) -> Float[np.ndarray, "d p"]:
 
 def _window_score(image: Float[np.ndarray, "d p 3"], width: int, gap: int, noise: float) -> Float[np.ndarray, "d p"]:
     """Difference of the means of ``width`` rows that end ``gap`` rows before and after each row, over their spread."""
+    d, p = image.shape[:2]
     margin = width + gap
-    padded = np.pad(image, ((margin, margin), (0, 0), (0, 0)), mode="edge").astype(np.float64)
-    first_row = np.zeros((1, *padded.shape[1:]))
-    sums = np.cumsum(np.concatenate([first_row, padded]), axis=0)
-    squares = np.cumsum(np.concatenate([first_row, padded**2]).sum(axis=2), axis=0)
-    d = len(image)
-
-    def window(cumulative: np.ndarray, start: int) -> np.ndarray:
-        """Mean over ``width`` rows from ``start`` relative to each row."""
-        first = margin + start
-        return (cumulative[first + width : first + width + d] - cumulative[first : first + d]) / width
-
-    outer, inner = window(sums, 1 - margin), window(sums, gap)
-    spread = sum(
-        np.maximum(window(squares, start) - np.sum(mean**2, axis=2), 0.0)
-        for start, mean in ((1 - margin, outer), (gap, inner))
-    )
-    return np.linalg.norm(outer - inner, axis=2) / np.sqrt(spread + noise**2)
+    # Squares of grey levels less a typical one: float32 holds their sums well enough.
+    rows = (image - image.mean(axis=(0, 1))).reshape(d, -1)
+    box = {"ddepth": -1, "ksize": (1, width), "anchor": (0, 0), "borderType": cv2.BORDER_REPLICATE}
+    padded = np.pad(rows, ((margin, margin), (0, 0)), mode="edge")
+    mean, square = (f(padded, **box).reshape(-1, p, 3) for f in (cv2.boxFilter, cv2.sqrBoxFilter))
+    outer, inner = slice(1, 1 + d), slice(margin + gap, margin + gap + d)
+    variance = np.maximum(square.sum(axis=2) - np.square(mean).sum(axis=2), 0.0)
+    difference = np.linalg.norm(mean[outer] - mean[inner], axis=2)
+    return difference / np.sqrt(variance[outer] + variance[inner] + noise**2)
 
 
 def outermost_paths(
@@ -211,14 +206,14 @@ def _median_score(scores: Float[np.ndarray, "b d p"], paths: Int[np.ndarray, "b 
 
 
 def _side_sightings(
-    strip: Strip, side: Side, path: Int[np.ndarray, " p"], at_path: Float[np.ndarray, " p"], config: OutlineConfig
-) -> Sightings | None:
-    """The edge along one strip, or None where it cannot be told."""
-    depth = subpixel_edge(strip, path)
-    good = (at_path >= config.min_score) & np.isfinite(depth)
-    good &= smooth_curve_weights(strip.along, depth, good, 1.2 * strip.pixel) > 0.2
-    if good.mean() < config.min_share:
-        return None
+    strip: Strip,
+    side: Side,
+    depth: Float[np.ndarray, " p"],
+    at_path: Float[np.ndarray, " p"],
+    good: Bool[np.ndarray, " p"],
+    config: OutlineConfig,
+) -> Sightings:
+    """The edge along one strip where it is seen well."""
     seen = np.empty((int(good.sum()), 2))
     seen[:, side.axis] = side.edge + side.inward * depth[good]
     seen[:, 1 - side.axis] = strip.along[good]

@@ -23,12 +23,13 @@ from hybrid.coords import film_centres_1d
 from hybrid.records import SliceGrid, StageReport
 from hybrid.rectify.congeal import CongealConfig, register_cells
 from hybrid.rectify.film_view import FilmView, view_film
-from hybrid.rectify.grid import Comb, GridConfig, find_comb, follow_comb
+from hybrid.rectify.grid import GridConfig
+from hybrid.rectify.layout import Evidence, Layout, find_layout
+from hybrid.rectify.match import match_cells, match_to_one_cell
 from hybrid.rectify.outline import OutlineConfig, find_outline
-from hybrid.rectify.repeat import RepeatConfig, Repeats, cell_agreement, find_repeats, match_cells, match_to_one_cell
+from hybrid.rectify.repeat import RepeatConfig, cell_agreement
 from hybrid.rectify.sightings import (
     Displacement,
-    DisplacementFit,
     Sightings,
     SplineConfig,
     fit_displacement,
@@ -49,8 +50,6 @@ class RefineConfig:
     """Longer side of the film, in pixels, at which the photo is looked at; larger films are scaled down to it."""
     near_band: float = 0.015
     """Half width of the search band for edges once the map has been improved, in film units."""
-    sure_lines: float = 0.95
-    """Share of the film's length on which lines must be seen if nothing repeats at their pitch."""
     rule_width: float = 0.002
     """How far a rule printed on the film's edge may shift the edge that is seen, in film units."""
     settled_move: float = 5e-4
@@ -74,9 +73,8 @@ class Refinement:
 
 @dataclass(frozen=True, eq=False)
 class _Scene:
-    """The photo at working size and the coarse map into it."""
+    """The grey photo and the coarse map into it. film_size: (height, width) of a view of the film."""
 
-    photo: UInt8[np.ndarray, "H W 3"]
     grey: UInt8[np.ndarray, "H W"]
     coarse: BackwardMap
     film_size: tuple[int, int]
@@ -90,27 +88,27 @@ def refine(photo: UInt8[np.ndarray, "H W 3"], coarse: BackwardMap, config: Refin
     report of stage ``spline`` says which. Raises nothing on any photo.
     """
     clock = _Clock()
-    scene = _working_scene(photo, coarse, config)
-    outline = find_outline(scene.photo, scene.coarse, config.outline)
+    photo, scene = _working_scene(photo, coarse, config)
+    outline = find_outline(photo, scene.coarse, config.outline)
     displacement = no_displacement(config.spline)
     if outline:
         displacement = fit_displacement(outline, config.spline).displacement
     clock.lap("outline")
 
-    layout, attempts = _Layout(), [_Attempt(displacement, tuple(_Evidence(s) for s in outline))]
+    layout, attempts = Layout(), [_Attempt(displacement, tuple(Evidence(s) for s in outline))]
     near = replace(config.outline, band=config.near_band)
     for number, matcher in enumerate(_matchers(config)):
         displacement = attempts[-1].displacement
         view = _view(scene, displacement)
-        layout = _find_layout(view, layout, number < config.line_rounds, config)
-        found = _observe_print(view, layout, matcher, outline, config)
+        layout, lines = find_layout(view, layout, number < config.line_rounds, config.grid, config.repeat)
+        found = _observe_print(view, layout, lines, matcher, outline, config)
         clock.lap("grid")
         evidence = tuple(e.lifted(displacement) for e in found)
         if number == 0:
-            edges = find_outline(scene.photo, displacement.composed(scene.coarse), near)
+            edges = find_outline(photo, displacement.composed(scene.coarse), near)
             outline = tuple(displacement.lift(s) for s in edges)
             clock.lap("outline")
-        evidence += tuple(_Evidence(_as_uncertain(s, layout, config)) for s in outline)
+        evidence += tuple(Evidence(_as_uncertain(s, layout, config)) for s in outline)
         if not evidence:
             return _unchanged(coarse, "no edge, rule, gutter or repeated text was seen", clock)
         fit = fit_displacement([e.sightings for e in evidence], config.spline)
@@ -130,19 +128,7 @@ def refine(photo: UInt8[np.ndarray, "H W 3"], coarse: BackwardMap, config: Refin
         StageReport("spline", backward is not None, verdict, clock["spline"]),
     )
     backward = coarse if backward is None else backward
-    return Refinement(backward, _slice_grid(layout, backward), stages)
-
-
-@dataclass(frozen=True, eq=False)
-class _Evidence:
-    """Sightings and what they are of: a comb of lines, cells that repeat, or (None) the sheet's edge."""
-
-    sightings: Sightings
-    source: Comb | Repeats | None = None
-
-    def lifted(self, displacement: Displacement) -> _Evidence:
-        """As if seen through the coarse map."""
-        return replace(self, sightings=displacement.lift(self.sightings))
+    return Refinement(backward, layout.slice_grid(backward), stages)
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,54 +136,8 @@ class _Attempt:
     """A displacement and what it was fitted to, as seen through the coarse map."""
 
     displacement: Displacement
-    evidence: tuple[_Evidence, ...]
+    evidence: tuple[Evidence, ...]
     stiffness: tuple[float, float] = (0.0, 0.0)
-
-
-@dataclass(frozen=True, eq=False)
-class _Layout:
-    """What is known of the grid along u and along v."""
-
-    combs: tuple[Comb | None, Comb | None] = (None, None)
-    repeats: tuple[Repeats | None, Repeats | None] = (None, None)
-
-    @property
-    def is_enough(self) -> bool:
-        """True where there are no cells to match: lines have been looked for thrice, and more rounds find no more."""
-        return not self.settled
-
-    @property
-    def settled(self) -> bool:
-        """True where repetition was seen along both axes, so that cells can be matched."""
-        return all(r is not None for r in self.repeats)
-
-    @property
-    def any_found(self) -> bool:
-        """True where lines or repetition were found along any axis."""
-        return any(x is not None for x in (*self.combs, *self.repeats))
-
-    def along(self, axis: int) -> Comb | Repeats | None:
-        """What is best known along one axis."""
-        return self.combs[axis] if self.combs[axis] is not None else self.repeats[axis]
-
-    def adjusted(self, evidence: Sequence[_Evidence], fit: DisplacementFit) -> _Layout:
-        """With the places and pitches that the fit found; lines are straight through the map that it gives."""
-        combs, repeats = list(self.combs), list(self.repeats)
-        for e, constants in zip(evidence, fit.constants, strict=True):
-            if isinstance(e.source, Comb):
-                combs[e.source.axis] = e.source.adjusted(e.sightings, constants).straight()
-            elif isinstance(e.source, Repeats):
-                repeats[e.source.axis] = e.source.adjusted(constants)
-        return _Layout((combs[0], combs[1]), (repeats[0], repeats[1]))
-
-    def reason(self) -> str:
-        """What was found, for the report."""
-        found = []
-        for axis, name in ((0, "columns"), (1, "rows")):
-            best = self.along(axis)
-            how = "lines" if isinstance(best, Comb) else "repetition"
-            found.append(f"{best.cells} {name} by {how}" if best is not None else f"no {name} seen")
-        return ", ".join(found)
 
 
 class _Clock:
@@ -227,7 +167,9 @@ def _matchers(config: RefineConfig) -> list[Callable[..., tuple[Sightings, ...]]
     return [far, nearer, *(partial(register_cells, blur_px=b, config=config.congeal) for b in config.congeal.blurs_px)]
 
 
-def _working_scene(photo: UInt8[np.ndarray, "H W 3"], coarse: BackwardMap, config: RefineConfig) -> _Scene:
+def _working_scene(
+    photo: UInt8[np.ndarray, "H W 3"], coarse: BackwardMap, config: RefineConfig
+) -> tuple[UInt8[np.ndarray, "h w 3"], _Scene]:
     """The photo scaled down, if need be, until the film's longer side has ``working_px`` pixels."""
     film_px = max(coarse.mean_film_pixels())
     if film_px > 1.15 * config.working_px:
@@ -238,7 +180,16 @@ def _working_scene(photo: UInt8[np.ndarray, "H W 3"], coarse: BackwardMap, confi
         coarse = coarse.cropped((0.0, 0.0), (size[0] / width, size[1] / height))
     down, across = coarse.mean_film_pixels()
     film_size = (int(np.clip(round(down), 64, 4096)), int(np.clip(round(across), 64, 4096)))
-    return _Scene(photo, cv2.cvtColor(photo, cv2.COLOR_RGB2GRAY), coarse, film_size)
+    return photo, _Scene(cv2.cvtColor(photo, cv2.COLOR_RGB2GRAY), coarse, film_size)
+
+
+def _half(scene: _Scene) -> _Scene:
+    """The scene at half the size."""
+    height, width = scene.grey.shape
+    size = (max(1, width // 2), max(1, height // 2))
+    grey = cv2.resize(scene.grey, size, interpolation=cv2.INTER_AREA)
+    coarse = scene.coarse.cropped((0.0, 0.0), (size[0] / width, size[1] / height))
+    return _Scene(grey, coarse, (scene.film_size[0] // 2, scene.film_size[1] // 2))
 
 
 def _view(scene: _Scene, displacement: Displacement) -> FilmView:
@@ -247,63 +198,34 @@ def _view(scene: _Scene, displacement: Displacement) -> FilmView:
     return view_film(scene.grey, displacement.composed(scene.coarse), film_centres_1d(width), film_centres_1d(height))
 
 
-def _find_layout(view: FilmView, known: _Layout, looking: bool, config: RefineConfig) -> _Layout:
-    """What is found of the grid in this view, added to what was known; lines only if ``looking`` for them.
-
-    Lines that contradict the repeats are dropped: tables and bones make lines too.
-    """
-    grey = view.image[..., 0]
-    combs, repeats = list(known.combs), list(known.repeats)
-    for axis in (0, 1):
-        if repeats[axis] is None:
-            repeats[axis] = find_repeats(grey, axis, config.repeat)
-        comb, repeat = combs[axis], repeats[axis]
-        if looking and (comb is None or len(comb.seen) <= comb.cells):
-            around = (0.94 * repeat.pitch, 1.06 * repeat.pitch) if repeat is not None else (0.0, 1.0)
-            found = find_comb(grey, axis, config.grid, around)
-            if found is not None and _plausible(found, repeat, config):
-                comb = found if comb is None or len(found.seen) > len(comb.seen) else comb
-        if comb is not None and follow_comb(view, comb, config.grid) is None:
-            comb = None
-        combs[axis] = comb
-    return _Layout((combs[0], combs[1]), (repeats[0], repeats[1]))
-
-
-def _plausible(comb: Comb, repeat: Repeats | None, config: RefineConfig) -> bool:
-    """True where the cells repeat at the comb's pitch or, if no repetition is seen, several lines are unbroken."""
-    if repeat is None:
-        return comb.cells > 2 and comb.strength >= config.sure_lines
-    return abs(comb.pitch - repeat.pitch) < 0.04 * repeat.pitch
-
-
 def _observe_print(
     view: FilmView,
-    layout: _Layout,
+    layout: Layout,
+    lines: tuple[Sightings | None, Sightings | None],
     matcher: Callable[..., tuple[Sightings, ...]],
     outline: Sequence[Sightings],
     config: RefineConfig,
-) -> list[_Evidence]:
+) -> list[Evidence]:
     """Sightings of lines, and of what the cells have in common.
 
     Where both edges across an axis are seen they say where the lines are, unless the grid fills the film: what is
     straight and repeats need not lie where cells meet.
     """
     evidence = []
-    for comb in layout.combs:
-        sightings = follow_comb(view, comb, config.grid) if comb is not None else None
+    for comb, sightings in zip(layout.combs, lines, strict=True):
         if comb is None or sightings is None:
             continue
         pinned = sum(edge.axis == comb.axis for edge in outline) == 2
         if pinned and not (comb.sign > 0 and comb.fills_film(config.grid)):
             sightings = replace(sightings, shared_sigma=np.full(2, config.congeal.shared_sigma))
-        evidence.append(_Evidence(sightings, comb))
+        evidence.append(Evidence(sightings, comb))
     columns, rows = layout.repeats
     if columns is not None and rows is not None:
-        evidence += [_Evidence(s, layout.repeats[s.axis]) for s in matcher(view, columns, rows)]
+        evidence += [Evidence(s, layout.repeats[s.axis]) for s in matcher(view, columns, rows)]
     return evidence
 
 
-def _as_uncertain(edge: Sightings, layout: _Layout, config: RefineConfig) -> Sightings:
+def _as_uncertain(edge: Sightings, layout: Layout, config: RefineConfig) -> Sightings:
     """An edge on which a rule may be printed: next to a bright background its step is the rule's inner side.
 
     Its shape counts, its place only within a rule's width: where the lines' pitch tells the place better.
@@ -314,7 +236,7 @@ def _as_uncertain(edge: Sightings, layout: _Layout, config: RefineConfig) -> Sig
     return replace(edge, shared=np.ones((len(edge), 1)), shared_sigma=np.array([config.rule_width]))
 
 
-def _most_alike(scene: _Scene, layout: _Layout, attempts: list[_Attempt], config: RefineConfig) -> _Attempt:
+def _most_alike(scene: _Scene, layout: Layout, attempts: list[_Attempt], config: RefineConfig) -> _Attempt:
     """Of no displacement, the outline's and the last two, that through which the cells look most alike.
 
     The last where cells were not matched.
@@ -323,7 +245,8 @@ def _most_alike(scene: _Scene, layout: _Layout, attempts: list[_Attempt], config
     if columns is None or rows is None:
         return attempts[-1]
     candidates = [_Attempt(no_displacement(config.spline), ()), attempts[0], *attempts[1:][-2:]]
-    return max(candidates, key=lambda a: cell_agreement(_view(scene, a.displacement), columns, rows))
+    small = _half(scene)  # which of them is best shows there too
+    return max(candidates, key=lambda a: cell_agreement(_view(small, a.displacement), columns, rows))
 
 
 def _judge(coarse: BackwardMap, attempt: _Attempt, config: RefineConfig) -> tuple[BackwardMap | None, str]:
@@ -377,18 +300,6 @@ def _without_shared(sightings: Sightings) -> Float[np.ndarray, " n"]:
 
 
 # ---------------------------------------------------------------- reports
-
-
-def _slice_grid(layout: _Layout, backward: BackwardMap) -> SliceGrid | None:
-    """The grid of slices; None where an axis shows neither lines nor repetition."""
-    columns, rows = (layout.along(axis) for axis in (0, 1))
-    if columns is None or rows is None:
-        return None
-    u, v = np.meshgrid(np.clip(columns.lines(), 0.0, 1.0), np.clip(rows.lines(), 0.0, 1.0))
-    vertices = np.stack([u, v], axis=-1)
-    trust = [a.strength if isinstance(a, Comb) else a.correlation for a in (columns, rows)]
-    confidence = float(np.clip(min(trust), 0.0, 1.0))
-    return SliceGrid(rows.cells, columns.cells, vertices, backward.photo_from_film(vertices), confidence)
 
 
 def _unchanged(coarse: BackwardMap, reason: str, clock: _Clock) -> Refinement:

@@ -1,9 +1,8 @@
 """Cells that look alike: what a film without rules still tells about its grid.
 
 Corner texts, scale bars and tables are printed at the same place of every cell, and slices of one series look
-alike. The pitch shows in the autocorrelation of the flat film. Then windows of each cell are matched to the mean
-cell. A match observes where the cell's content lies relative to the other cells; distortions that all cells
-share stay unknown constants, one for each window, which the sheet's outline has to pin.
+alike. The pitch shows in the autocorrelation of the flat film. Then the cells are matched (match.py) and registered
+(congeal.py).
 """
 
 from __future__ import annotations
@@ -14,9 +13,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float
 
-from hybrid.coords import opencv_from_photo
 from hybrid.rectify.film_view import FilmView
-from hybrid.rectify.sightings import Sightings
 
 
 @dataclass(frozen=True)
@@ -38,6 +35,8 @@ class MatchRound:
     match_slack: float
     """How far a window's typical correlation may lie below the best one's: texts are alike, anatomy is similar, but
     a view that is still crooked blurs both."""
+    shrink: int = 2
+    """The view is reduced by this factor before cells are matched; all pixels above are those of the whole view."""
 
 
 @dataclass(frozen=True)
@@ -90,6 +89,13 @@ class Repeats:
         return replace(self, first=0.5 * (1.0 - self.cells * pitch), pitch=pitch)
 
 
+def shrunk(image: Float[np.ndarray, "h w"], factor: int) -> Float[np.ndarray, "sh sw"]:
+    """The same film on fewer pixels, each the mean of ``factor`` by ``factor``."""
+    if factor == 1:
+        return image
+    return cv2.resize(image, None, fx=1.0 / factor, fy=1.0 / factor, interpolation=cv2.INTER_AREA)
+
+
 def detail(image: Float[np.ndarray, "h w"], fine: float, coarse: float) -> Float[np.ndarray, "h w"]:
     """The image without its light (scales above ``coarse`` px) and noise (below ``fine`` px), strong contrasts cut."""
     # What is smooth over ``coarse`` px is as smooth on a copy a third of the size, and nine times as quick to find.
@@ -102,8 +108,7 @@ def detail(image: Float[np.ndarray, "h w"], fine: float, coarse: float) -> Float
 
 def find_repeats(grey: Float[np.ndarray, "h w"], axis: int, config: RepeatConfig) -> Repeats | None:
     """The pitch at which the flat film looks like itself along one axis; None where it does not."""
-    small = cv2.resize(grey, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
-    band = detail(small, 2.0, 8.0)
+    band = detail(shrunk(grey, 2), 2.0, 8.0)
     curve = _autocorrelation(band if axis == 0 else band.T)
     found = []
     for cells in range(2, config.max_cells + 1):
@@ -157,60 +162,7 @@ def _autocorrelation(band: Float[np.ndarray, "h w"]) -> Float[np.ndarray, " n"]:
     return products / np.sqrt(np.maximum(first * last, 1e-9))
 
 
-# ---------------------------------------------------------------- matching
-
-
-def match_cells(
-    view: FilmView, columns: Repeats, rows: Repeats, search: MatchRound, config: RepeatConfig
-) -> tuple[Sightings, ...]:
-    """Where the content of each cell lies against the mean cell: sightings of u and of v.
-
-    view: the flat grey film, covering [0, 1]^2.
-    """
-    image = detail(view.image[..., 0], search.fine_px, 4.0 * search.fine_px + 4.0)
-    return _match_template(image, _mean_cell(image, columns, rows, search.agreement), columns, rows, search, config)
-
-
-def match_to_one_cell(
-    view: FilmView, columns: Repeats, rows: Repeats, search: MatchRound, config: RepeatConfig
-) -> tuple[Sightings, ...]:
-    """The same against the cell in the middle of the film: for a view so crooked that the mean cell is a blur."""
-    image = detail(view.image[..., 0], search.fine_px, 4.0 * search.fine_px + 4.0)
-    cell = cell_image(image, columns, rows, columns.cells // 2, rows.cells // 2)
-    return _match_template(image, cell, columns, rows, search, config)
-
-
-def _match_template(
-    image: Float[np.ndarray, "h w"],
-    template: Float[np.ndarray, "ch cw"],
-    columns: Repeats,
-    rows: Repeats,
-    search: MatchRound,
-    config: RepeatConfig,
-) -> tuple[Sightings, ...]:
-    """Windows of one cell matched in all cells. A window counts if the cells show it about as well as the best."""
-    h, w = image.shape
-    cell_px = np.array([columns.pitch * w, rows.pitch * h])
-    half = np.maximum(np.rint(0.5 * search.window_share * cell_px).astype(int), 6)
-    size = (2 * int(half[0]) + 1, 2 * int(half[1]) + 1)
-    tables = []
-    for number, xy_px in enumerate(_choose_windows(template, half, search.windows)):
-        window = cv2.getRectSubPix(template, size, _opencv_point(xy_px))
-        x, y = xy_px / cell_px
-        matches = []
-        for i in range(rows.cells):
-            for j in range(columns.cells):
-                uv = np.array([columns.first + (j + x) * columns.pitch, rows.first + (i + y) * rows.pitch])
-                area = _patch(image, uv * (w, h), half + search.reach_px)
-                if area is not None:
-                    matches.append((*uv, number, j, i, *_match(window, area, search.reach_px)))
-        if len(matches) >= 4:
-            tables.append(np.array(matches))
-    typical = [float(np.median(t[:, 9])) for t in tables]
-    least = max(config.min_match, max(typical, default=0.0) - search.match_slack)
-    table = np.vstack([np.zeros((0, 10)), *(t for t, m in zip(tables, typical, strict=True) if m >= least)])
-    made = [_match_sightings(table, axis, (h, w), search, config) for axis in (0, 1)]
-    return tuple(s for s in made if s is not None)
+# ---------------------------------------------------------------- cells
 
 
 def cell_image(
@@ -227,30 +179,18 @@ def cell_image(
     )
 
 
-def cell_agreement(view: FilmView, columns: Repeats, rows: Repeats, fine_px: float = 1.2) -> float:
+def cell_agreement(view: FilmView, columns: Repeats, rows: Repeats, fine_px: float = 0.7) -> float:
     """Share of the fine detail that all cells have in common, in [0, 1]: largest where the cells are straight.
 
     Texts and scale bars a pixel off lower it, and it knows nothing of the matches that a map was made from:
     an independent judge of maps made from them.
     """
     image = detail(view.image[..., 0], fine_px, 4.0 * fine_px + 4.0)
-    mean, square = _cell_moments(image, columns, rows)
+    mean, square = cell_moments(image, columns, rows)
     return float(np.mean(mean * mean) / max(float(np.mean(square)), 1e-9))
 
 
-def _mean_cell(
-    image: Float[np.ndarray, "h w"], columns: Repeats, rows: Repeats, power: float
-) -> Float[np.ndarray, "ch cw"]:
-    """The cells' mean in pixels of the view, weighted by how far the cells agree: texts stay, anatomy fades.
-
-    The weight is (mean^2 / mean square)^power of each pixel's neighbourhood: 1 where all cells are the same.
-    """
-    mean, square = _cell_moments(image, columns, rows)
-    agreement = cv2.GaussianBlur(mean * mean, (0, 0), 2.0) / (cv2.GaussianBlur(square, (0, 0), 2.0) + 1e-2)
-    return mean * np.clip(agreement, 0.0, 1.0) ** power
-
-
-def _cell_moments(
+def cell_moments(
     image: Float[np.ndarray, "h w"], columns: Repeats, rows: Repeats
 ) -> tuple[Float[np.ndarray, "ch cw"], Float[np.ndarray, "ch cw"]]:
     """Mean and mean square over all cells, in pixels of the view."""
@@ -262,96 +202,14 @@ def _cell_moments(
     return total / len(cells), squares / len(cells)
 
 
-def _choose_windows(
-    mean_cell: Float[np.ndarray, "ch cw"], half: np.ndarray, count: int
-) -> list[Float[np.ndarray, "2"]]:
-    """Centres (x, y), in pixels of the cell, of the windows with most detail, at least half a window apart."""
-    energy = cv2.boxFilter(mean_cell * mean_cell, -1, (2 * int(half[0]) + 1, 2 * int(half[1]) + 1))
-    x = np.arange(half[0] + 1.0, mean_cell.shape[1] - half[0] - 1.0, max(2.0, half[0] / 3.0))
-    y = np.arange(half[1] + 1.0, mean_cell.shape[0] - half[1] - 1.0, max(2.0, half[1] / 3.0))
-    points = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-    value = energy[points[:, 1].astype(int), points[:, 0].astype(int)]
-    chosen: list[np.ndarray] = []
-    floor = 0.02 * float(value.max(initial=0.0))
-    for k in np.argsort(-value):
-        apart = all((np.abs(points[k] - c) >= 0.9 * half).any() for c in chosen)
-        if apart and value[k] > floor:
-            chosen.append(points[k])
-        if len(chosen) == count:
-            break
-    return chosen
-
-
-def _patch(
-    image: Float[np.ndarray, "h w"], centre: Float[np.ndarray, "2"], half: np.ndarray
-) -> Float[np.ndarray, "ph pw"] | None:
-    """The patch of ``2 half + 1`` pixels around a point (x, y) of the image's frame; None beyond its rim."""
-    size = (2 * int(half[0]) + 1, 2 * int(half[1]) + 1)
-    h, w = image.shape
-    low, high = centre - half - 1.0, centre + half + 1.0
-    if (low < 0).any() or high[0] > w or high[1] > h:
-        return None
-    return cv2.getRectSubPix(image, size, _opencv_point(centre))
-
-
-def _opencv_point(xy: Float[np.ndarray, "2"]) -> tuple[float, float]:
-    """OpenCV pixel coordinates of a point of an image's frame."""
-    x, y = opencv_from_photo(xy)
-    return float(x), float(y)
-
-
-def _match(
-    window: Float[np.ndarray, "wh ww"], area: Float[np.ndarray, "ah aw"], reach: int
-) -> tuple[float, float, float, float, float]:
-    """Shift (x, y) of the window's best place in the area, the variances of both in px^2, and the correlation."""
-    score = cv2.matchTemplate(area, window, cv2.TM_CCOEFF_NORMED)
-    row, column = divmod(int(np.argmax(score)), score.shape[1])
-    peak = float(score[row, column])
-    if not (0 < row < 2 * reach and 0 < column < 2 * reach):
-        return 0.0, 0.0, np.inf, np.inf, peak
-    near = score[row - 1 : row + 2, column - 1 : column + 2].astype(np.float64)
-    xx = near[1, 0] - 2 * near[1, 1] + near[1, 2]
-    yy = near[0, 1] - 2 * near[1, 1] + near[2, 1]
-    xy = 0.25 * (near[0, 0] + near[2, 2] - near[0, 2] - near[2, 0])
-    gx, gy = 0.5 * (near[1, 2] - near[1, 0]), 0.5 * (near[2, 1] - near[0, 1])
-    det = xx * yy - xy * xy
-    if xx >= 0 or yy >= 0 or det <= 1e-3 * xx * yy:
-        return 0.0, 0.0, np.inf, np.inf, peak
-    dx, dy = (xy * gy - yy * gx) / det, (xy * gx - xx * gy) / det
-    # Variance of the peak of a correlation surface: residual variance over curvature, pixels correlated in tens.
-    scale = max(1.0 - peak * peak, 0.02) * 10.0 / window.size
-    shift = np.clip([dx, dy], -1.0, 1.0)
-    return column - reach + shift[0], row - reach + shift[1], -scale * yy / det, -scale * xx / det, peak
-
-
-def _match_sightings(
-    table: Float[np.ndarray, "n 10"], axis: int, size: tuple[int, int], search: MatchRound, config: RepeatConfig
-) -> Sightings | None:
-    """Sightings along one axis from matches (u, v, window, column, row, dx, dy, variances, correlation)."""
-    sigma_px = np.sqrt(table[:, 7 + axis])
-    good = (table[:, 9] >= config.min_match) & (sigma_px <= config.worst_sigma_px)
-    if good.sum() < 12:
-        return None
-    t, sigma_px = table[good], np.hypot(sigma_px[good], search.sigma_px)
-    pixels = size[1 - axis]
-    seen = t[:, :2].copy()
-    seen += t[:, 5:7] / (size[1], size[0])
-    windows = np.unique(t[:, 2])
-    member = (t[:, 2][:, None] == windows).astype(np.float64)
-    number = t[:, 3 + axis]
-    shared = np.column_stack([member, number - number.mean()])
-    shared_sigma = np.append(np.full(len(windows), config.constant_sigma), config.pitch_sigma)
-    return Sightings(axis, seen, t[:, axis].copy(), sigma_px / pixels, shared, shared_sigma)
-
-
 __all__ = [
     "MatchRound",
     "RepeatConfig",
     "Repeats",
     "cell_agreement",
     "cell_image",
+    "cell_moments",
     "detail",
     "find_repeats",
-    "match_cells",
-    "match_to_one_cell",
+    "shrunk",
 ]

@@ -14,15 +14,18 @@ from functools import lru_cache
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.linalg import cho_factor, cho_solve, eigvalsh
+from scipy.linalg import eigvalsh, get_lapack_funcs
 
 from hybrid.backward import BackwardMap
+from hybrid.coords import film_nodes
 from hybrid.rectify.tps import MAD_TO_SIGMA, LatticeSpline, lattice_spline, tukey_weights
 
 PRIOR_COUNT = 4.0
 """Residuals of a group that the stated deviations count as."""
 LONE_FACTOR = 2.0
 """By how much stated deviations grow where a group is too small to show its spread."""
+(_POSV,) = get_lapack_funcs(("posv",), dtype=np.float64)
+"""LAPACK's solver of positive definite systems."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,11 +104,12 @@ class Displacement:
     def __call__(self, uv: Float[np.ndarray, "*m 2"]) -> Float[np.ndarray, "*m 2"]:
         """Displaced film points; beyond the edges the displacement is that of the nearest edge point."""
         flat = np.asarray(uv, dtype=np.float64).reshape(-1, 2)
-        return (flat + self.lattice.rows(np.clip(flat, 0.0, 1.0)) @ self.values).reshape(np.shape(uv))
+        return (flat + self.lattice.evaluate(np.clip(flat, 0.0, 1.0), self.values)).reshape(np.shape(uv))
 
     def composed(self, coarse: BackwardMap, size: tuple[int, int] = (33, 33)) -> BackwardMap:
         """``coarse.photo_from_film(uv + d(uv))`` on nodes."""
-        return BackwardMap.from_function(lambda uv: coarse.photo_from_film(self(uv)), size)
+        at = film_nodes(size) + (_rows_at_nodes(self.lattice.size, size) @ self.values).reshape(*size, 2)
+        return BackwardMap(coarse.photo_from_film(at))
 
     def lift(self, sightings: Sightings) -> Sightings:
         """Sightings made through the displaced map, as if they had been made through the coarse map."""
@@ -113,6 +117,12 @@ class Displacement:
         lifted = places.copy()
         lifted[:, sightings.axis] = self(places)[:, sightings.axis]
         return replace(sightings, seen=lifted)
+
+
+@lru_cache(maxsize=4)
+def _rows_at_nodes(lattice: tuple[int, int], size: tuple[int, int]) -> Float[np.ndarray, "m n"]:
+    """Weights of a spline's lattice values at the nodes of a map: the same few sizes come again and again."""
+    return lattice_spline(lattice).rows(film_nodes(size).reshape(-1, 2))
 
 
 def no_displacement(config: SplineConfig) -> Displacement:
@@ -166,24 +176,27 @@ def fit_displacement(sightings: Sequence[Sightings], config: SplineConfig) -> Di
 
 @dataclass(frozen=True, eq=False)
 class _System:
-    """Linear observations ``rows @ unknowns = right +- sigma``; unknowns are node values, then shared constants."""
+    """Linear observations ``rows @ unknowns = right +- sigma``; unknowns are node values, then shared constants.
+
+    group: number of each row's group, counted from 0; -1 for rows of no group.
+    """
 
     rows: Float[np.ndarray, "n m"]
     right: Float[np.ndarray, " n"]
     sigma: Float[np.ndarray, " n"]
     shared_sigma: Float[np.ndarray, " g"]
-    groups: tuple[Int[np.ndarray, " _"], ...]
+    group: Int[np.ndarray, " n"]
     lattice: LatticeSpline
 
-    def prior(self, stiffness: float, config: SplineConfig) -> Float[np.ndarray, "m m"]:
-        """Precision of the unknowns before any observation."""
-        n = len(self.lattice.nodes)
-        prior = np.zeros((self.rows.shape[1],) * 2)
-        prior[:n, :n] = stiffness * self.lattice.bending
-        prior[range(n), range(n)] += _ridge(n, config)
-        shared = range(n, self.rows.shape[1])
-        prior[shared, shared] = 1.0 / self.shared_sigma**2
-        return prior
+    def posterior(
+        self, data: Float[np.ndarray, "m m"], stiffness: float, config: SplineConfig
+    ) -> Float[np.ndarray, "m m"]:
+        """Precision of the unknowns: ``data`` from the observations, and what is known before any of them."""
+        n, m = len(self.lattice.nodes), len(data)
+        precision = data.copy()
+        precision[:n, :n] += stiffness * self.lattice.bending
+        precision.flat[:: m + 1] += np.append(np.full(n, _ridge(n, config)), 1.0 / self.shared_sigma**2)
+        return precision
 
 
 def _ridge(n_nodes: int, config: SplineConfig) -> float:
@@ -198,10 +211,10 @@ def _assemble(sightings: Sequence[Sightings], lattice: LatticeSpline) -> _System
     total = sum(len(s) for s in sightings)
     rows = np.zeros((total, n + sum(s.shared.shape[1] for s in sightings)))
     rows[:, :n] = lattice.rows(np.clip(np.concatenate([s.places() for s in sightings]), 0.0, 1.0))
-    row, column, groups = 0, n, []
+    row, column, group = 0, n, np.full(total, -1)
     for s in sightings:
         if s.group is not None:
-            groups += [row + np.flatnonzero(s.group == number) for number in np.unique(s.group)]
+            group[row : row + len(s)] = np.unique(s.group, return_inverse=True)[1] + group.max() + 1
         rows[row : row + len(s), column : column + s.shared.shape[1]] = s.shared
         row, column = row + len(s), column + s.shared.shape[1]
     return _System(
@@ -209,7 +222,7 @@ def _assemble(sightings: Sequence[Sightings], lattice: LatticeSpline) -> _System
         np.concatenate([s.offsets() for s in sightings]),
         np.concatenate([s.sigma for s in sightings]),
         np.concatenate([s.shared_sigma for s in sightings]),
-        tuple(groups),
+        group,
         lattice,
     )
 
@@ -225,19 +238,20 @@ def _solve_robust(system: _System, config: SplineConfig) -> tuple[np.ndarray, np
     sigma = system.sigma
     for step in range(config.reweightings):
         scaled = weights / (noise * sigma) ** 2
-        data = (system.rows * scaled[:, None]).T @ system.rows
+        whitened = system.rows * np.sqrt(scaled)[:, None]
+        data = whitened.T @ whitened  # of one matrix with itself only half is computed
         right = system.rows.T @ (scaled * system.right)
         if step == 1 and count > 1:
-            stiffness = max(candidates, key=lambda c: _log_evidence(system, data, right, float(c), config))
-        solution = _solve(data + system.prior(float(stiffness), config), right)
+            stiffness = max(candidates.tolist(), key=lambda c: _log_evidence(system, data, right, c, config))
+        solution, _ = _solve(system.posterior(data, stiffness, config), right)
         residual = system.rows @ solution - system.right
-        if step >= 1 and system.groups:
+        if step >= 1:
             sigma = _group_noise(system, residual)
         residual = residual / sigma
         spread = MAD_TO_SIGMA * float(np.median(np.abs(residual)))
         noise = max(1.0, min(0.5 * noise, 1.5 * spread))
         weights = tukey_weights(residual / noise)
-    return solution, weights, float(stiffness)
+    return solution, weights, stiffness
 
 
 def _group_noise(system: _System, residual: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
@@ -245,16 +259,33 @@ def _group_noise(system: _System, residual: Float[np.ndarray, " n"]) -> Float[np
 
     The spread of few residuals tells little: the stated deviations count as ``PRIOR_COUNT`` more of them.
     """
+    grouped = system.group >= 0
+    group, size = system.group[grouped], np.bincount(system.group[grouped])
+    spread = MAD_TO_SIGMA * _group_medians(np.abs(residual[grouped] / system.sigma[grouped]), group, size)
+    variance = (size * spread**2 + PRIOR_COUNT) / (size + PRIOR_COUNT)
     sigma = system.sigma.copy()
-    for rows in system.groups:
-        spread = MAD_TO_SIGMA * float(np.median(np.abs(residual[rows] / system.sigma[rows])))
-        variance = (len(rows) * spread**2 + PRIOR_COUNT) / (len(rows) + PRIOR_COUNT)
-        sigma[rows] *= np.sqrt(variance) if len(rows) > 2 else LONE_FACTOR
+    sigma[grouped] *= np.where(size > 2, np.sqrt(variance), LONE_FACTOR)[group]
     return sigma
 
 
-def _solve(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
-    return cho_solve(cho_factor(matrix, check_finite=False), right, check_finite=False)
+def _group_medians(
+    values: Float[np.ndarray, " n"], group: Int[np.ndarray, " n"], size: Int[np.ndarray, " g"]
+) -> Float[np.ndarray, " g"]:
+    """Median of the values of each group; none of the groups is empty."""
+    ordered = values[np.lexsort((values, group))]
+    first = np.cumsum(size) - size
+    return 0.5 * (ordered[first + (size - 1) // 2] + ordered[first + size // 2])
+
+
+def _solve(matrix: Float[np.ndarray, "m m"], right: Float[np.ndarray, " m"]) -> tuple[Float[np.ndarray, " m"], float]:
+    """Solution of a positive definite system, and the logarithm of its determinant.
+
+    LAPACK itself: SciPy's wrappers take longer than the system of a hundred unknowns does.
+    """
+    factor, solution, info = _POSV(matrix, right)
+    if info != 0:
+        raise np.linalg.LinAlgError("normal equations of the displacement are not positive definite")
+    return solution, 2.0 * float(np.sum(np.log(np.diag(factor))))
 
 
 @lru_cache(maxsize=4)
@@ -266,11 +297,10 @@ def _log_evidence(
     system: _System, data: np.ndarray, right: np.ndarray, stiffness: float, config: SplineConfig
 ) -> float:
     """Log marginal likelihood of the stiffness, up to a constant (the noise is stated, so this is not scale-free)."""
-    factor = cho_factor(data + system.prior(stiffness, config), lower=True, check_finite=False)
-    log_det = 2.0 * np.sum(np.log(np.diag(factor[0])))
+    solution, log_det = _solve(system.posterior(data, stiffness, config), right)
     ridge = _ridge(len(system.lattice.nodes), config)
     log_prior = np.sum(np.log(stiffness * _bending_eigenvalues(config.lattice) + ridge))
-    return float(0.5 * (log_prior - log_det + right @ cho_solve(factor, right, check_finite=False)))
+    return float(0.5 * (log_prior - log_det + right @ solution))
 
 
 __all__ = [

@@ -78,8 +78,12 @@ def thin_plate_kernel(points: Float[np.ndarray, "m 2"], centres: Float[np.ndarra
     """phi(r) = r^2 log r of all distances between points and centres; 0 at r = 0."""
     dx = points[:, 0, None] - centres[None, :, 0]
     dy = points[:, 1, None] - centres[None, :, 1]
-    r2 = dx * dx + dy * dy
-    return 0.5 * r2 * np.log(np.where(r2 > 0, r2, 1.0))
+    dx *= dx
+    dy *= dy
+    r2 = np.add(dx, dy, out=dx)
+    logarithm = np.log(np.maximum(r2, np.finfo(np.float64).tiny, out=dy), out=dy)
+    logarithm *= 0.5
+    return np.multiply(r2, logarithm, out=r2)
 
 
 def affine_basis(points: Float[np.ndarray, "m 2"]) -> Float[np.ndarray, "m 3"]:
@@ -106,7 +110,15 @@ class LatticeSpline:
 
     def rows(self, uv: Float[np.ndarray, "m 2"]) -> Float[np.ndarray, "m n"]:
         """Weights of the node values in the spline's value at film points."""
-        return np.hstack([thin_plate_kernel(uv, self.nodes), affine_basis(uv)]) @ self.cardinal
+        return self._basis(uv) @ self.cardinal
+
+    def evaluate(self, uv: Float[np.ndarray, "m 2"], values: Float[np.ndarray, "n c"]) -> Float[np.ndarray, "m c"]:
+        """The spline through the node values at film points: ``rows(uv) @ values``, but quicker."""
+        return self._basis(uv) @ (self.cardinal @ values)
+
+    def _basis(self, uv: Float[np.ndarray, "m 2"]) -> Float[np.ndarray, "m k"]:
+        """All kernels and affine functions at film points."""
+        return np.hstack([thin_plate_kernel(uv, self.nodes), affine_basis(uv)])
 
 
 @lru_cache(maxsize=4)
@@ -215,7 +227,7 @@ def fit_tps_robust(
     return spline
 
 
-def tukey_weights(standardised: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+def tukey_weights(standardised: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
     """Tukey's biweight of residuals in standard deviations: 1 at 0, 0 from 4.685 on."""
     return np.clip(1.0 - (standardised / TUKEY_CUT) ** 2, 0.0, None) ** 2
 
