@@ -51,7 +51,8 @@ Maker = Callable[[Path | None], Method | None]
 NOT_TRAINED, TOLD = "not trained", "told the true map"
 
 CONFIGURATIONS: dict[str, tuple[str, RectifyConfig]] = {
-    "hybrid_one_side": ("hybrid, last look from one side", RectifyConfig(predict=PredictConfig(sides=(0,)))),
+    "hybrid_four_sides": ("hybrid, looks from four sides", RectifyConfig(predict=PredictConfig(sides=(0, 2, 5, 7)))),
+    "hybrid_two_looks": ("hybrid, two looks", RectifyConfig(predict=PredictConfig(looks=2))),
     "hybrid_no_lines": ("hybrid, no rules or gutters", RectifyConfig(refine=RefineConfig(line_rounds=0))),
     "hybrid_no_repeats": (
         "hybrid, no repeated cells",

@@ -25,7 +25,7 @@ from hybrid.records import CoarseMaps, RectifyResult, SliceGrid, StageReport, St
 from hybrid.rectify.deilluminate import DeilluminateConfig, deilluminate
 from hybrid.rectify.film_size import FilmSizeConfig, film_size
 from hybrid.rectify.fuse import FuseConfig, fuse
-from hybrid.rectify.invert import Inversion, InvertConfig, NotInverted, agreed, fit_backward
+from hybrid.rectify.invert import Inversion, InvertConfig, NotInverted, agreed, change, fit_backward
 from hybrid.rectify.refine import RefineConfig, Refinement, refine
 from hybrid.rectify.resample import Rectified, rectify_photo
 from hybrid.rectify.survey import SurveyConfig, expected_error, survey_maps, survey_photo
@@ -136,28 +136,26 @@ class Rectifier:
         return self._finish(photo, maps, refinement, clock)
 
     def _see(self, photo: Photo, clock: _Clock) -> tuple[CoarseMaps, Inversion | NotInverted]:
-        """What the network makes of the photo: the whole, then the film ever better flattened by what is known."""
+        """What the network makes of the photo: of the whole, then of the film, flattened by the plane seen last."""
         config = self.config
         with clock.stage("network") as report:
             photo, factor = reduced(photo, config.predict.least_px)
             (maps,) = look(self._network, photo, [whole_view((photo.shape[0], photo.shape[1]))])
-            inversion = fit_backward(maps, config.invert)
-            shapes = [inversion]
-            for last in (False, True):
+            inversion, looks, moved = fit_backward(maps, config.invert), 1, np.inf
+            while looks < config.predict.looks and moved > config.predict.settled:
                 if isinstance(inversion, NotInverted) or inversion.backward.folds((9, 9)):
                     break
-                if last and expected_error(maps) > config.survey.max_expected_error:
+                if looks > 1 and expected_error(maps) > config.survey.max_expected_error:
                     break  # no film, it seems: a further look would only flatter it
-                flat = inversion.backward if last else plane_of(inversion.backward)
-                sides = config.predict.sides if last else config.predict.sides[:1]
-                looks = look_from_sides(self._network, photo, film_view(flat, config.predict.margin), sides)
-                maps, inversion = looks[0], agreed([fit_backward(maps, config.invert) for maps in looks])
-                shapes.append(inversion)
+                view = film_view(plane_of(inversion.backward), config.predict.margin)
+                seen = look_from_sides(self._network, photo, view, config.predict.sides)
+                last, inversion = inversion, agreed([fit_backward(maps, config.invert) for maps in seen])
+                maps, looks, moved = seen[0], looks + 1, change(last, inversion)
             if isinstance(inversion, NotInverted):
                 report.reason = inversion.reason
             else:
                 inversion = inversion.enlarged(factor)
-                report.reason = f"{len(shapes)} looks, the last explained to {inversion.residual_px:.1f} px"
+                report.reason = f"{looks} looks, the last explained to {inversion.residual_px:.1f} px"
         return maps.enlarged(factor), inversion
 
     def _finish(self, photo: Photo, maps: CoarseMaps, refinement: Refinement, clock: _Clock) -> RectifyResult:

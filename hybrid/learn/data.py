@@ -23,15 +23,15 @@ class AugmentConfig:
 
     empty_share: views without a film, where the photo has room for one: there is nothing to find in many a photo.
     whole_share: views that are windows of the photo, as in the first look. plane_share: views that flatten the film by
-    a homography, as in the second; the others flatten it by a bent map. zoom: range of the windows' scale. roll_deg,
+    a homography, as in the later ones; the others flatten it by a bent map. zoom: range of the windows' scale. roll_deg,
     shift: one sigma of their rotation and of their shift (in parts of their side). margin: around a flattened film.
     plane_error, bend_error: range of the error, in parts of the film, of the maps by which films are flattened.
     Every view is turned by any number of quarter turns and mirrored or not. colours: whether they are disturbed.
     """
 
     empty_share: float = 0.04
-    whole_share: float = 0.4
-    plane_share: float = 0.3
+    whole_share: float = 0.3
+    plane_share: float = 0.35
     zoom: tuple[float, float] = (0.55, 1.25)
     roll_deg: float = 8.0
     shift: float = 0.03

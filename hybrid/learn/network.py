@@ -79,14 +79,15 @@ class FilmNet(nn.Module):
     """An encoder to 1/32 of the input and a decoder back to 1/8, whose head writes 2 x 2 output pixels each.
 
     Most of the work is done at 1/8 and below, where the whole film is within reach of a few convolutions. Each pixel
-    is told where it is in the view (Liu et al. 2018, CoordConv), and uv is predicted as a difference from that.
+    is told where it is in the view (Liu et al. 2018, CoordConv), and uv is predicted as a difference from that. Beside
+    the colours it sees their local contrast, in which a dark film on dark ground looks like any other.
     """
 
     def __init__(self, config: FilmNetConfig) -> None:
         super().__init__()
         self.config = config
         stem, w8, w16, w32 = config.widths
-        self.stem = _ConvNorm(3 + 2, stem, 7, STRIDE)
+        self.stem = _ConvNorm(3 + 1 + 2, stem, 7, STRIDE)
         self.down8 = nn.Sequential(_ConvNorm(stem, w8, 3, 2), *(_Residual(w8) for _ in range(config.blocks[0])))
         self.down16 = nn.Sequential(_ConvNorm(w8, w16, 3, 2), *(_Residual(w16) for _ in range(config.blocks[1])))
         self.down32 = nn.Sequential(_ConvNorm(w16, w32, 3, 2), *(_Residual(w32) for _ in range(config.blocks[2])))
@@ -100,7 +101,7 @@ class FilmNet(nn.Module):
 
     def forward(self, image: Float[Tensor, "b 3 H W"]) -> FilmNetOutput:
         """Maps of sRGB images in [0, 1] whose sides are multiples of 32."""
-        x4 = self.stem(torch.cat([image - 0.4, view_coordinates(image)], dim=1))
+        x4 = self.stem(torch.cat([image - 0.4, local_contrast(image), view_coordinates(image)], dim=1))
         x8 = self.down8(x4)
         x16 = self.down16(x8)
         x32 = self.down32(x16)
@@ -123,6 +124,22 @@ def view_coordinates(maps: Float[Tensor, "b c h w"]) -> Float[Tensor, "b 2 h w"]
     h, w = maps.shape[-2:]
     x, y = (torch.from_numpy(film_centres_1d(n)).to(maps) - 0.5 for n in (w, h))
     return torch.stack([x.expand(h, w), y[:, None].expand(h, w)]).expand(len(maps), 2, h, w)
+
+
+def local_contrast(images: Float[Tensor, "b 3 H W"], window: int = 32) -> Float[Tensor, "b 1 H W"]:
+    """Grey less its mean, over its standard deviation, both over about ``window`` pixels around; within +-1.
+
+    The same for any gain of the image, but that what differs by less than about 0.01 stays faint: it is noise.
+    """
+    grey = images.mean(dim=1, keepdim=True)
+    size = grey.shape[-2:]
+
+    def around(values: Tensor) -> Tensor:
+        pooled = functional.avg_pool2d(values, window, window // 2, window // 4, count_include_pad=False)
+        return functional.interpolate(pooled, size=size, mode="bilinear", align_corners=False)
+
+    off = grey - around(grey)
+    return (off / (4.0 * (around(off * off) + 1e-4).sqrt())).clamp(-1.0, 1.0)
 
 
 def fused(network: Network) -> Network:

@@ -17,15 +17,18 @@ from hybrid.records import CoarseMaps
 
 @dataclass(frozen=True)
 class PredictConfig:
-    """How the network looks at a photo.
+    """How the network looks at a photo: at the whole, then again and again at the film as it flattened it last.
 
-    margin: around the film (part of the view) in the looks at the film alone. sides: ways in which the last look holds
-    the film (indices of Orientation); their errors differ, so their mean is nearer to the truth. least_px: large
+    looks: at most, the first included. settled: a look that moves the film by less, on average and in parts of its
+    size, is the last. margin: around the film (part of the view) in the looks at the film alone. sides: ways in which
+    they hold the film (indices of Orientation); the mean of several is a little nearer to the truth. least_px: large
     photos are reduced, once, to a longer side of this to twice this: several times what the network reads of them.
     """
 
+    looks: int = 4
+    settled: float = 0.01
     margin: float = 0.07
-    sides: tuple[int, ...] = (0, 2, 5, 7)
+    sides: tuple[int, ...] = (0,)
     least_px: int = 512
 
 

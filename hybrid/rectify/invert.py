@@ -133,6 +133,14 @@ def agreed(inversions: Sequence[Inversion | NotInverted]) -> Inversion | NotInve
     return replace(last, backward=BackwardMap(np.mean(nodes, axis=0)))
 
 
+def change(before: Inversion, after: Inversion | NotInverted) -> float:
+    """Mean distance between two maps, in parts of the film's size; infinite where the second is none."""
+    if isinstance(after, NotInverted):
+        return float("inf")
+    distance = np.linalg.norm(after.backward.nodes - before.backward.nodes, axis=-1).mean()
+    return float(distance / np.mean(after.backward.mean_film_pixels()))
+
+
 def project(homography: Float[np.ndarray, "3 3"], uv: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
     """Points (x, y) of film points under a homography."""
     mapped = uv @ homography[:, :2].T + homography[:, 2]

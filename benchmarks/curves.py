@@ -1,0 +1,85 @@
+"""Loss and test curves of a training, as a picture: ``python -m benchmarks.curves RUN/curves.csv --picture PNG``."""
+
+from __future__ import annotations
+
+import csv
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import tyro
+
+from benchmarks.charts import Axis, Chart, Points, page_of, scatter
+from hybrid.errors import DataError, HybridError, describe
+from hybrid.image_io import write_rgb
+
+Curve = tuple[tuple[float, float], ...]
+
+
+@dataclass(frozen=True)
+class CurvesConfig:
+    """curves: ``curves.csv`` of a training. picture: where the picture is written (.png or .jpg)."""
+
+    curves: tyro.conf.Positional[Path]
+    picture: Path = Path("curves.png")
+
+
+def read_curves(path: Path) -> dict[str, Curve]:
+    """Points (passes in thousands, value) of each column, by name.
+
+    Raises:
+        DataError: no such file, or not one that a training wrote.
+    """
+    try:
+        with path.open(newline="") as file:
+            rows = [{name: float(value) for name, value in row.items()} for row in csv.DictReader(file)]
+    except (OSError, ValueError, TypeError) as error:
+        raise DataError(describe(what="curves", where=path, got=error, do="Name a training's curves.csv.")) from error
+    if not rows or "passes" not in rows[0]:
+        raise DataError(describe(what="curves", where=path, got="no rows", do="Wait for the training's first test."))
+    return {name: tuple((row["passes"] / 1e3, row[name]) for row in rows) for name in rows[0] if name != "passes"}
+
+
+def charts(curves: dict[str, Curve]) -> list[Chart]:
+    """One chart of the losses and one of the errors on samples held out, of those that are errors in percent."""
+    losses = {name.removeprefix("train_"): c for name, c in curves.items() if name.startswith("train_")}
+    positive = {name: curve for name, curve in losses.items() if min(y for _, y in curve) > 0}
+    tests = {
+        name.removeprefix("test_").removesuffix("_percent"): curve
+        for name, curve in curves.items()
+        if name.startswith("test_") and name.endswith("_percent")
+    }
+    titled = (
+        ("Loss terms, last batch", "unweighted", positive),
+        ("Samples held out", "mean uv error, % of film", tests),
+    )
+    return [_chart(title, unit, named) for title, unit, named in titled if named]
+
+
+def _chart(title: str, unit: str, curves: dict[str, Curve]) -> Chart:
+    values = [y for curve in curves.values() for _, y in curve]
+    last = max(x for curve in curves.values() for x, _ in curve)
+    return Chart(
+        title,
+        Axis("thousands of images shown", 0.0, 1.05 * last, log=False),
+        Axis(unit, 0.8 * min(values), 1.25 * max(values)),
+        tuple(Points(name, curve) for name, curve in curves.items()),
+        legend=True,
+    )
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The command line; returns the exit code."""
+    config = tyro.cli(CurvesConfig, args=arguments, prog="python -m benchmarks.curves")
+    try:
+        drawn = [scatter(chart) for chart in charts(read_curves(config.curves))]
+        write_rgb(config.picture, page_of(drawn, columns=len(drawn)))
+    except HybridError as error:
+        print(f"benchmarks.curves: {error}", file=sys.stderr)
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
