@@ -12,10 +12,11 @@ def best_paths(score: Float[np.ndarray, "b d p"], max_step: int = 2, cost: float
     """For each image, the row of the path from first to last column of the largest sum of scores, less ``cost`` for
     each row stepped."""
     b, d, p = score.shape
+    columns = np.ascontiguousarray(np.moveaxis(score, 2, 0))
     steps = np.arange(-max_step, max_step + 1)
     # Best sum of a path from the first column to each place; rows beyond the image are never worth a step.
     sums = np.full((p, b, d + 2 * max_step), -np.inf)
-    sums[0, :, max_step : max_step + d] = score[:, :, 0]
+    sums[0, :, max_step : max_step + d] = columns[0]
     stepped = np.empty((b, d))
     for column in range(1, p):
         before, total = sums[column - 1], sums[column, :, max_step : max_step + d]
@@ -24,7 +25,7 @@ def best_paths(score: Float[np.ndarray, "b d p"], max_step: int = 2, cost: float
             np.maximum(before[:, max_step - step :][:, :d], before[:, max_step + step :][:, :d], out=stepped)
             np.subtract(stepped, cost * step, out=stepped)
             np.maximum(total, stepped, out=total)
-        np.add(total, score[:, :, column], out=total)
+        np.add(total, columns[column], out=total)
     path = np.empty((b, p), dtype=np.intp)
     path[:, -1] = np.argmax(sums[-1, :, max_step : max_step + d], axis=1)
     rows = np.arange(b)[:, None]

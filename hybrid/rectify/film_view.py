@@ -47,15 +47,15 @@ def lattice_points(
     backward: BackwardMap, u: Float[np.ndarray, " w"], v: Float[np.ndarray, " h"]
 ) -> Float[np.ndarray, "h w 2"]:
     """Photo points (float32) of all film points (u[j], v[i]): separable, hence quick."""
-    return np.stack(_lattice_xy(backward, u, v), axis=-1)
+    return np.stack(_lattice_xy(backward.nodes, u, v), axis=-1)
 
 
 def _lattice_xy(
-    backward: BackwardMap, u: Float[np.ndarray, " w"], v: Float[np.ndarray, " h"]
+    nodes: Float[np.ndarray, "gh gw 2"], u: Float[np.ndarray, " w"], v: Float[np.ndarray, " h"]
 ) -> tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"]]:
-    """x and y (float32) of those points, apart, as OpenCV reads them quickest."""
-    gh, gw = backward.nodes.shape[:2]
-    columns = np.tensordot(extended_weights(gh, v), backward.nodes, axes=(1, 0)).astype(np.float32)
+    """x and y (float32) of the points of a map with these nodes, apart, as OpenCV reads them quickest."""
+    gh, gw = nodes.shape[:2]
+    columns = np.tensordot(extended_weights(gh, v), nodes, axes=(1, 0)).astype(np.float32)
     weights_u = extended_weights(gw, u).astype(np.float32).T
     return columns[..., 0] @ weights_u, columns[..., 1] @ weights_u
 
@@ -67,15 +67,14 @@ def view_film(
     v: Float[np.ndarray, " h"],
 ) -> FilmView:
     """The photo (grey or RGB) at the film points (u[j], v[i]), bilinear."""
-    x, y = _lattice_xy(backward, u, v)
-    image = cv2.remap(
-        photo, opencv_from_photo(x), opencv_from_photo(y), cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT
-    )
-    height, width = photo.shape[:2]
-    if min(x.min(), y.min()) >= 0 and x.max() <= width and y.max() <= height:  # as nearly always, and quicker to tell
+    # The nodes' weights add up to 1: what is converted at the nodes is converted everywhere.
+    x, y = _lattice_xy(opencv_from_photo(backward.nodes), u, v)
+    image = cv2.remap(photo, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
+    low, right, bottom = opencv_from_photo(np.array([0.0, photo.shape[1], photo.shape[0]])).tolist()
+    if min(x.min(), y.min()) >= low and x.max() <= right and y.max() <= bottom:  # nearly always, and quicker to tell
         inside = np.ones(x.shape, dtype=bool)
     else:
-        inside = (x >= 0) & (x <= width) & (y >= 0) & (y <= height)
+        inside = (x >= low) & (x <= right) & (y >= low) & (y <= bottom)
     return FilmView(np.atleast_3d(image).astype(np.float32), u, v, inside)
 
 
