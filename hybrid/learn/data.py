@@ -23,7 +23,7 @@ class AugmentConfig:
 
     empty_share: views without a film, where the photo has room for one: there is nothing to find in many a photo.
     whole_share: views that are windows of the photo, as in the first look. plane_share: views that flatten the film by
-    a homography, as in the later ones; the others flatten it by a bent map. zoom: range of the windows' scale. roll_deg,
+    a homography, as in the later ones; the others flatten it by a bent map. zoom: of the windows. roll_deg,
     shift: one sigma of their rotation and of their shift (in parts of their side). margin: around a flattened film.
     plane_error, bend_error: range of the error, in parts of the film, of the maps by which films are flattened.
     Every view is turned by any number of quarter turns and mirrored or not. colours: whether they are disturbed.
