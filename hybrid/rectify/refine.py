@@ -60,6 +60,9 @@ class RefineConfig:
     """Largest displacement believed, in film units."""
     min_gain: float = 0.9
     """The spline counts only if held-out sightings disagree with it by less than this fraction of before."""
+    max_residual: float = 2.5
+    """Where held-out sightings disagree with the spline by more than this, in their stated deviations, some of them are
+    wrong together, as where cells were taken for their neighbours: the coarse map is kept."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -260,6 +263,8 @@ def _judge(coarse: BackwardMap, attempt: _Attempt, config: RefineConfig) -> tupl
     move = float(np.linalg.norm(attempt.displacement.values, axis=1).max())
     if after > config.min_gain * before:
         return None, f"held-out residual {after:.2f} sigma against {before:.2f} before: no better"
+    if after > config.max_residual:
+        return None, f"held-out residual {after:.1f} sigma: what is seen on the film contradicts itself"
     if move > config.max_move:
         return None, f"the film would move by {move:.3f} of its size"
     backward = attempt.displacement.composed(coarse, (size[0], size[1]))

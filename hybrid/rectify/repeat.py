@@ -49,7 +49,7 @@ class RepeatConfig:
     """Widest margin on either side of the grid, in film units."""
     stretch: float = 0.12
     """How much longer than the mean cell a cell may look through a map that is not yet straight."""
-    min_correlation: float = 0.2
+    min_correlation: float = 0.3
     """Least autocorrelation of the film at one pitch."""
     octave_ratio: float = 0.7
     """Of the pitches that correlate at least this well relative to the best, the smallest counts."""
