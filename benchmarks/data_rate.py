@@ -10,6 +10,7 @@ from __future__ import annotations
 import cProfile
 import json
 import multiprocessing
+import os
 import pstats
 import sys
 import tempfile
@@ -110,21 +111,26 @@ def touch_sources(config: SourceConfig) -> None:
 
 
 def rate(those: Workers, config: SampleConfig, seconds: float, marks: tuple[int, ...] = ()) -> dict[str, Any]:
-    """Samples a second in a steady state, and the resident memory of all processes after ``marks`` samples."""
+    """Samples a second in a steady state, and the resident memory of all processes after ``marks`` samples.
+
+    core_seconds: processor time of all processes for a sample. Where other work runs on the machine the rate says
+    little; two idle cores make at most 2 / core_seconds.
+    """
     films = those.in_order(film_bytes, ((1, number, config) for number in count()))
     list(islice(films, 3 * WORKERS))  # imports, first allocations, and a queue that is full
     stream, memory, made = chain.from_iterable(films), {}, 0
     with tempfile.TemporaryDirectory() as folder:
-        began = time.perf_counter()
-        timed: tuple[int, float] | None = None
+        began, busy = time.perf_counter(), processor_seconds()
+        timed: tuple[int, float, float] | None = None
         while timed is None or made < max(marks, default=0):
             path = Path(folder) / shard_name(made // SHARD)
             made += write_shard(path, made, islice(stream, SHARD)).count
             path.unlink()
             if timed is None and time.perf_counter() - began >= seconds:
-                timed = made, time.perf_counter() - began
+                timed = made, time.perf_counter() - began, processor_seconds() - busy
             memory |= {mark: resident_mib() for mark in marks if mark <= made and mark not in memory}
-    found = {"samples": timed[0], "seconds": timed[1], "rate": timed[0] / timed[1]}
+    samples, elapsed, busy = timed
+    found = {"samples": samples, "seconds": elapsed, "rate": samples / elapsed, "core_seconds": busy / samples}
     if marks:
         found |= {"rss_mib": memory, "rss_growth": memory[max(marks)] / memory[min(marks)] - 1}
     return found
@@ -132,8 +138,18 @@ def rate(those: Workers, config: SampleConfig, seconds: float, marks: tuple[int,
 
 def resident_mib() -> float:
     """Resident memory of this process and its workers."""
+    return sum(_resident_kib(pid) for pid in _processes()) / 1024
+
+
+def processor_seconds() -> float:
+    """Processor time that this process and its workers have used."""
+    fields = (Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split() for pid in _processes())
+    return sum(int(field[11]) + int(field[12]) for field in fields) / os.sysconf("SC_CLK_TCK")
+
+
+def _processes() -> list[int]:
     processes = [multiprocessing.current_process(), *multiprocessing.active_children()]
-    return sum(_resident_kib(process.pid) for process in processes if process.pid) / 1024
+    return [process.pid for process in processes if process.pid]
 
 
 def _resident_kib(pid: int) -> int:

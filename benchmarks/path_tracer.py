@@ -21,6 +21,7 @@ from data_gen.rooms import Environment, sample_environment
 from data_gen.scene import Scene
 from data_gen.shade import light_box_lamp
 from hybrid.coords import film_centres, node_centres_1d
+from hybrid.errors import ConfigError, describe
 from hybrid.mesh.camera import Camera
 from hybrid.mesh.film import FilmMesh, lattice_triangles
 
@@ -42,6 +43,10 @@ class TraceConfig:
     self_shadows: bool = True
 
 
+LEAST_LLVM = (17,)
+"""The version from which LLVM compiles the maximum of two numbers for x86 as Mitsuba asks for it."""
+
+
 @lru_cache(maxsize=1)
 def mitsuba(threads: int = 1) -> Any:
     """The module with its vectorised CPU variant set and the film's BSDF known."""
@@ -49,6 +54,10 @@ def mitsuba(threads: int = 1) -> Any:
     import mitsuba as mi  # pyright: ignore[reportMissingImports]
 
     mi.set_variant("llvm_ad_rgb")
+    version = drjit.detail.llvm_version()
+    if version < LEAST_LLVM:  # it would end the process while it compiles the first scene
+        do = "Install a later LLVM, or let DRJIT_LIBLLVM_PATH name its libLLVM.so."
+        raise ConfigError(describe(what="path tracer", got=f"LLVM {version}", allowed=f">= {LEAST_LLVM}", do=do))
     drjit.set_thread_count(threads)
     mi.register_bsdf("thin_sheet", _thin_sheet_class(mi, drjit))
     mi.register_integrator("unshadowed", _unshadowed_class(mi, drjit))

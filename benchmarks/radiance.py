@@ -31,6 +31,7 @@ from data_gen.rooms import Environment, load_environments, prefilter, procedural
 from data_gen.scene import Scene, SceneConfig, sample_scene
 from data_gen.shade import film_light
 from hybrid.coords import pixel_from_film, sample_bilinear, srgb_from_linear
+from hybrid.errors import ConfigError, describe
 from hybrid.image_io import write_rgb
 from hybrid.mesh.camera import Camera, look_at
 from hybrid.mesh.film import FilmMesh, film_mesh
@@ -47,7 +48,7 @@ class Options:
     """Compare the shading with a path tracer.
 
     json_path: where the figures go. hdri: folder of environments in place of procedural rooms. picture: side by side.
-    side: of the traced photo in pixels. samples: per pixel.
+    side: of the traced photo in pixels. samples: per pixel. only: the scenes with one of these words in their names.
     """
 
     json_path: Annotated[Path, tyro.conf.arg(name="json")]
@@ -55,6 +56,7 @@ class Options:
     picture: Path | None = None
     side: int = 48
     samples: int = 2048
+    only: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -201,7 +203,11 @@ def run(options: Options) -> dict[str, Any]:
     else:
         rooms = [procedural_room(np.random.default_rng(seed)) for seed in (3, 5, 8)]
     figures, rows = [], []
-    for case in cases():
+    chosen = [case for case in cases() if not options.only or any(word in case.name for word in options.only)]
+    if not chosen:
+        do = f"Use words of these: {', '.join(case.name for case in cases())}."
+        raise ConfigError(describe(what="--only", got=options.only, allowed="words in a scene's name", do=do))
+    for case in chosen:
         one, picture = compare(case, rooms, options)
         figures.append(one)
         rows.append(picture)

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import asyncio
+import ctypes
 import multiprocessing
 import os
 import signal
 import socket
+import sys
 import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
@@ -27,6 +29,11 @@ from data_gen.sources import SourceConfig, loaded
 from hybrid.errors import ConfigError, DataError, HybridError, describe
 
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+KEPT_ARRAY_BYTES = 2**25
+"""Larger arrays than this are given back to the system at once; glibc takes no larger value."""
+
+_M_MMAP_THRESHOLD, _M_TRIM_THRESHOLD = -3, -1  # of glibc's malloc.h
 
 CLUSTER_AHEAD = 16
 """At least so many films are sent to a cluster at a time, for clusters that add workers when work is waiting."""
@@ -65,7 +72,19 @@ def _start() -> None:
     """
     cv2.setNumThreads(1)
     threadpool_limits(1)
+    _keep_memory()
     draw_sprites()
+
+
+def _keep_memory() -> None:
+    """Let the C library keep freed arrays for the next ones of their kind, where it is glibc.
+
+    Else each picture's memory goes back to the system and comes anew, page by page: a sixth of the time at 1080 px.
+    """
+    set_option = getattr(ctypes.CDLL(None), "mallopt", None) if sys.platform == "linux" else None
+    if set_option is not None:
+        set_option(_M_MMAP_THRESHOLD, KEPT_ARRAY_BYTES)
+        set_option(_M_TRIM_THRESHOLD, 16 * KEPT_ARRAY_BYTES)
 
 
 # ---------------------------------------------------------------- who does them

@@ -49,7 +49,7 @@ class BendConfig:
     max_angle_deg: float = 70.0
     soft_share: float = 0.5
     max_iterations: int = 8
-    tolerance: float = 2e-4
+    tolerance: float = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
