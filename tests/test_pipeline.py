@@ -8,7 +8,7 @@ import pytest
 
 import hybrid
 from data_gen.sample import SampleConfig, film_samples
-from hybrid.backward import end_point_error, film_as_seen
+from hybrid.backward import Orientation, end_point_error, film_as_seen
 from hybrid.errors import DataError, PhotoError
 from hybrid.pipeline import Rectifier, RectifyConfig
 from hybrid.records import StatusCode
@@ -49,7 +49,7 @@ def test_the_example_is_flattened(result, photo):
 
 def test_every_stage_reports(result):
     names = [stage.name for stage in result.stages]
-    assert names == ["read", "survey", "network", "check", "outline", "grid", "spline", "resample", "light"]
+    assert names == ["read", "survey", "network", "check", "outline", "grid", "spline", "resample", "upright", "light"]
     assert all(stage.reason and stage.seconds >= 0 for stage in result.stages)
 
 
@@ -94,6 +94,28 @@ def test_twice_the_pixels_give_the_same_film_points(rectifier, photo, result):
     nodes = rectifier(small).backward.nodes * 2
     off = np.linalg.norm(nodes - result.backward.nodes, axis=-1).mean()
     assert off < 0.01 * max(photo.shape)
+
+
+@pytest.mark.parametrize("way", [Orientation(1, False), Orientation(2, False), Orientation(3, False)])
+def test_a_turned_photo_gives_the_same_film(rectifier, photo, result, way):
+    """Turned photos are others to the network, so the films differ by pixels, but more than half is alike; held any
+    other way it would be less than 0.3."""
+    found = rectifier(np.ascontiguousarray(way.inverse.moved(photo)))
+    assert found.orientation == way
+    assert found.upright_probability > 0.98
+    assert found.grid is not None
+    assert (found.grid.rows, found.grid.cols) == (result.grid.rows, result.grid.cols)
+    size = result.film.shape[::-1]
+    alike = np.corrcoef(cv2.resize(found.film, size).ravel(), result.film.ravel())[0, 1]
+    assert alike > 0.5
+
+
+def test_the_map_turns_with_the_film(rectifier, photo, result):
+    """The photo point of a film point moves with the photo: half round, (x, y) comes to (width - x, height - y)."""
+    found = rectifier(np.ascontiguousarray(Orientation(2, False).moved(photo)))
+    uv = np.array([[0.2, 0.3], [0.7, 0.6]])
+    back = np.array(photo.shape[1::-1]) - found.backward.photo_from_film(uv)
+    assert np.linalg.norm(back - result.backward.photo_from_film(uv), axis=1).max() < 0.02 * max(photo.shape)
 
 
 # ---------------------------------------------------------------- photos without a film

@@ -236,6 +236,7 @@ def _apply(
         cv2.add(cv2.multiply(even, scale, dst=even), shift, dst=even)
         np.clip(even, tone.least, 1.0, out=even)
         cv2.addWeighted(even, tone.straight, cv2.sqrt(even), tone.root, tone.black, dst=film[part])
+        np.clip(film[part], 0.0, 1.0, out=film[part])  # rounding leaves a hair below black
 
     with ThreadPoolExecutor(max_workers=2) as pool:
         list(pool.map(strip, range(0, height, STRIP_ROWS)))
