@@ -15,7 +15,6 @@ from pathlib import Path
 
 import numpy as np
 import tyro
-from jaxtyping import UInt8
 from tqdm import tqdm
 
 from benchmarks.cases import sample_cases
@@ -64,7 +63,7 @@ class Options:
 
 
 def soak(
-    rectify: Callable[[np.ndarray], RectifyResult], photos: Sequence[UInt8[np.ndarray, "h w 3"]], films: int
+    rectify: Callable[[np.ndarray], RectifyResult], photos: Sequence[np.ndarray], films: int
 ) -> tuple[list[float], list[float], int]:
     """Memory (MiB) from a tenth of the films on, processor seconds of each film, and how many results differ."""
     memory, seconds, different = [], [], 0

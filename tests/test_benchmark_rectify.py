@@ -71,7 +71,7 @@ class StandIn:
         film = (rectified[..., 0] / (0.7 * 255)).astype(np.float32)
         vertices = film_nodes((3, 4))
         grid = SliceGrid(2, 3, vertices, backward.photo_from_film(vertices), 1.0)
-        return RectifyResult(Status(StatusCode.OK), stages, film, rectified, backward, grid, film > 0.99)
+        return RectifyResult(Status(StatusCode.OK), stages, film, rectified, backward, grid, glare=film > 0.99)
 
 
 @pytest.fixture(scope="module")

@@ -218,7 +218,7 @@ def test_help_and_version(capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_unknown_command(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["flatten"]) == 2
-    assert "unknown command 'flatten'; allowed: rectify, train, info" in capsys.readouterr().err
+    assert "unknown command 'flatten'; allowed: rectify, fuse, train, info" in capsys.readouterr().err
     assert cli.main([]) == 2
 
 

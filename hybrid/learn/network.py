@@ -136,7 +136,7 @@ def local_contrast(images: Float[Tensor, "b 3 H W"], window: int = 32) -> Float[
 
     def around(values: Tensor) -> Tensor:
         pooled = functional.avg_pool2d(values, window, window // 2, window // 4, count_include_pad=False)
-        return functional.interpolate(pooled, size=size, mode="bilinear", align_corners=False)
+        return functional.interpolate(pooled, size=size, mode="bilinear")
 
     off = grey - around(grey)
     return (off / (4.0 * (around(off * off) + 1e-4).sqrt())).clamp(-1.0, 1.0)

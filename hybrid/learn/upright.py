@@ -26,7 +26,7 @@ class UprightNetConfig:
     """widths: channels at 1/2, 1/4 and 1/8 of a patch. input_px: side of the patches. film_px, patches: longer side of
     the films that they are cut from, and how many of each (``PatchConfig``)."""
 
-    widths: tuple[int, int, int] = (8, 16, 32)
+    widths: tuple[int, int, int] = (8, 32, 32)
     input_px: int = 32
     film_px: float = 1200.0
     patches: int = 32
