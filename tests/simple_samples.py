@@ -7,6 +7,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+import pytest
 
 import data_gen.generate
 import data_gen.work
@@ -60,11 +61,24 @@ def _simple_sample(rng: np.random.Generator, config: SampleConfig, parameters: d
     )
 
 
+def simple_dataset(out: Path, count: int = 4) -> Path:
+    """A data set of one shard of simple samples, without its card; the folder."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(data_gen.work, "film_samples", simple_film)
+        patch.setattr(data_gen.generate, "write_card", lambda folder: None)
+        _generate(out, count, count)
+    return out
+
+
 def generate_simple(out: Path, count: int, shard_size: int, started: Any) -> None:
     """``generate`` with simple samples, for a process that will be killed; ``started`` is set when it begins."""
     data_gen.work.film_samples = simple_film  # type: ignore[assignment]
     data_gen.generate.write_card = lambda folder: None
     started.set()
+    _generate(out, count, shard_size)
+
+
+def _generate(out: Path, count: int, shard_size: int) -> None:
     data_gen.generate.generate(
         data_gen.generate.GenerateConfig(
             count=count, out=out, size=48, map_size=32, workers=0, shard_size=shard_size, sample=CONFIG

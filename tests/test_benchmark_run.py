@@ -8,10 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from simple_samples import CONFIG, simple_film
+from simple_samples import simple_dataset
 
-import data_gen.generate
-import data_gen.work
 from benchmarks.cases import Case, sample_cases
 from benchmarks.lineup import (
     LINEUP,
@@ -32,7 +30,6 @@ from benchmarks.scanner import find_corners, map_of_corners, true_corners
 from benchmarks.schema import kept, problems, read_record, schema_of, write_record
 from benchmarks.scores import score_map
 from benchmarks.summary import duels, rows_of
-from data_gen.generate import GenerateConfig, generate
 from hybrid.backward import BackwardMap, end_point_error
 from hybrid.coords import film_nodes, pixel_centres
 from hybrid.errors import ConfigError, DataError
@@ -61,12 +58,7 @@ METHODS = {"middle": lambda weights: Method("middle", middle, label="the middle"
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Four samples of rolled sheets in photos of 48 px."""
-    out = tmp_path_factory.mktemp("data")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(data_gen.work, "film_samples", simple_film)
-        patch.setattr(data_gen.generate, "write_card", lambda folder: None)
-        generate(GenerateConfig(count=4, out=out, size=48, map_size=32, workers=0, shard_size=4, sample=CONFIG))
-    return out
+    return simple_dataset(tmp_path_factory.mktemp("data"))
 
 
 @pytest.fixture(scope="module")

@@ -8,19 +8,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from simple_samples import CONFIG, simple_film
+from simple_samples import simple_dataset
 
 import benchmarks.soak
 import benchmarks.stability
-import data_gen.generate
-import data_gen.work
 from benchmarks.damage import DAMAGES, Damaged, cut_file, damaged, visible_error_px
 from benchmarks.problems import PROBLEMS, End, ended, part_of, random_sheet
 from benchmarks.schema import problems, schema_of
 from benchmarks.soak import digest, soak
 from benchmarks.stability import Options, _rectified, run
 from benchmarks.stress_records import DamagedPhoto, SoakReport, StabilityReport
-from data_gen.generate import GenerateConfig, generate
 from hybrid.backward import BackwardMap
 from hybrid.coords import sample_bilinear
 from hybrid.errors import ConfigError, PhotoError
@@ -33,12 +30,7 @@ SIZE = (240, 320)
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Four samples of rolled sheets in photos of 48 px."""
-    out = tmp_path_factory.mktemp("data")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(data_gen.work, "film_samples", simple_film)
-        patch.setattr(data_gen.generate, "write_card", lambda folder: None)
-        generate(GenerateConfig(count=4, out=out, size=48, map_size=32, workers=0, shard_size=4, sample=CONFIG))
-    return out
+    return simple_dataset(tmp_path_factory.mktemp("data"))
 
 
 def sheet() -> BackwardMap:

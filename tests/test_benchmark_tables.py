@@ -7,16 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from simple_samples import CONFIG, simple_film
+from simple_samples import simple_dataset
 
-import data_gen.generate
-import data_gen.work
 from benchmarks.cases import Case, photo_cases, read_alike, sample_cases, true_shape
 from benchmarks.methods import METHODS, Method, weights_path
 from benchmarks.paper_tables import TABLES, table_text
 from benchmarks.scores import score, summarise
 from benchmarks.tables import Options, main, run, score_methods
-from data_gen.generate import GenerateConfig, generate
 from hybrid.backward import BackwardMap, Orientation
 from hybrid.errors import ConfigError, DataError, PhotoError
 from hybrid.image_io import write_rgb
@@ -30,12 +27,7 @@ EXACT_PX = 1e-6
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Four samples of rolled sheets."""
-    out = tmp_path_factory.mktemp("data")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(data_gen.work, "film_samples", simple_film)
-        patch.setattr(data_gen.generate, "write_card", lambda folder: None)
-        generate(GenerateConfig(count=4, out=out, size=48, map_size=32, workers=0, shard_size=4, sample=CONFIG))
-    return out
+    return simple_dataset(tmp_path_factory.mktemp("data"))
 
 
 @pytest.fixture(scope="module")
