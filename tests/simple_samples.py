@@ -61,12 +61,12 @@ def _simple_sample(rng: np.random.Generator, config: SampleConfig, parameters: d
     )
 
 
-def simple_dataset(out: Path, count: int = 4) -> Path:
-    """A data set of one shard of simple samples, without its card; the folder."""
+def simple_dataset(out: Path, count: int = 4, shard_size: int = 4) -> Path:
+    """A data set of simple samples, without its card; the folder."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(data_gen.work, "film_samples", simple_film)
         patch.setattr(data_gen.generate, "write_card", lambda folder: None)
-        _generate(out, count, count)
+        _generate(out, count, shard_size)
     return out
 
 

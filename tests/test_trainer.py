@@ -15,10 +15,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from simple_samples import CONFIG, simple_film
+from simple_samples import simple_dataset
 
-import data_gen.generate
-import data_gen.work
 from data_gen.generate import GenerateConfig, generate
 from data_gen.sample import SampleConfig
 from hybrid.errors import ConfigError
@@ -41,12 +39,7 @@ TINY = FilmNetConfig(widths=(4, 8, 8, 8), blocks=(1, 1, 1), input_px=64)
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory):
     """Twelve samples of rolled sheets."""
-    out = tmp_path_factory.mktemp("data")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(data_gen.work, "film_samples", simple_film)
-        patch.setattr(data_gen.generate, "write_card", lambda folder: None)
-        generate(GenerateConfig(count=12, out=out, size=48, map_size=32, workers=0, shard_size=6, sample=CONFIG))
-    return out
+    return simple_dataset(tmp_path_factory.mktemp("data"), count=12, shard_size=6)
 
 
 @pytest.fixture
