@@ -7,7 +7,6 @@ pixels of the photo.
 
 from __future__ import annotations
 
-import json
 import sys
 import tempfile
 from collections.abc import Sequence
@@ -21,7 +20,7 @@ import tyro
 from jaxtyping import Bool, Float
 from tqdm import tqdm
 
-from benchmarks.machine import describe_run
+from benchmarks.command import run_command, write_figures
 from data_gen.generate import GenerateConfig, generate
 from data_gen.sources import SourceConfig
 from hybrid.backward import BackwardMap
@@ -29,7 +28,7 @@ from hybrid.coords import pixel_centres, rescale_points
 from hybrid.learn.shards import Shard, open_dataset
 from hybrid.mesh.camera import Camera
 
-PROJECTION_PX, INVERSE_PX = 0.05, 0.1
+BOUNDS = {"projection_max_px": 0.05, "inverse_max_px": 0.1, "mixed_pixels": 0}
 """Required of every film pixel."""
 
 MIXED_PX = 0.5
@@ -165,7 +164,7 @@ class Options:
     sources: tyro.conf.OmitArgPrefixes[SourceConfig] = field(default_factory=SourceConfig)
 
 
-def run(options: Options) -> dict[str, Any]:
+def measured(options: Options) -> dict[str, Any]:
     """The figures of a data set, or of one made for this."""
     if options.data is not None:
         return summary(_errors(options.data, options.samples))
@@ -184,18 +183,22 @@ def _errors(folder: Path, samples: int) -> list[Errors]:
     return [errors_of(truth_of(shard, k)) for shard, k in tqdm(places[:samples], desc="samples")]
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Check; 1 where a bound is not kept."""
-    options = tyro.cli(Options, args=arguments, prog="python -m benchmarks.consistency")
-    figures = run(options)
+def run(options: Options, command: list[str]) -> dict[str, Any]:
+    """Measure, and write the figures."""
+    figures = measured(options)
+    write_figures(options.json_path, command, {"required": BOUNDS, **figures})
+    return figures
+
+
+def _verdict(figures: dict[str, Any]) -> int:
     print("\n".join(f"{name}: {value}" for name, value in figures.items()))
-    command = ["python", "-m", "benchmarks.consistency", *(arguments if arguments is not None else sys.argv[1:])]
-    options.json_path.parent.mkdir(parents=True, exist_ok=True)
-    bounds = {"projection_max_px": PROJECTION_PX, "inverse_max_px": INVERSE_PX, "mixed_pixels": 0}
-    whole = {"run": describe_run(command), "required": bounds, **figures}
-    options.json_path.write_text(json.dumps(whole, indent=1) + "\n")
-    return 0 if all(figures[name] <= bound for name, bound in bounds.items()) else 1
+    return 0 if all(figures[name] <= bound for name, bound in BOUNDS.items()) else 2
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The command; 0 if every bound is kept, 2 otherwise."""
+    return run_command("benchmarks.consistency", Options, run, arguments, _verdict)
 
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    sys.exit(main())

@@ -11,7 +11,8 @@ from pathlib import Path
 import tyro
 
 from benchmarks.charts import Axis, Chart, Points, page_of, scatter
-from hybrid.errors import DataError, HybridError, describe
+from benchmarks.command import run_command
+from hybrid.errors import DataError, describe
 from hybrid.image_io import write_rgb
 
 Curve = tuple[tuple[float, float], ...]
@@ -69,16 +70,15 @@ def _chart(title: str, unit: str, curves: dict[str, Curve]) -> Chart:
     )
 
 
+def run(config: CurvesConfig, command: list[str]) -> None:
+    """Draw the curves."""
+    drawn = [scatter(chart) for chart in charts(read_curves(config.curves))]
+    write_rgb(config.picture, page_of(drawn, columns=len(drawn)))
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
-    """The command line; returns the exit code."""
-    config = tyro.cli(CurvesConfig, args=arguments, prog="python -m benchmarks.curves")
-    try:
-        drawn = [scatter(chart) for chart in charts(read_curves(config.curves))]
-        write_rgb(config.picture, page_of(drawn, columns=len(drawn)))
-    except HybridError as error:
-        print(f"benchmarks.curves: {error}", file=sys.stderr)
-        return 1
-    return 0
+    """The command; 0 if it went through."""
+    return run_command("benchmarks.curves", CurvesConfig, run, arguments)
 
 
 if __name__ == "__main__":

@@ -8,7 +8,6 @@ processor seconds by part; rays for a sample, and rays a second against what Ope
 from __future__ import annotations
 
 import cProfile
-import json
 import multiprocessing
 import os
 import pstats
@@ -26,7 +25,7 @@ import numpy as np
 import tyro
 from threadpoolctl import threadpool_limits
 
-from benchmarks.machine import describe_run
+from benchmarks.command import run_command, write_figures
 from data_gen.manifest import shard_name, write_shard
 from data_gen.sample import SampleConfig
 from data_gen.sources import SourceConfig, draw_volume
@@ -70,7 +69,7 @@ class Options:
     sources: tyro.conf.OmitArgPrefixes[SourceConfig] = field(default_factory=SourceConfig)
 
 
-def run(options: Options) -> dict[str, Any]:
+def measured(options: Options) -> dict[str, Any]:
     """All figures."""
     sources = options.sources
     ct, hdri = (folder and folder.absolute() for folder in (sources.ct, sources.hdri))
@@ -248,20 +247,26 @@ def open3d_peak(rays: int) -> float:
     return side**2 / best / 1e6
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Measure; 1 where a required figure is missed."""
-    options = tyro.cli(Options, args=arguments, prog="python -m benchmarks.data_rate")
-    figures = run(options)
+def run(options: Options, command: list[str]) -> dict[str, Any]:
+    """Measure, and write the figures."""
+    figures = measured(options)
+    write_figures(options.json_path, command, figures)
+    return figures
+
+
+def _verdict(figures: dict[str, Any]) -> int:
     for name, bound in REQUIRED.items():
         print(f"{name}: {figures[name]:.4g} (required {'<=' if name == 'rss_growth' else '>='} {bound})")
     for size in ("1080", "256"):
         print(size, figures[f"parts_{size}"])
-    command = ["python", "-m", "benchmarks.data_rate", *(arguments if arguments is not None else sys.argv[1:])]
-    options.json_path.parent.mkdir(parents=True, exist_ok=True)
-    options.json_path.write_text(json.dumps({"run": describe_run(command), **figures}, indent=1) + "\n")
     fast = all(figures[name] >= REQUIRED[name] for name in ("rate_1080", "rate_256"))
-    return 0 if fast and figures["rss_growth"] <= REQUIRED["rss_growth"] else 1
+    return 0 if fast and figures["rss_growth"] <= REQUIRED["rss_growth"] else 2
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The command; 0 if every required figure is reached, 2 otherwise."""
+    return run_command("benchmarks.data_rate", Options, run, arguments, _verdict)
 
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    sys.exit(main())

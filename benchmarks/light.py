@@ -9,7 +9,6 @@ and that with a curve.
 
 from __future__ import annotations
 
-import json
 import statistics
 import sys
 import time
@@ -24,13 +23,13 @@ import tyro
 from jaxtyping import Bool, Float, UInt8
 from scipy.optimize import isotonic_regression
 
-from benchmarks.machine import describe_run
+from benchmarks.command import run_command, write_figures
 from benchmarks.photos import TruePhoto, load_photos
 from hybrid.backward import BackwardMap
 from hybrid.coords import film_nodes, pixel_from_film, sample_bilinear
 from hybrid.draw import contact_sheet, fitted, rgb_from_film, side_by_side
-from hybrid.errors import ConfigError, HybridError, describe
-from hybrid.image_io import write_bytes, write_rgb
+from hybrid.errors import ConfigError, describe
+from hybrid.image_io import write_rgb
 from hybrid.learn.samples import Place, film_of, open_places, photo_of
 from hybrid.metrics import ssim
 from hybrid.outputs import make_folder
@@ -307,10 +306,8 @@ def run(options: Options, command: list[str]) -> dict[str, Any]:
             tiles.append((score.film, f"{score.name}  lit {score.lit:.1f}  film {score.film:.1f} dB",
                           side_by_side(views, height=400)))  # fmt: skip
     summary = {kind: summarise(of_kind) for kind, of_kind in scores.items()}
-    report = {"run": describe_run(command), "summary": summary,
-              "scores": {kind: [asdict(score) for score in of_kind] for kind, of_kind in scores.items()}}  # fmt: skip
-    make_folder(options.json_path.parent)
-    write_bytes(options.json_path, (json.dumps(report, indent=1) + "\n").encode())
+    listed = {kind: [asdict(score) for score in of_kind] for kind, of_kind in scores.items()}
+    write_figures(options.json_path, command, {"summary": summary, "scores": listed})
     if options.pictures is not None:
         make_folder(options.pictures)
         tiles.sort(key=lambda tile: tile[0])
@@ -324,15 +321,8 @@ def run(options: Options, command: list[str]) -> dict[str, Any]:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """The command."""
-    arguments = list(sys.argv[1:] if arguments is None else arguments)
-    options = tyro.cli(Options, args=arguments, prog="python -m benchmarks.light")
-    try:
-        run(options, ["python -m benchmarks.light", *arguments])
-    except HybridError as error:
-        print(f"benchmarks.light: {error}", file=sys.stderr)
-        return 1
-    return 0
+    """The command; 0 if it went through."""
+    return run_command("benchmarks.light", Options, run, arguments)
 
 
 if __name__ == "__main__":

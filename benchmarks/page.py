@@ -11,15 +11,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import tyro
-
+from benchmarks.command import run_command
 from benchmarks.lineup import CONFIGURATIONS
 from benchmarks.page_text import Results, number, page_text, pair, table
 from benchmarks.results import Report
 from benchmarks.schema import read_record
 from benchmarks.stress_records import SoakReport, StabilityReport
 from benchmarks.summary import FLOOR, MAIN, rows_of, split_rows
-from hybrid.errors import HybridError
 from hybrid.image_io import write_bytes
 from hybrid.outputs import make_folder
 
@@ -110,15 +108,14 @@ class Options:
     readme: Path | None = None
 
 
+def run(options: Options, command: list[str]) -> None:
+    """Make the page; nothing that it says depends on the command that makes it."""
+    write_page(options.page, options.out, options.readme)
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command; 0 if it went through."""
-    try:
-        options = tyro.cli(Options, args=arguments, prog="python -m benchmarks.page")
-        write_page(options.page, options.out, options.readme)
-    except HybridError as error:
-        print(f"benchmarks.page: {error}", file=sys.stderr)
-        return 1
-    return 0
+    return run_command("benchmarks.page", Options, run, arguments)
 
 
 __all__ = ["PREFIX", "read_results", "readme_table", "with_table", "write_page"]

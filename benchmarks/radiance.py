@@ -10,7 +10,6 @@ Needs the extra ``bench``.
 
 from __future__ import annotations
 
-import json
 import sys
 import time
 from collections.abc import Sequence
@@ -23,7 +22,7 @@ import numpy as np
 import tyro
 from jaxtyping import Bool, Float
 
-from benchmarks.machine import describe_run
+from benchmarks.command import run_command, write_figures
 from benchmarks.path_tracer import TraceConfig, trace
 from data_gen.lamps import Lamp
 from data_gen.lighting import Light, LightBox, Material
@@ -197,7 +196,8 @@ def difference(model: np.ndarray, traced: np.ndarray, inside: np.ndarray) -> flo
     return float(np.mean(np.abs(a - b) / np.maximum(b, 1e-6)))
 
 
-def run(options: Options) -> dict[str, Any]:
+def measured(options: Options) -> dict[str, Any]:
+    """The figures of every scene; the pictures are written."""
     if options.hdri:
         rooms = load_environments(options.hdri)
     else:
@@ -228,15 +228,21 @@ def run(options: Options) -> dict[str, Any]:
     }
 
 
+def run(options: Options, command: list[str]) -> dict[str, Any]:
+    """Measure, and write the figures."""
+    figures = measured(options)
+    write_figures(options.json_path, command, figures)
+    return figures
+
+
+def _verdict(figures: dict[str, Any]) -> int:
+    return 0 if figures["within_5_percent"] == len(figures["scenes"]) else 2
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the comparison; 1 where a scene is above the bound."""
-    options = tyro.cli(Options, args=arguments, prog="python -m benchmarks.radiance")
-    figures = run(options)
-    command = ["python", "-m", "benchmarks.radiance", *(arguments if arguments is not None else sys.argv[1:])]
-    options.json_path.parent.mkdir(parents=True, exist_ok=True)
-    options.json_path.write_text(json.dumps({"run": describe_run(command), **figures}, indent=1) + "\n")
-    return 0 if figures["within_5_percent"] == len(figures["scenes"]) else 1
+    """The command; 0 if every scene is within the bound, 2 otherwise."""
+    return run_command("benchmarks.radiance", Options, run, arguments, _verdict)
 
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    sys.exit(main())

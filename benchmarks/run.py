@@ -16,10 +16,10 @@ from pathlib import Path
 from typing import Literal
 
 import torch
-import tyro
 from tqdm import tqdm
 
 from benchmarks.cases import Case, photo_cases, sample_cases
+from benchmarks.command import run_command
 from benchmarks.lineup import CONFIGURATIONS, LINEUP, lineup
 from benchmarks.machine import commit, describe_run, relative_command, use_threads
 from benchmarks.measure import forward_times, measure, peak_memory
@@ -31,7 +31,7 @@ from benchmarks.pictures import write_gallery, write_pictures
 from benchmarks.results import Forward, Measured, Memory, MethodNote, Report, Settings
 from benchmarks.schema import kept, read_record, write_record
 from benchmarks.traits import note_of
-from hybrid.errors import ConfigError, HybridError, describe
+from hybrid.errors import ConfigError, describe
 from hybrid.learn.presets import PRESETS
 
 NETWORKS = ("filmnet", "dewarpnet", "firenet")
@@ -238,14 +238,7 @@ def _networks_alone(options: Options) -> Iterator[Forward]:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command; 0 if it went through."""
-    arguments = list(sys.argv[1:] if arguments is None else arguments)
-    try:
-        options = tyro.cli(Options, args=arguments, prog="python -m benchmarks.run")
-        run(options, ["python -m benchmarks.run", *arguments])
-    except HybridError as error:
-        print(f"benchmarks.run: {error}", file=sys.stderr)
-        return 1
-    return 0
+    return run_command("benchmarks.run", Options, run, arguments)
 
 
 __all__ = ["LINEUP", "Options", "load_cases", "main", "run", "spread"]

@@ -8,7 +8,6 @@ narrow to gain from threads, and waiting threads disturb each other where cores 
 from __future__ import annotations
 
 import cProfile
-import json
 import pstats
 import sys
 import time
@@ -22,7 +21,7 @@ import numpy as np
 import tyro
 from tqdm import tqdm
 
-from benchmarks.machine import describe_run
+from benchmarks.command import run_command, write_figures
 from benchmarks.mechanics import SZE_TIP, heavy_strip, lattice_sheet, sheared_cantilever
 from benchmarks.recipe_picture import contact_sheet, picture_of
 from benchmarks.stress import StressResult, outcomes, run_scene
@@ -230,7 +229,7 @@ class Options:
     only: tuple[str, ...] = ()
 
 
-def run(options: Options) -> dict[str, Any]:
+def measured(options: Options) -> dict[str, Any]:
     """All figures."""
     quick = options.quick
     frames = cache(partial(recipe_frames, 2, 1 if quick else 2))
@@ -273,15 +272,21 @@ def _short(figures: dict[str, Any]) -> str:
     return ", ".join(f"{key} {value:.4g}" for key, value in figures.items() if isinstance(value, int | float))
 
 
+def run(options: Options, command: list[str]) -> dict[str, Any]:
+    """Measure, and write the figures."""
+    figures = measured(options)
+    write_figures(options.json_path, command, figures)
+    return figures
+
+
+def _verdict(figures: dict[str, Any]) -> int:
+    return 0 if figures.get("stress", {}).get("failures", 0) == 0 else 2
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the checks; 1 where one of the bounds of the solver is not kept."""
-    options = tyro.cli(Options, args=arguments, prog="python -m benchmarks.simulate")
-    figures = run(options)
-    command = ["python", "-m", "benchmarks.simulate", *(arguments if arguments is not None else sys.argv[1:])]
-    options.json_path.parent.mkdir(parents=True, exist_ok=True)
-    options.json_path.write_text(json.dumps({"run": describe_run(command), **figures}, indent=1) + "\n")
-    return 0 if figures.get("stress", {}).get("failures", 0) == 0 else 1
+    """The command; 0 if the bounds of the solver are kept, 2 otherwise."""
+    return run_command("benchmarks.simulate", Options, run, arguments, _verdict)
 
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    sys.exit(main())

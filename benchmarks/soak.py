@@ -14,16 +14,16 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import tyro
 from tqdm import tqdm
 
 from benchmarks.cases import sample_cases
+from benchmarks.command import run_command
 from benchmarks.machine import describe_run, memory_mib, use_threads
 from benchmarks.own_photos import make_photos
 from benchmarks.schema import write_record
 from benchmarks.stress_records import SoakReport
 from hybrid.draw import resized
-from hybrid.errors import ConfigError, HybridError, describe
+from hybrid.errors import ConfigError, describe
 from hybrid.pipeline import Rectifier, RectifyConfig
 from hybrid.records import RectifyResult
 
@@ -113,20 +113,17 @@ def run(options: Options, command: list[str]) -> SoakReport:
     return report
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """The command; 0 if memory stayed flat and no result differed, 2 otherwise."""
-    arguments = list(sys.argv[1:] if arguments is None else arguments)
-    try:
-        options = tyro.cli(Options, args=arguments, prog="python -m benchmarks.soak")
-        report = run(options, ["python -m benchmarks.soak", *arguments])
-    except HybridError as error:
-        print(f"benchmarks.soak: {error}", file=sys.stderr)
-        return 1
+def _verdict(report: SoakReport) -> int:
     print(
         f"{report.films} films: memory {100 * report.memory_growth():+.2f} %, time {100 * report.time_drift():+.1f} %, "
         f"{report.different} results differ"
     )
     return 0 if report.memory_growth() <= MEMORY_BOUND and not report.different else 2
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The command; 0 if memory stayed flat and no result differed, 2 otherwise."""
+    return run_command("benchmarks.soak", Options, run, arguments, _verdict)
 
 
 __all__ = ["Options", "digest", "main", "run", "soak"]

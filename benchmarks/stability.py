@@ -20,17 +20,17 @@ from multiprocessing.context import SpawnProcess
 from pathlib import Path
 
 import numpy as np
-import tyro
 from tqdm import tqdm
 
 from benchmarks.cases import Case, read_alike, sample_cases
+from benchmarks.command import run_command
 from benchmarks.damage import CUT_OFF, Damaged, cut_file, damaged, visible_error_px
 from benchmarks.machine import describe_run, use_threads
 from benchmarks.own_photos import make_photos
 from benchmarks.problems import PROBLEMS, ended, part_of
 from benchmarks.schema import kept, write_record
 from benchmarks.stress_records import DamagedPhoto, Part, StabilityReport
-from hybrid.errors import ConfigError, HybridError, PhotoError, describe
+from hybrid.errors import ConfigError, PhotoError, describe
 from hybrid.image_io import write_bytes
 from hybrid.pipeline import Rectifier, RectifyConfig
 from hybrid.records import RectifyResult
@@ -235,21 +235,18 @@ def _cut_off(number: int, case: Case, rectify: Rectify, rng: np.random.Generator
     return DamagedPhoto(number, (CUT_OFF,), size, outcome, message, time.perf_counter() - start)
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """The command; 0 if nothing failed, 2 if something did."""
-    arguments = list(sys.argv[1:] if arguments is None else arguments)
-    try:
-        options = tyro.cli(Options, args=arguments, prog="python -m benchmarks.stability")
-        report = run(options, ["python -m benchmarks.stability", *arguments])
-    except HybridError as error:
-        print(f"benchmarks.stability: {error}", file=sys.stderr)
-        return 1
+def _verdict(report: StabilityReport) -> int:
     for part in report.parts:
         print(
             f"{part.name}: {part.tried} tried, {part.refused} refused, {part.failed} failed", *part.failures, sep="\n  "
         )
     print("photos:", ", ".join(f"{name} {count}" for name, count in report.counts().items()))
     return 0 if report.failures == 0 else 2
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The command; 0 if nothing failed, 2 if something did."""
+    return run_command("benchmarks.stability", Options, run, arguments, _verdict)
 
 
 __all__ = ["Options", "main", "run"]

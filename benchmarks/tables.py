@@ -8,7 +8,6 @@ folder are listed as not trained. The paper's figures, from its own test set, st
 
 from __future__ import annotations
 
-import json
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -19,13 +18,11 @@ import tyro
 from tqdm import tqdm
 
 from benchmarks.cases import Case, photo_cases, sample_cases
-from benchmarks.machine import describe_run
+from benchmarks.command import run_command, write_figures
 from benchmarks.methods import METHODS, Method
 from benchmarks.paper_tables import TABLES, table_text
 from benchmarks.scores import CaseScore, score, summarise
-from hybrid.errors import ConfigError, HybridError, describe
-from hybrid.image_io import write_bytes
-from hybrid.outputs import make_folder
+from hybrid.errors import ConfigError, describe
 
 NEEDS_SHAPE = frozenset({"net_bw", "net_uv"})
 """Methods that are given the true 3D map, which photos outside data sets do not have."""
@@ -85,34 +82,26 @@ def score_methods(methods: Mapping[str, Method | None], cases: Sequence[Case]) -
 
 
 def run(options: Options, command: list[str]) -> dict[str, Any]:
-    """Score all methods, print the tables, write and return the report."""
+    """Score all methods, print the tables, write the report; the rows of each set of photos."""
     methods = {name: METHODS[name](options.weights) for name in options.methods}
-    report: dict[str, Any] = {"run": describe_run(command), "sets": {}}
+    sets: dict[str, Any] = {}
     if options.data:
         cases = sample_cases(options.data)[: options.count]
-        report["sets"]["samples"] = score_methods(methods, cases)
+        sets["samples"] = score_methods(methods, cases)
     if options.photos is not None:
         whole = {name: method for name, method in methods.items() if name not in NEEDS_SHAPE}
-        report["sets"]["photos"] = score_methods(whole, photo_cases(options.photos)[: options.count])
-    make_folder(options.json_path.parent)
-    write_bytes(options.json_path, (json.dumps(report, indent=1) + "\n").encode())
-    for name, rows in report["sets"].items():
+        sets["photos"] = score_methods(whole, photo_cases(options.photos)[: options.count])
+    write_figures(options.json_path, command, {"sets": sets})
+    for name, rows in sets.items():
         for table in TABLES:
             if any(row in rows for row in table.rows):
                 print(f"\n{name}: {table_text(table, rows)}")
-    return report
+    return sets
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command; 0 if it went through."""
-    arguments = list(sys.argv[1:] if arguments is None else arguments)
-    try:
-        options = tyro.cli(Options, args=arguments, prog="python -m benchmarks.tables")
-        run(options, ["python -m benchmarks.tables", *arguments])
-    except HybridError as error:
-        print(f"benchmarks.tables: {error}", file=sys.stderr)
-        return 1
-    return 0
+    return run_command("benchmarks.tables", Options, run, arguments)
 
 
 if __name__ == "__main__":

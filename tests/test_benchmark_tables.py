@@ -152,7 +152,7 @@ def test_photos_with_truth_are_scored_apart(cases: list[Case], weights: Path, tm
     write_rgb(tmp_path / "a.jpg", cases[0].photo())
     np.savez(tmp_path / "a.npz", lattice=cases[0].backward.nodes, texture=print_name, meta="{}")
     options = Options(tmp_path / "t.json", weights=weights, photos=tmp_path, methods=("dewarpnet", "net_uv"))
-    rows = run(options, ["x"])["sets"]["photos"]
+    rows = run(options, ["x"])["photos"]
     assert set(rows) == {"dewarpnet"}
     assert photo_cases(tmp_path)[0].name == "a"
 
