@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-import torch
 from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
@@ -19,6 +18,7 @@ from hybrid.errors import DataError, describe
 from hybrid.image_io import read_photo
 from hybrid.learn.dewarpnet import coordinate_code
 from hybrid.learn.samples import Place, film_of, open_places, photo_of, truth_at
+from hybrid.learn.tensors import map_batch
 from hybrid.rectify.film_size import FilmSizeConfig
 
 SAME_SIZE = 1.25
@@ -33,16 +33,19 @@ class Case:
     """A photo whose truth is known.
 
     source: its file, or its place in a data set. backward: the true map of the film that reads right, in pixels.
-    size: (height, width) to which the photo is resized; its own if None.
+    size: (height, width) to which the photo is resized; its own if None. held: the photo, where it is kept in memory.
     """
 
     name: str
     source: Path | Place
     backward: BackwardMap
     size: tuple[int, int] | None = None
+    held: UInt8[np.ndarray, "h w 3"] | None = None
 
     def photo(self) -> UInt8[np.ndarray, "h w 3"]:
-        """The photo itself, RGB."""
+        """The photo itself, RGB; the caller's own."""
+        if self.held is not None:
+            return self.held.copy()
         photo = read_photo(self.source) if isinstance(self.source, Path) else photo_of(self.source)
         return photo if self.size is None else resized(photo, self.size)
 
@@ -57,7 +60,11 @@ class Case:
             return self
         size = (round(height * area**0.5), round(width * area**0.5))
         truth = self.backward.cropped((0.0, 0.0), (size[1] / width, size[0] / height))
-        return replace(self, backward=truth, size=size)
+        return replace(self, backward=truth, size=size, held=None)
+
+    def in_memory(self) -> Case:
+        """The case with its photo read once for all."""
+        return replace(self, held=self.photo())
 
     def film_size(self) -> tuple[int, int]:
         """Size (h, w) of the flat film: what the photo resolves, but no larger than ``hybrid`` makes it."""
@@ -107,8 +114,8 @@ def true_shape(case: Case, px: int) -> TrueShape:
     height, width = case.photo().shape[:2]
     points = rescale_points(pixel_centres((px, px)), (px, px), (height, width))
     truth = truth_at(case.source, points, (height, width))
-    xyz = torch.from_numpy(truth.xyz).permute(2, 0, 1)[None]
-    return TrueShape(coordinate_code(xyz, torch.from_numpy(truth.mask)[None]), truth.mask, (height, width))
+    code = coordinate_code(map_batch([truth.xyz]), map_batch([truth.mask]))
+    return TrueShape(code, truth.mask, (height, width))
 
 
 def read_alike(found: BackwardMap, true: BackwardMap) -> tuple[BackwardMap, Orientation]:

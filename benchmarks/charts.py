@@ -164,7 +164,7 @@ def _label(
 ) -> None:
     width, height = draw.textlength(text, font=_font(15)), 17
     right = at[0] + 11 + width < _RIGHT
-    x = at[0] + 11 if right else at[0] - 11 - width
+    x = at[0] + 11 if right else max(at[0] - 11 - width, _LEFT + 4)
     y = at[1] - height / 2
     while any(x < b[2] and b[0] < x + width and y < b[3] and b[1] < y + height for b in taken):
         y += 4

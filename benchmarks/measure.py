@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Sequence
 from multiprocessing.connection import Connection
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -20,7 +21,7 @@ from benchmarks.methods import Flattened, Method, flattened
 from benchmarks.photos import load_photo
 from benchmarks.results import FilmScore, Forward, Measured, Memory
 from benchmarks.scores import score_map
-from hybrid.errors import ConfigError, describe
+from hybrid.learn.weights import parameter_count
 from hybrid.metrics import psnr_after_gain_offset
 
 PRINT_SIZE = (512, 512)
@@ -55,6 +56,8 @@ def measure(method: Method, case: Case, megapixels: float, repeats: int, warm: b
         message=result.message,
         score=score_map(result.backward, case.backward, photo) if scored and result.backward is not None else None,
         film=film_score(case, result) if scored else None,
+        grid=result.grid,
+        output=None if result.image is None else (result.image.shape[0], result.image.shape[1]),
     )
 
 
@@ -117,23 +120,17 @@ def _call_once(
 # ---------------------------------------------------------------- networks alone
 
 
-def forward_times(
-    name: str, network: torch.nn.Module, px: int, device: str, batches: Sequence[int], repeats: int
-) -> list[Forward]:
+def forward_times(name: str, network: Any, device: str, batches: Sequence[int], repeats: int) -> list[Forward]:
     """Seconds of a network's forward pass on a device, for each batch size; the first call is not counted.
 
-    Raises:
-        ConfigError: torch sees no such device.
+    network: with a configuration that says the side of its square input.
     """
-    if device == "cuda" and not torch.cuda.is_available():
-        raise ConfigError(describe(what="--device", got="cuda, which torch does not see", do="Leave it out."))
-    network = network.to(device).eval()
-    count = sum(p.numel() for p in network.parameters())
+    network, px = network.to(device).eval(), network.config.input_px
     times = []
     for batch in batches:
         images = torch.rand(batch, 3, px, px, device=device, generator=torch.Generator(device).manual_seed(0))
         seconds = [_one_pass(network, images, device) for _ in range(repeats + 1)][1:]
-        times.append(Forward(name, device, batch, px, count, tuple(seconds)))
+        times.append(Forward(name, device, batch, px, parameter_count(network), tuple(seconds)))
     return times
 
 

@@ -28,14 +28,15 @@ from jaxtyping import Float, UInt8
 from benchmarks.cases import Case, TrueShape, true_shape
 from hybrid.backward import BackwardMap
 from hybrid.errors import PhotoError
-from hybrid.learn.baselines import corrected, recover
-from hybrid.learn.dewarpnet import BackwardNet, DewarpNet, ShapeNet, joined
-from hybrid.learn.firenet import FiReNet
-from hybrid.learn.presets import PRESETS
+from hybrid.learn.baselines import corrected, in_pixels, recover
+from hybrid.learn.dewarpnet import joined
+from hybrid.learn.presets import PRESETS, PaperConfig
+from hybrid.learn.tensors import first_map
 from hybrid.learn.uv_recovery import interpolated, points_of_uv
 from hybrid.learn.uvbw import NetBw, NetUv
-from hybrid.learn.weights import load_weights, packaged_film_net, parameter_count
+from hybrid.learn.weights import load_weights, notes_of, packaged_path, parameter_count
 from hybrid.pipeline import Rectifier, RectifyConfig
+from hybrid.records import RectifyResult
 from hybrid.rectify.resample import rectify_photo
 
 
@@ -50,7 +51,7 @@ class Flattened:
 
     backward: its map, in pixels of the photo; None where it finds no film. image: the flat film with its light, RGB.
     film: the same without light, display grey in [0, 1], from methods that take it away. parts: seconds, by part.
-    message: what the method says of the photo.
+    message: what the method says of the photo. grid: the slices that it found, as ROWSxCOLS.
     """
 
     backward: BackwardMap | None = None
@@ -58,6 +59,7 @@ class Flattened:
     film: Float[np.ndarray, "h w"] | None = None
     parts: Mapping[str, float] = field(default_factory=dict)
     message: str = ""
+    grid: str = ""
 
 
 @dataclass(frozen=True)
@@ -68,7 +70,8 @@ class Method:
     ``flatten`` take, read from a case before the clock starts: the photo, if nothing else is said. flatten: the whole
     way; None for those whose photo is read through their map as everyone's. says_up: whether the map is meant to
     be of the film that reads right, and not of the film as it lies. parameters: of its network. label: for people.
-    unscored: why only its run time means anything; empty for methods that are scored.
+    training: of its network, in words. unscored: why only its run time means anything; empty for methods that are
+    scored. steady: whether the run time hardly depends on the photo, so that a few calls tell it.
     """
 
     name: str
@@ -78,7 +81,9 @@ class Method:
     says_up: bool = False
     parameters: int | None = None
     label: str = ""
+    training: str = ""
     unscored: str = ""
+    steady: bool = False
 
     def find_or_lose(self, given: Any) -> BackwardMap | None:
         """As ``find``, with None for a photo in which no film is found."""
@@ -106,21 +111,50 @@ def flattened(method: Method, given: Any, photo: UInt8[np.ndarray, "h w 3"], siz
 
 
 def weights_path(folder: Path | None, name: str) -> Path | None:
-    """FOLDER/NAME.safetensors, or FOLDER/NAME/NAME.safetensors as trainings leave it; None if neither is there."""
+    """FOLDER/NAME.safetensors, FOLDER/NAME/NAME.safetensors as trainings leave it, or the packaged file; else None."""
+    packaged = packaged_path(name)
+    return path_in(folder, name) or (packaged if packaged.exists() else None)
+
+
+def path_in(folder: Path | None, name: str) -> Path | None:
+    """The weights of a preset in a folder alone; None if they are not there."""
     if folder is None:
         return None
     places = (folder / f"{name}.safetensors", folder / name / f"{name}.safetensors")
     return next((path for path in places if path.exists()), None)
 
 
-def trained(folder: Path | None, name: str) -> Any:
-    """The network of a preset with its weights, at the width and input of the file; None if it is not trained.
+@dataclass(frozen=True, eq=False)
+class Trained:
+    """A network with its weights, at the width and input of their file. training: in words."""
+
+    network: Any
+    training: str
+
+    @property
+    def parameters(self) -> int:
+        """How many there are."""
+        return parameter_count(self.network)
+
+
+def trained(folder: Path | None, name: str) -> Trained | None:
+    """The network of a preset; None if it is trained neither in the folder nor in the package.
 
     Raises:
         DataError: the file holds other weights.
     """
-    path, chosen = weights_path(folder, name), PRESETS[name]
-    return None if path is None else load_weights(path, chosen.build, type(chosen.config)).eval()
+    path = weights_path(folder, name)
+    return None if path is None else _loaded(path, name)
+
+
+def _loaded(path: Path, name: str) -> Trained:
+    chosen, notes = PRESETS[name], notes_of(path)
+    network = load_weights(path, chosen.build, type(chosen.config)).eval()
+    config = network.config
+    seen = f"{notes['passes']:,} images" if "passes" in notes else ""
+    on = f"of {', '.join(map(str, notes['data']))}" if notes.get("data") else ""
+    width = f"at width {config.width:g}" if isinstance(config, PaperConfig) else ""
+    return Trained(network, " ".join(part for part in ("trained", width, seen and f"on {seen}", on) if part))
 
 
 # ---------------------------------------------------------------- this project
@@ -128,92 +162,114 @@ def trained(folder: Path | None, name: str) -> Any:
 
 def filmnet(folder: Path | None) -> Method | None:
     """FilmNet alone: all its looks at the photo, before refinement. The packaged one, if the folder has none."""
-    path = weights_path(folder, "filmnet")
-    count = parameter_count(packaged_film_net() if path is None else trained(folder, "filmnet"))
-    find = Rectifier(RectifyConfig(weights=path)).network_map
-    return Method("filmnet", find, parameters=count, label="hybrid, network alone")
+    known = trained(folder, "filmnet")
+    if known is None:
+        return None
+    find = Rectifier(RectifyConfig(weights=path_in(folder, "filmnet"))).network_map
+    label = "hybrid, network alone"
+    return Method("filmnet", find, parameters=known.parameters, label=label, training=known.training)
 
 
 def hybrid_pipeline(folder: Path | None) -> Method | None:
     """The whole pipeline, all stages up to the film without light."""
-    return configured("hybrid", RectifyConfig(weights=weights_path(folder, "filmnet")))
+    return configured("hybrid", RectifyConfig(weights=path_in(folder, "filmnet")))
 
 
 def configured(name: str, config: RectifyConfig, label: str = "") -> Method:
     """The pipeline with other options."""
-    rectifier = Rectifier(config)
+    return of_rectifier(name, Rectifier(config), label)
+
+
+def of_rectifier(name: str, rectify: Callable[[Any], RectifyResult], label: str = "") -> Method:
+    """All that a rectifier makes of a photo, with the seconds of its stages."""
 
     def flatten(photo: Any) -> Flattened:
-        result = rectifier(photo)
+        result = rectify(photo)
         parts = {stage.name: stage.seconds for stage in result.stages}
-        return Flattened(result.backward, result.rectified, result.film, parts, str(result.status))
+        grid = "" if result.grid is None else f"{result.grid.rows}x{result.grid.cols}"
+        return Flattened(result.backward, result.rectified, result.film, parts, str(result.status), grid)
 
-    return Method(name, lambda photo: rectifier(photo).backward, flatten=flatten, says_up=True, label=label)
+    return Method(name, lambda photo: rectify(photo).backward, flatten=flatten, says_up=True, label=label)
 
 
 # ---------------------------------------------------------------- baselines
 
+DEWARPNET_DUE = "DewarpNet, its map read rightly"
+"""Label of DewarpNet without what its published inference does to its map."""
+
 
 def firenet(folder: Path | None, name: str = "firenet") -> Method | None:
     """FiReNet, or an ablation of it, with its recovery."""
-    network: FiReNet | None = trained(folder, name)
-    if network is None:
+    known = trained(folder, name)
+    if known is None:
         return None
-    count = parameter_count(network)
-    return Method(name, lambda photo: recover(network, photo).backward, parameters=count, label="FiReNet")
+    return _of_network(name, "FiReNet", known, lambda photo: recover(known.network, photo).backward)
 
 
-def trained_dewarpnet(folder: Path | None) -> DewarpNet | None:
-    """DewarpNet trained as one, else its two stages put together; None if neither is trained."""
-    network: DewarpNet | None = trained(folder, "dewarpnet")
-    if network is None:
-        shape: ShapeNet | None = trained(folder, "dewarpnet_shape")
-        backward: BackwardNet | None = trained(folder, "dewarpnet_bw")
-        network = None if shape is None or backward is None else joined(shape, backward).eval()
-    return network
+def trained_dewarpnet(folder: Path | None) -> Trained | None:
+    """DewarpNet trained as one, else its two stages put together, else the packaged one; None if there is none."""
+    shape, backward = (path_in(folder, f"dewarpnet_{stage}") for stage in ("shape", "bw"))
+    if path_in(folder, "dewarpnet") is not None or shape is None or backward is None:
+        return trained(folder, "dewarpnet")
+    first, second = _loaded(shape, "dewarpnet_shape"), _loaded(backward, "dewarpnet_bw")
+    return Trained(joined(first.network, second.network).eval(), f"{second.training}, its stages apart")
 
 
 def dewarpnet(folder: Path | None) -> Method | None:
     """DewarpNet, given its due: its map read as it is meant, the photo as everyone's."""
-    network = trained_dewarpnet(folder)
-    if network is None:
+    known = trained_dewarpnet(folder)
+    if known is None:
         return None
-    label, count = "DewarpNet, its map read rightly", parameter_count(network)
-    return Method("dewarpnet", lambda photo: corrected(network, photo), parameters=count, label=label)
+    return _of_network("dewarpnet", DEWARPNET_DUE, known, lambda photo: corrected(known.network, photo))
 
 
 def net_bw(folder: Path | None) -> Method | None:
     """True 3D map -> backward map."""
-    network: NetBw | None = trained(folder, "net_bw")
-    if network is None:
+    known = trained(folder, "net_bw")
+    if known is None:
         return None
+    network: NetBw = known.network
 
     @torch.inference_mode()
     def find(shape: TrueShape) -> BackwardMap:
-        return _in_pixels(network(shape.code).backward[0].permute(1, 2, 0).numpy(), shape.photo_size)
+        return in_pixels(BackwardMap(first_map(network(shape.code).backward)), shape.photo_size)
 
-    px = network.config.input_px
-    return Method("net_bw", find, lambda case: true_shape(case, px), parameters=parameter_count(network))
+    return _of_network("net_bw", "Net_bw", known, find, _shape_for(network))
 
 
 def net_uv(folder: Path | None) -> Method | None:
     """True 3D map -> uv map -> backward map by interpolation between the film pixels of the true mask."""
-    network: NetUv | None = trained(folder, "net_uv")
-    if network is None:
+    known = trained(folder, "net_uv")
+    if known is None:
         return None
+    network: NetUv = known.network
     px = network.config.input_px
 
     @torch.inference_mode()
     def find(shape: TrueShape) -> BackwardMap:
-        uv = network(shape.code).uv[0].permute(1, 2, 0).numpy()
-        return _in_pixels(interpolated(points_of_uv(uv, shape.mask.astype(np.float32)), (px, px)), shape.photo_size)
+        uv = first_map(network(shape.code).uv)
+        nodes = interpolated(points_of_uv(uv, shape.mask.astype(np.float32)), (px, px))
+        return in_pixels(BackwardMap(nodes), shape.photo_size)
 
-    return Method("net_uv", find, lambda case: true_shape(case, px), parameters=parameter_count(network))
+    return _of_network("net_uv", "Net_uv", known, find, _shape_for(network))
 
 
-def _in_pixels(nodes: np.ndarray, size: tuple[int, int]) -> BackwardMap:
-    """A map in units of the photo's sides, in its pixels."""
-    return BackwardMap(nodes).cropped((0.0, 0.0), (float(size[1]), float(size[0])))
+def _shape_for(network: NetBw | NetUv) -> Callable[[Case], TrueShape]:
+    """What a network of 3D maps is given: the true one, at the size of its input."""
+    return lambda case: true_shape(case, network.config.input_px)
+
+
+def _of_network(
+    name: str,
+    label: str,
+    known: Trained,
+    find: Callable[[Any], BackwardMap | None],
+    given: Callable[[Case], Any] = photo_of_case,
+) -> Method:
+    """A method that is a trained network and what finds the map of its answer."""
+    return Method(
+        name, find, given, parameters=known.parameters, label=f"{label}, {known.training}", training=known.training
+    )
 
 
 METHODS: dict[str, Callable[[Path | None], Method | None]] = {
@@ -234,6 +290,8 @@ __all__ = [
     "Method",
     "configured",
     "flattened",
+    "of_rectifier",
+    "path_in",
     "photo_of_case",
     "trained",
     "trained_dewarpnet",

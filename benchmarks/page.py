@@ -12,12 +12,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from benchmarks.command import run_command
-from benchmarks.lineup import CONFIGURATIONS
-from benchmarks.page_text import Results, number, page_text, pair, table
+from benchmarks.lineup import CONFIGURATIONS, MAIN
+from benchmarks.page_tables import number, pair, table
+from benchmarks.page_text import Results, page_text
 from benchmarks.results import Report
 from benchmarks.schema import read_record
 from benchmarks.stress_records import SoakReport, StabilityReport
-from benchmarks.summary import FLOOR, MAIN, rows_of, split_rows
+from benchmarks.summary import FLOOR, rows_of, split_rows
 from hybrid.image_io import write_bytes
 from hybrid.outputs import make_folder
 
@@ -65,6 +66,7 @@ def readme_table(report: Report) -> str:
         f"{photos} photos of {size:g} megapixels with truth, threads: {report.settings.threads}, no GPU:\n\n"
         + table(head, cells)
         + (f"\n\n`hybrid` by what separates the slices: {styles}." if styles else "")
+        + f"\n\nMade by `{report.run['command']}`."
     )
 
 

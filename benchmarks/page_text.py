@@ -2,15 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
-from benchmarks.lineup import CONFIGURATIONS
+from benchmarks.lineup import MAIN
+from benchmarks.page_tables import (
+    configuration_text,
+    duel_text,
+    efforts_of,
+    forward_text,
+    losses_text,
+    memory_text,
+    number,
+    photos_text,
+    rivals_of,
+    size_section,
+    split_text,
+    stages_text,
+    table,
+)
+from benchmarks.published import TIME_ONLY
 from benchmarks.results import Report
 from benchmarks.stress_records import SoakReport, StabilityReport
-from benchmarks.summary import MAIN, Duel, Row, duels, rows_of, split_rows
-
-RIVALS = ("scanner", "scanner_true", "dewarpnet_published", "dewarpnet", "firenet")
+from benchmarks.summary import FLOOR, duels, rows_of
 
 
 @dataclass(frozen=True)
@@ -27,13 +40,19 @@ def page_text(results: Results) -> str:
     """The whole page, in Markdown."""
     report = results.run
     parts = [
-        "# Benchmarks\n\n" + _how(report),
-        "## Time against error\n\n![Seconds against error at each size](images/benchmarks_time_error.png)",
+        "# Benchmarks\n\n" + _in_short(report),
+        "## Time against error\n\n![Seconds against error at each size](images/benchmarks_time_error.png)\n\n"
+        "Left is faster, down is nearer to the truth; rings have a run time and no error.",
         *(size_section(report, size) for size in report.settings.sizes),
-        "## Who wins\n\n" + duel_text(duels(report, RIVALS)),
-        "## Kinds of photos\n\n" + _split_text(report),
-        "## What the parts are worth\n\n" + _configuration_text(report),
-        "## Networks alone\n\n" + _forward_text(report),
+        "## Against each method\n\n" + _duels_text(report),
+        "## Where it loses\n\nEvery rival that is faster or nearer to the truth, also on one kind of photo alone:\n\n"
+        + losses_text(report),
+        "## Kinds of photos\n\nMedian error, px:\n\n"
+        + split_text(report)
+        + "\n\n![Error against bend](images/benchmarks_bend.png)",
+        *_own_parts(report),
+        "## Networks alone\n\n" + forward_text(report),
+        "## Memory\n\n" + memory_text(report),
     ]
     if results.gallery:
         parts.append(
@@ -43,164 +62,105 @@ def page_text(results: Results) -> str:
         parts.append("## Stability\n\n" + _stability_text(results.stability))
     if results.soak is not None:
         parts.append("## A thousand films\n\n" + _soak_text(results.soak))
+    parts.append("## How it is measured\n\n" + _how(report))
     return "\n\n".join(part for part in parts if part) + "\n"
+
+
+def _in_short(report: Report) -> str:
+    """The pipeline at the first size, in a sentence for each effort."""
+    size = report.settings.sizes[0]
+    rows = {row.method.name: row for row in rows_of(report, size)}
+    floor, lines = rows.get(FLOOR), []
+    for name in efforts_of(report):
+        row = rows[name]
+        found = f"films lost: {row.lost} of {row.photos}"
+        if row.error is not None:
+            found = f"{row.error:.2f} px off on the median photo, {number(row.worst_px, 2)} px on the worst; {found}"
+        times = "" if floor is None else f", {row.seconds[0] / floor.seconds[0]:.3g} times `cv2.remap` alone"
+        lines.append(
+            f"`{row.method.label}` on {row.photos} photos of {size:g} megapixels: {found}; {row.seconds[0]:.2g} s "
+            f"({row.cpu_seconds:.2g} processor seconds){times}."
+        )
+    lines.append(
+        "This page is made by a script from its own figures; no line of it is written by hand. How, and what the "
+        "figures mean, stands [at its end](#how-it-is-measured)."
+    )
+    return "\n\n".join([*lines, *_warnings(report)])
+
+
+def _duels_text(report: Report) -> str:
+    if MAIN not in efforts_of(report):
+        return "`hybrid` was not run."
+    return duel_text(duels(report, rivals_of(report), MAIN))
+
+
+def _own_parts(report: Report) -> list[str]:
+    """What only a run of the pipeline gives."""
+    if MAIN not in efforts_of(report):
+        return []
+    return [
+        "## Photo by photo\n\n" + photos_text(report),
+        "## What the parts are worth\n\n" + configuration_text(report),
+        "## Seconds by stage\n\n![Seconds by stage](images/benchmarks_stages.png)\n\n" + stages_text(report),
+    ]
 
 
 def _how(report: Report) -> str:
     run, settings = report.run, report.settings
     machine, packages = run["machine"], run["packages"]
     versions = ", ".join(f"{name} {version}" for name, version in packages.items() if version)
-    untrained = sorted(m.label for m in report.methods if m.unscored == "not trained")
-    upscaled = [f"{s:g}" for s in settings.sizes if any(s * 1e6 > 1.25 * c.size[0] * c.size[1] for c in report.cases)]
+    trained = sorted({m.label for m in report.methods if m.training and m.name in rivals_of(report)})
+    timed = sorted(m.label for m in report.methods if m.unscored == TIME_ONLY)
     lines = [
-        "This page is made by a script from its own figures; no line of it is written by hand. To make it again:",
-        f"\n```bash\n{run['command']}\n```\n",
+        f"To make this page again:\n\n```bash\n{run['command']}\n```",
         f"{machine['processor']}, {machine['usable_processors']} usable processors, {machine['memory_gib']} GiB; "
         f"threads for every method: {settings.threads}; Python {run['python']}, {versions}; commit "
-        f"{run['commit']}; {run['time_utc'][:10]}.\n",
-        f"**How.** {len(report.cases)} photos whose true geometry is known ({settings.source}). Timed "
-        f"calls of every method on each photo: {settings.repeats}, after one at each size that does not count; the "
-        "methods take turns on each photo. Seconds go from the photo in memory to the flat film in memory: median over "
-        "all calls, quartiles in brackets; processor seconds are those of all threads, which other work on the machine "
-        "disturbs less. Memory is the peak of a fresh process, beyond what the libraries and the photo hold.\n",
+        f"{run['commit']}; {run['time_utc'][:10]}.",
+        f"**Equal footing.** {len(report.cases)} photos whose true geometry is known ({settings.source}). Every method "
+        "sees the same photos in memory and ends with the flat film in memory; the methods take turns on each photo. "
+        "Those that give a map have the photo read through it by the same bilinear lookup, to a film of the size that "
+        f"the photo resolves. The floor is that lookup alone. Timed calls on each photo: {settings.repeats}, after one "
+        "at each size that does not count; networks of full width once each on two photos. Seconds: median over all "
+        "calls, quartiles in brackets; processor seconds are those of all threads, which other work on the machine "
+        "disturbs less. *Times the floor*: by the clock, by processor seconds in brackets. Memory is the peak of a "
+        "fresh process, beyond what the libraries and the photo hold.",
         "**Error.** *End-point error*: mean distance over the film between found and true photo points, in pixels of a "
-        "photo of 1080 and in percent of the film's diagonal. *Distortion*: the same distance on the flat film, in "
-        "pixels of one of 598,400. *PSNR, SSIM, MS-SSIM*: the paper's protocol, raw and (in brackets) de-shifted, "
-        "which takes the truth to know. *Film*: dB of the film against its print after one gain and offset, with the "
-        "light (in brackets) and without. Medians over photos; films that were not found are counted, and stay out.",
+        "photo of 1080 and in percent of the film's diagonal, whichever side of the film a method takes to be up. "
+        "*Distortion*: the same distance on the flat film, in pixels of one of 598,400. *PSNR, SSIM, MS-SSIM*: the "
+        "paper's protocol, raw and (in brackets) de-shifted, which takes the truth to know. *Film*: dB of the film "
+        "against its print after one gain and offset, without the light and (in brackets) with it. Medians over "
+        "photos; films that were not found are counted, and stay out.",
     ]
-    wanted = machine.get("load")
+    if timed:
+        lines.append(
+            f"**Run time of the paper's networks:** {'; '.join(timed)}. As wide as published, with random weights, on "
+            "whose values the time does not depend; for what follows the network, its answer is replaced by the true "
+            "one. These rows have no error."
+        )
+    if trained:
+        lines.append(
+            f"**Error of the paper's networks:** {'; '.join(trained)}. These rows have the error of the weights that "
+            "there are, which are not the authors', and the run time of a network of that width."
+        )
+    return "\n\n".join(lines)
+
+
+def _warnings(report: Report) -> list[str]:
+    """What the figures of this run cannot tell."""
+    settings, machine = report.settings, report.run["machine"]
+    upscaled = [f"{s:g}" for s in settings.sizes if any(s * 1e6 > 1.25 * c.size[0] * c.size[1] for c in report.cases)]
+    lines, wanted = [], machine.get("load")
     if wanted is not None and wanted > machine["usable_processors"] + 1:
         lines.append(
-            f"\n**The machine was busy**: {wanted:g} processes shared {machine['usable_processors']} processors, so "
+            f"**The machine was busy**: {wanted:g} processes shared {machine['usable_processors']} processors, so "
             "seconds by the clock are several times too long and scatter; only processor seconds can be compared."
         )
     if upscaled:
         lines.append(
-            f"\nPhotos of {', '.join(upscaled)} megapixels are smaller ones scaled up, and their truth with them: good "
+            f"Photos of {', '.join(upscaled)} megapixels are smaller ones scaled up, and their truth with them: good "
             "for run time and memory, but they hold no more detail."
         )
-    if untrained:
-        lines.append(
-            f"\n**Not trained:** {', '.join(untrained)}. No weights of these were at hand. Their run time is measured "
-            "with networks of the published width and random weights, on whose values it does not depend; for what "
-            "follows the network, its output is replaced by the true one. They have no error until they are trained."
-        )
-    return "\n".join(lines)
-
-
-def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """A Markdown table."""
-    lines = [head, ["---"] * len(head), *rows]
-    return "\n".join("| " + " | ".join(cells) + " |" for cells in lines)
-
-
-def size_section(report: Report, megapixels: float) -> str:
-    """All methods at one size, as a table."""
-    rows = [row for row in rows_of(report, megapixels) if row.method.name not in CONFIGURATIONS]
-    head = ("", "photos", "lost", "error, px", "worst", "%", "distortion", "PSNR", "SSIM", "MS-SSIM", "film, dB")
-    head += ("seconds", "processor s", "memory, MiB")
-    return f"### {megapixels:g} megapixels\n\n" + table(head, [_cells(row) for row in rows])
-
-
-def _cells(row: Row) -> list[str]:
-    f, t = row.figures, row.seconds
-    lost = row.method.unscored or str(row.lost)
-    both = [pair(f.get(name), f.get(f"{name}_deshifted"), d) for name, d in (("psnr", 1), ("ssim", 3), ("ms_ssim", 3))]
-    return [
-        row.method.label,
-        str(row.photos),
-        lost,
-        number(f.get("end_point_px"), 2),
-        number(row.worst_px, 2),
-        number(f.get("end_point_percent"), 2),
-        number(f.get("distortion_px"), 2),
-        *both,
-        pair(f.get("film"), f.get("film_lit"), 1),
-        f"{t[0]:.3g} ({t[1]:.3g} to {t[2]:.3g})",
-        f"{row.cpu_seconds:.3g}",
-        number(row.own_mib, 0),
-    ]
-
-
-def number(value: float | None, places: int) -> str:
-    return "-" if value is None else f"{value:.{places}f}"
-
-
-def pair(value: float | None, other: float | None, places: int) -> str:
-    return "-" if value is None and other is None else f"{number(value, places)} ({number(other, places)})"
-
-
-def duel_text(found: Sequence[Duel]) -> str:
-    """How `hybrid` does against each rival, and in a sentence where it loses."""
-    rows = [
-        [
-            d.rival.label,
-            f"{d.megapixels:g}",
-            f"{d.faster:.2g}",
-            f"{d.cheaper:.2g}",
-            d.rival.unscored or ("-" if d.closer is None else f"{d.closer:.2g}"),
-        ]
-        for d in found
-    ]
-    slower = sorted({f"{d.rival.label} at {d.megapixels:g} MP" for d in found if d.faster < 1})
-    farther = sorted(
-        {f"{d.rival.label} at {d.megapixels:g} MP" for d in found if d.closer is not None and d.closer < 1}
-    )
-    said = [
-        f"It is slower than: {', '.join(slower)}." if slower else "It is faster than each of them at every size.",
-        f"Its error is larger than that of: {', '.join(farther)}."
-        if farther
-        else "Its error is the smallest wherever two errors can be compared.",
-    ]
-    head = ("`hybrid` against", "megapixels", "times as fast", "by processor seconds", "times as near to the truth")
-    return table(head, rows) + "\n\n" + " ".join(said)
-
-
-def _split_text(report: Report) -> str:
-    size = report.settings.sizes[0]
-    if MAIN not in {m.name for m in report.methods}:
-        return "`hybrid` was not run."
-    rows = [
-        [title, kind, str(row.photos), str(row.lost), number(row.error, 2), number(row.worst_px, 2)]
-        for title, kind, row in split_rows(report, MAIN, size)
-    ]
-    head = ("", f"`hybrid` at {size:g} megapixels", "photos", "lost", "error, px", "worst")
-    return table(head, rows) + "\n\n![Error against bend](images/benchmarks_bend.png)"
-
-
-def _configuration_text(report: Report) -> str:
-    size = report.settings.sizes[0]
-    rows = [r for r in rows_of(report, size) if r.method.name in {*CONFIGURATIONS, MAIN, "filmnet"}]
-    cells = [
-        [
-            r.method.label,
-            number(r.error, 2),
-            number(r.worst_px, 2),
-            number(r.figures.get("film"), 1),
-            f"{r.cpu_seconds:.3g}",
-        ]
-        for r in rows
-    ]
-    head = (f"at {size:g} megapixels", "error, px", "worst", "film, dB", "processor s")
-    return table(head, cells) + "\n\n![Seconds by stage](images/benchmarks_stages.png)"
-
-
-def _forward_text(report: Report) -> str:
-    rows = [
-        [
-            f.network,
-            f"{f.parameters / 1e6:.1f}",
-            f.device,
-            str(f.batch),
-            str(f.input_px),
-            f"{1e3 * sorted(f.seconds)[len(f.seconds) // 2]:.1f}",
-        ]
-        for f in report.forward
-    ]
-    head = ("network", "million parameters", "device", "batch", "input, px", "ms")
-    none = "" if any(f.device == "cuda" for f in report.forward) else "\n\nNo GPU was at hand (`--device cuda`)."
-    return table(head, rows) + none
+    return lines
 
 
 def _stability_text(stability: StabilityReport) -> str:
@@ -234,4 +194,4 @@ def _soak_text(soak: SoakReport) -> str:
     )
 
 
-__all__ = ["Results", "duel_text", "number", "page_text", "pair", "size_section", "table"]
+__all__ = ["Results", "page_text"]

@@ -10,10 +10,10 @@ import numpy as np
 
 from benchmarks.cases import Case, read_alike
 from benchmarks.charts import Axis, Chart, Picture, Points, page_of, scatter, stacked_bars
-from benchmarks.lineup import CONFIGURATIONS
-from benchmarks.methods import weights_path
+from benchmarks.lineup import CONFIGURATIONS, MAIN
+from benchmarks.methods import path_in
 from benchmarks.results import Report
-from benchmarks.summary import FLOOR, MAIN, rows_of
+from benchmarks.summary import FLOOR, rows_of
 from hybrid.backward import end_point_error
 from hybrid.coords import film_nodes
 from hybrid.draw import annotated, contact_sheet, fitted, rgb_from_film, side_by_side
@@ -26,8 +26,6 @@ TILE_PX = 420
 ERROR_RANGE_PX = 10.0
 """End-point error (1080 px) that is drawn brightest in the gallery."""
 
-BEND_METHODS = (MAIN, "filmnet", "scanner_true", "scanner", "dewarpnet", "firenet")
-
 
 def write_pictures(report: Report, folder: Path) -> None:
     """The charts of a report into a folder."""
@@ -37,13 +35,13 @@ def write_pictures(report: Report, folder: Path) -> None:
     write_rgb(folder / "stages.png", seconds_by_stage(report))
 
 
-def write_gallery(report: Report, cases: Sequence[Case], weights: Path | None, folder: Path) -> None:
-    """Best, median and worst photo of ``hybrid``, which runs on them again; nothing, if it was not run."""
-    chosen = best_median_worst(report)
+def write_gallery(report: Report, cases: Sequence[Case], weights: Path | None, count: int, folder: Path) -> None:
+    """So many photos from the best to the worst of ``hybrid``, which runs on them again; nothing, if it was not run."""
+    chosen = best_to_worst(report, count)
     if chosen:
         make_folder(folder)
         by_name = {case.name: case for case in cases}
-        rectify = Rectifier(RectifyConfig(weights=weights_path(weights, "filmnet")))
+        rectify = Rectifier(RectifyConfig(weights=path_in(weights, "filmnet")))
         picture = gallery([(label, by_name[name], rectify(by_name[name].photo())) for label, name in chosen])
         write_rgb(folder / "gallery.jpg", picture)
 
@@ -69,9 +67,7 @@ def time_against_error(report: Report) -> Picture:
             for row in rows:
                 if row.method.name == name:
                     hollow = row.error is None
-                    label = (
-                        f"{row.method.label} ({row.method.unscored or 'no film found'})" if hollow else row.method.label
-                    )
+                    label = f"{row.method.label} (no error)" if hollow else row.method.label
                     at = (row.seconds[0], y.high / 1.6 ** (1 + len(points) % 3) if row.error is None else row.error)
                     points.append(Points(name, (at,), (label,), hollow))
         marks = {row.method.label: row.seconds[0] for row in rows if row.method.name == FLOOR}
@@ -85,7 +81,7 @@ def error_against_bend(report: Report) -> Picture:
     size = report.settings.sizes[0]
     points = []
     for method in report.methods:
-        if method.name in BEND_METHODS and not method.unscored:
+        if not method.unscored and method.name not in CONFIGURATIONS:
             found = [m for m in report.measured if (m.method, m.megapixels) == (method.name, size)]
             xy = tuple((bend[m.case], m.score.end_point_px) for m in found if m.score and m.case in bend)
             if xy:
@@ -115,15 +111,15 @@ def seconds_by_stage(report: Report) -> Picture:
     return stacked_bars("hybrid by stage", bars, "ms")
 
 
-def best_median_worst(report: Report) -> list[tuple[str, str]]:
-    """Photos by the error of ``hybrid`` at the first size: label and name; lost ones count as worst."""
+def best_to_worst(report: Report, count: int) -> list[tuple[str, str]]:
+    """Photos by the error of ``hybrid`` at the first size, evenly by rank: label and name; lost ones count as worst."""
     size = report.settings.sizes[0]
     found = [m for m in report.measured if (m.method, m.megapixels) == (MAIN, size)]
     ranked = sorted(found, key=lambda m: np.inf if m.score is None else m.score.end_point_px)
-    if not ranked:
-        return []
-    places = {0: "best", (len(ranked) - 1) // 2: "median", len(ranked) - 1: "worst"}  # of few photos, two may be one
-    return [(label, ranked[place].case) for place, label in places.items()]
+    last = len(ranked) - 1
+    named = {last // 2: "median", last: "worst", 0: "best"}
+    places = sorted({int(place) for place in np.linspace(0, last, min(count, len(ranked)))})
+    return [(named.get(place, f"{place + 1} of {len(ranked)}"), ranked[place].case) for place in places]
 
 
 def gallery(results: Sequence[tuple[str, Case, RectifyResult]]) -> Picture:
@@ -153,7 +149,7 @@ def _error_picture(case: Case, result: RectifyResult, longer_px: int) -> tuple[P
 
 
 __all__ = [
-    "best_median_worst",
+    "best_to_worst",
     "error_against_bend",
     "gallery",
     "seconds_by_stage",

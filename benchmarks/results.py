@@ -26,7 +26,7 @@ class Measured:
     megapixels: as asked for. size: (height, width) of the photo. seconds, cpu_seconds: of every call, from the photo
     in memory to the flat film; the second counts what all threads of the process worked. parts: median seconds of the
     parts that the method tells apart. score: None where no film was found or the method is not scored. film: None
-    where the print is not known.
+    where the print is not known. grid: slices found, ROWSxCOLS. output: (height, width) of the flat film.
     """
 
     method: str
@@ -40,6 +40,8 @@ class Measured:
     message: str
     score: MapScore | None = None
     film: FilmScore | None = None
+    grid: str = ""
+    output: tuple[int, int] | None = None
 
 
 @dataclass(frozen=True)
@@ -73,6 +75,7 @@ class MethodNote:
     parameters: int | None
     says_up: bool
     unscored: str
+    training: str = ""
 
 
 @dataclass(frozen=True)
@@ -81,7 +84,7 @@ class CaseNote:
 
     style: of the cells (rules, gutter, none). light: "light box", "room" or "room and lamps". bend_deg: the largest
     angle between the sheet and its mean plane. coverage: share of the photo that the sheet takes up. size: its own.
-    What the data do not tell is "unknown", or None.
+    grid: the slices that are there, ROWSxCOLS. What the data do not tell is "unknown", None or empty.
     """
 
     name: str
@@ -90,6 +93,7 @@ class CaseNote:
     bend_deg: float | None
     coverage: float
     size: tuple[int, int]
+    grid: str = ""
 
 
 @dataclass(frozen=True)

@@ -9,13 +9,13 @@ OUT gets run.json, the pictures, and with --page the page that is made of both.
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from functools import partial
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache, partial
 from pathlib import Path
-from typing import Literal
 
 import torch
+from torch import nn
 from tqdm import tqdm
 
 from benchmarks.cases import Case, photo_cases, sample_cases
@@ -26,16 +26,26 @@ from benchmarks.measure import forward_times, measure, peak_memory
 from benchmarks.methods import Method
 from benchmarks.own_photos import make_photos
 from benchmarks.page import write_page
-from benchmarks.page_text import size_section
+from benchmarks.page_tables import figures_text
 from benchmarks.pictures import write_gallery, write_pictures
 from benchmarks.results import Forward, Measured, Memory, MethodNote, Report, Settings
 from benchmarks.schema import kept, read_record, write_record
+from benchmarks.summary import spread
 from benchmarks.traits import note_of
 from hybrid.errors import ConfigError, describe
-from hybrid.learn.presets import PRESETS
+from hybrid.learn.dewarpnet import DewarpNet, DewarpNetConfig
+from hybrid.learn.firenet import FiReNet, FiReNetConfig
+from hybrid.learn.network import FilmNet, FilmNetConfig
 
-NETWORKS = ("filmnet", "dewarpnet", "firenet")
-"""Presets whose forward pass is timed alone."""
+NETWORKS: dict[str, Callable[[], nn.Module]] = {
+    "FilmNet": lambda: FilmNet(FilmNetConfig()),
+    "DewarpNet": lambda: DewarpNet(DewarpNetConfig()),
+    "FiReNet": lambda: FiReNet(FiReNetConfig()),
+}
+"""Networks as wide as published, whose forward pass is timed alone."""
+
+STEADY_PHOTOS = 2
+"""On how many photos of each size a method is timed, once each, whose run time hardly depends on the photo."""
 
 CUDA_BATCHES = (1, 32)
 
@@ -77,14 +87,17 @@ class Options:
     seed: int = 0
     """Of the photos that are made where none are named."""
 
-    device: Literal["cpu", "cuda"] = "cpu"
-    """cuda: the networks alone are timed there as well, one photo and 32 at a time."""
+    networks: tuple[str, ...] = tuple(NETWORKS)
+    """Networks that are timed alone."""
 
-    memory: bool = True
-    """Whether peak memory is measured, each method in a process of its own."""
+    gpu: bool = True
+    """Whether they are timed on a GPU as well, where one is at hand: one photo and 32 at a time."""
 
-    gallery: bool = True
-    """Whether best, median and worst photo are drawn; not for photos that must not be published."""
+    memory: tuple[float, ...] = (12.0,)
+    """Megapixels at which peak memory is measured, each method in a process of its own; none for no sizes."""
+
+    gallery: int = 3
+    """How many photos are drawn, from best to worst; 0 for photos that must not be published."""
 
     page: Path | None = None
     """Where the page goes, for example docs/benchmarks.md; pictures go beside it into images/."""
@@ -99,11 +112,13 @@ class Options:
         if unknown:
             allowed = ", ".join(known)
             raise ConfigError(describe(what="--methods", got=", ".join(unknown), allowed=allowed, do="Name these."))
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Of the methods that run."""
-        return self.methods or tuple(lineup(self.add))
+        strangers = sorted(set(self.networks) - set(NETWORKS))
+        if strangers:
+            allowed = ", ".join(NETWORKS)
+            raise ConfigError(describe(what="--networks", got=", ".join(strangers), allowed=allowed, do="Name these."))
+        if min((self.gallery, *self.memory)) < 0:
+            got = f"--gallery {self.gallery} --memory {self.memory}"
+            raise ConfigError(describe(what="options", got=got, allowed="no negative numbers", do="Choose others."))
 
 
 def run(options: Options, command: list[str]) -> Report:
@@ -111,15 +126,16 @@ def run(options: Options, command: list[str]) -> Report:
     settings = _settings(options)
     _keep_settings(options.out / "settings.json", settings)
     cases = load_cases(options)
-    methods = {name: make_method(options, name) for name in options.names}
+    methods = make_methods(options)
     measured = tuple(_all_measured(options, methods, cases))
-    memory = tuple(_all_memory(options)) if options.memory else ()
+    memory = tuple(_all_memory(options, methods))
     used = {one.case for one in measured}
     report = Report(
         run=describe_run(command),
         settings=settings,
         methods=tuple(
-            MethodNote(m.name, m.label or m.name, m.parameters, m.says_up, m.unscored) for m in methods.values()
+            MethodNote(m.name, m.label or m.name, m.parameters, m.says_up, m.unscored, m.training)
+            for m in methods.values()
         ),
         cases=tuple(note_of(case) for case in cases if case.name in used),
         measured=measured,
@@ -127,39 +143,43 @@ def run(options: Options, command: list[str]) -> Report:
         forward=tuple(_networks_alone(options)),
     )
     write_record(options.out / "run.json", report)
-    print(*(size_section(report, size) for size in options.sizes), sep="\n\n")
+    print(figures_text(report))
     write_pictures(report, options.out / "pictures")
     if options.gallery:
-        write_gallery(report, cases, options.weights, options.out / "pictures")
+        write_gallery(report, cases, options.weights, options.gallery, options.out / "pictures")
     if options.page is not None:
         write_page(options.page, options.out)
     return report
 
 
 def load_cases(options: Options) -> list[Case]:
-    """All photos that are named, or those that are made for this."""
+    """All photos that are named, or those that are made for this.
+
+    Raises:
+        ConfigError: two have the same name.
+    """
     cases = [] if options.photos is None else photo_cases(options.photos)
     if options.data or options.photos is None:
         cases += sample_cases(options.data or [make_photos(options.out / "photos", max(options.counts), options.seed)])
+    if len({case.name for case in cases}) < len(cases):
+        do = "Score data sets whose samples have the same numbers in runs of their own."
+        raise ConfigError(describe(what="--data", got="two photos of the same name", do=do))
     return cases
 
 
-def spread(cases: Sequence[Case], count: int) -> list[Case]:
-    """So many of the cases, evenly from first to last."""
-    chosen = min(count, len(cases))
-    return [cases[k * len(cases) // chosen] for k in range(chosen)]
-
-
-def make_method(options: Options, name: str) -> Method:
-    """A method by name.
+def make_methods(options: Options) -> dict[str, Method]:
+    """The methods that are named, or all but those whose weights are not there.
 
     Raises:
-        ConfigError: it needs weights that are not there.
+        ConfigError: one that is named needs weights that are not there.
     """
-    method = lineup(options.add)[name](options.weights)
-    if method is None:
-        raise ConfigError(describe(what="--methods", got=name, do="Name the folder of its weights by --weights."))
-    return method
+    known = lineup(options.add)
+    made = {name: known[name](options.weights) for name in options.methods or known}
+    missing = [name for name, method in made.items() if method is None and name in options.methods]
+    if missing:
+        do = "Name the folder of its weights by --weights."
+        raise ConfigError(describe(what="--methods", got=", ".join(missing), do=do))
+    return {name: method for name, method in made.items() if method is not None}
 
 
 def _settings(options: Options) -> Settings:
@@ -178,47 +198,52 @@ def _keep_settings(path: Path, settings: Settings) -> None:
     write_record(path, settings)
 
 
-def _sizes_of(options: Options, name: str) -> Iterator[tuple[float, int]]:
-    """Sizes at which a method is measured, and on how many photos."""
-    pairs = list(zip(options.sizes, options.counts, strict=True))
-    yield from pairs[:1] if name in CONFIGURATIONS else pairs
-
-
 def _all_measured(options: Options, methods: dict[str, Method], cases: Sequence[Case]) -> Iterator[Measured]:
+    """Every method on every photo of every size; those with one thing changed at the first size only."""
     use_threads(options.threads)
+    by_name = {case.name: case for case in cases}
+
+    @lru_cache(maxsize=1)
+    def sized(megapixels: float, name: str) -> Case:
+        return by_name[name].at(megapixels).in_memory()
+
     jobs = [
-        (megapixels, case, method)
+        (megapixels, case.name, method)
         for megapixels, count in zip(options.sizes, options.counts, strict=True)
-        for case in spread(cases, count)
+        for k, case in enumerate(spread(cases, count))
         for method in methods.values()
-        if (megapixels, count) in _sizes_of(options, method.name)
+        if not (method.steady and k >= STEADY_PHOTOS)
+        if megapixels == options.sizes[0] or method.name not in CONFIGURATIONS
     ]
     warm: set[tuple[float, str]] = set()
-    for megapixels, case, method in tqdm(jobs, desc="photos x methods", unit="call"):
-        path = options.out / "measured" / f"{megapixels:g}_{case.name}_{method.name}.json"
+    for megapixels, name, method in tqdm(jobs, desc="photos x methods", unit="call"):
+        path = options.out / "measured" / f"{megapixels:g}_{name}_{method.name}.json"
+        repeats = 1 if method.steady else options.repeats
         known = (megapixels, method.name) in warm
-        now = partial(_measure_at, method, case, megapixels, options.repeats, known)
         if not path.exists():
             warm.add((megapixels, method.name))
-        result = kept(path, Measured, now)
+        case = partial(sized, megapixels, name)
+        result = kept(path, Measured, partial(_measure_at, method, case, megapixels, repeats, known))
         if result is not None:
             yield result
 
 
-def _measure_at(method: Method, case: Case, megapixels: float, repeats: int, warm: bool) -> Measured:
-    return measure(method, case.at(megapixels), megapixels, repeats, warm)
+def _measure_at(method: Method, case: Callable[[], Case], megapixels: float, repeats: int, warm: bool) -> Measured:
+    return measure(method, case(), megapixels, repeats, warm)
 
 
 def _first_case(options: Options) -> Case:
     return load_cases(options)[0]
 
 
-def _all_memory(options: Options) -> Iterator[Memory]:
-    jobs = [
-        (name, size) for name in options.names if name not in CONFIGURATIONS for size, _ in _sizes_of(options, name)
-    ]
+def _the_method(options: Options, name: str) -> Method:
+    return make_methods(replace(options, methods=(name,)))[name]
+
+
+def _all_memory(options: Options, methods: dict[str, Method]) -> Iterator[Memory]:
+    jobs = [(name, size) for size in options.memory for name in methods if name not in CONFIGURATIONS]
     for name, size in tqdm(jobs, desc="memory", unit="process"):
-        load, make = partial(_first_case, options), partial(make_method, options, name)
+        load, make = partial(_first_case, options), partial(_the_method, options, name)
         path = options.out / "memory" / f"{size:g}_{name}.json"
         result = kept(path, Memory, partial(peak_memory, load, make, size, options.threads))
         if result is not None:
@@ -227,13 +252,12 @@ def _all_memory(options: Options) -> Iterator[Memory]:
 
 def _networks_alone(options: Options) -> Iterator[Forward]:
     """Forward passes of the networks; the values of the weights do not matter for the time."""
-    for name in NETWORKS:
-        preset = PRESETS[name]
-        px = preset.config.input_px
+    for name in options.networks:
         torch.manual_seed(options.seed)
-        yield from forward_times(name, preset.network(), px, "cpu", (1,), options.repeats)
-        if options.device == "cuda":
-            yield from forward_times(name, preset.network(), px, "cuda", CUDA_BATCHES, options.repeats)
+        network = NETWORKS[name]()
+        yield from forward_times(name, network, "cpu", (1,), options.repeats)
+        if options.gpu and torch.cuda.is_available():
+            yield from forward_times(name, network, "cuda", CUDA_BATCHES, options.repeats)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -241,7 +265,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return run_command("benchmarks.run", Options, run, arguments)
 
 
-__all__ = ["LINEUP", "Options", "load_cases", "main", "run", "spread"]
+__all__ = ["LINEUP", "Options", "load_cases", "main", "run"]
 
 if __name__ == "__main__":
     sys.exit(main())

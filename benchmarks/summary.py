@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import statistics
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 
 from benchmarks.results import CaseNote, Measured, MethodNote, Report
 
+Item = TypeVar("Item")
+
 FLOOR = "remap"
-MAIN = "hybrid"
+"""The method that no other can be faster than."""
 
 FIGURES: dict[str, Callable[[Measured], float | None]] = {
     "end_point_px": lambda m: m.score and m.score.end_point_px,
@@ -33,7 +36,7 @@ FIGURES: dict[str, Callable[[Measured], float | None]] = {
 class Row:
     """A method at a size, over the photos. figures: medians over photos with a film; worst_px: of end_point_px.
 
-    seconds: median, first and third quartile, and least of all calls.
+    seconds: median, first and third quartile, and least of all calls. output: median megapixels of the flat film.
     """
 
     method: MethodNote
@@ -45,7 +48,7 @@ class Row:
     worst_px: float | None
     seconds: tuple[float, float, float, float]
     cpu_seconds: float
-    own_mib: float | None
+    output: float | None
 
     @property
     def error(self) -> float | None:
@@ -55,19 +58,19 @@ class Row:
 
 def rows_of(report: Report, megapixels: float) -> list[Row]:
     """All methods measured at a size, in the order of the report."""
-    memory = {(m.method, m.megapixels): m.own_mib for m in report.memory}
     rows = []
     for method in report.methods:
         found = [m for m in report.measured if (m.method, m.megapixels) == (method.name, megapixels)]
         if found:
-            rows.append(row_of(method, found, memory.get((method.name, megapixels))))
+            rows.append(row_of(method, found))
     return rows
 
 
-def row_of(method: MethodNote, measured: Sequence[Measured], own_mib: float | None = None) -> Row:
+def row_of(method: MethodNote, measured: Sequence[Measured]) -> Row:
     """The figures of one method over some photos of one size."""
     times = [t for m in measured for t in m.seconds]
     low, middle, high = (float(q) for q in np.quantile(times, (0.25, 0.5, 0.75)))
+    sizes = [m.output[0] * m.output[1] / 1e6 for m in measured if m.output is not None]
     values = {name: _known(figure, measured) for name, figure in FIGURES.items()}
     return Row(
         method=method,
@@ -79,12 +82,18 @@ def row_of(method: MethodNote, measured: Sequence[Measured], own_mib: float | No
         worst_px=max(values["end_point_px"], default=None),
         seconds=(middle, low, high, min(times)),
         cpu_seconds=statistics.median(t for m in measured for t in m.cpu_seconds),
-        own_mib=own_mib,
+        output=statistics.median(sizes) if sizes else None,
     )
 
 
 def _known(figure: Callable[[Measured], float | None], measured: Sequence[Measured]) -> list[float]:
     return [value for m in measured if (value := figure(m)) is not None]
+
+
+def spread(items: Sequence[Item], count: int) -> list[Item]:
+    """So many of the items, evenly from first to last."""
+    chosen = min(count, len(items))
+    return [items[k * len(items) // chosen] for k in range(chosen)]
 
 
 # ---------------------------------------------------------------- splits
@@ -105,6 +114,11 @@ def _range(value: float, bounds: tuple[float, float], unit: str) -> str:
     return f"{low:g} to {high:g} {unit}" if value < high else f"over {high:g} {unit}"
 
 
+def _order(kind: str) -> tuple[int, str]:
+    """What is under a bound before what is over it."""
+    return kind.startswith("over ") - kind.startswith("under "), kind
+
+
 def split_rows(report: Report, method: str, megapixels: float) -> list[tuple[str, str, Row]]:
     """A method's figures apart for each kind of photo: what is split by, the kind, the figures."""
     note = next(m for m in report.methods if m.name == method)
@@ -115,7 +129,7 @@ def split_rows(report: Report, method: str, megapixels: float) -> list[tuple[str
         kinds: dict[str, list[Measured]] = {}
         for one in chosen:
             kinds.setdefault(kind_of(cases[one.case]), []).append(one)
-        rows += [(title, kind, row_of(note, kinds[kind])) for kind in sorted(kinds)]
+        rows += [(title, kind, row_of(note, kinds[kind])) for kind in sorted(kinds, key=_order)]
     return rows
 
 
@@ -126,35 +140,55 @@ def split_rows(report: Report, method: str, megapixels: float) -> list[tuple[str
 class Duel:
     """A method against a rival at a size: ratios above 1 are in the method's favour.
 
-    faster: by the clock. cheaper: by processor seconds. closer: None where one has no error.
+    faster: by the clock. cheaper: by processor seconds. closer: by the median error; None where one has none.
+    nearer, both: on how many photos the method is nearer to the truth, of how many on which both are scored.
     """
 
+    method: MethodNote
     rival: MethodNote
     megapixels: float
     faster: float
     cheaper: float
     closer: float | None
+    nearer: int = 0
+    both: int = 0
+
+    @property
+    def lost(self) -> bool:
+        """Whether the method is not both faster and nearer, as far as that can be compared."""
+        return min(self.faster, self.cheaper) < 1 or (self.closer is not None and self.closer < 1)
 
 
-def duels(report: Report, rivals: Sequence[str], method: str = MAIN) -> list[Duel]:
+def duels(report: Report, rivals: Collection[str], method: str) -> list[Duel]:
     """How many times as fast, by the clock and by processor seconds, and as near to the truth, a method is."""
     found = []
     for megapixels in report.settings.sizes:
         rows = {row.method.name: row for row in rows_of(report, megapixels)}
-        for rival in rivals:
-            if method in rows and rival in rows:
-                mine, other = rows[method], rows[rival]
-                closer = None if not mine.error or other.error is None else other.error / mine.error
-                found.append(
-                    Duel(
-                        other.method,
-                        megapixels,
-                        other.seconds[0] / mine.seconds[0],
-                        other.cpu_seconds / mine.cpu_seconds,
-                        closer,
-                    )
+        for rival in (row for name, row in rows.items() if method in rows and name in rivals):
+            mine = rows[method]
+            pairs = _errors_of_both(report, method, rival.method.name, megapixels)
+            found.append(
+                Duel(
+                    mine.method,
+                    rival.method,
+                    megapixels,
+                    rival.seconds[0] / mine.seconds[0],
+                    rival.cpu_seconds / mine.cpu_seconds,
+                    None if not mine.error or rival.error is None else rival.error / mine.error,
+                    sum(a < b for a, b in pairs),
+                    len(pairs),
                 )
+            )
     return found
 
 
-__all__ = ["FIGURES", "FLOOR", "MAIN", "SPLITS", "Duel", "Row", "duels", "row_of", "rows_of", "split_rows"]
+def _errors_of_both(report: Report, method: str, rival: str, megapixels: float) -> list[tuple[float, float]]:
+    """End-point errors of a method and its rival on the photos of a size on which both are scored."""
+    errors = {
+        (m.method, m.case): m.score.end_point_px for m in report.measured if m.megapixels == megapixels and m.score
+    }
+    cases = [case.name for case in report.cases]
+    return [(errors[method, c], errors[rival, c]) for c in cases if {(method, c), (rival, c)} <= set(errors)]
+
+
+__all__ = ["FIGURES", "FLOOR", "SPLITS", "Duel", "Row", "duels", "row_of", "rows_of", "split_rows", "spread"]

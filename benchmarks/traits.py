@@ -25,7 +25,7 @@ def note_of(case: Case) -> CaseNote:
         truth = load_photo(case.source.with_suffix(".npz"))
         light = "light box" if "back" in truth.meta.get("light", {}) else "room"
         bend = None if truth.xyz is None else _bend_deg(truth.xyz)
-        return CaseNote(case.name, truth.style, light, bend, coverage, (height, width))
+        return CaseNote(case.name, truth.style, light, bend, coverage, (height, width), f"{truth.rows}x{truth.cols}")
     shard, k = case.source
     record = shard.record(k)
     light, style = record.get("light", {}), record.get("style", UNKNOWN)

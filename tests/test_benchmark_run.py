@@ -10,33 +10,36 @@ import numpy as np
 import pytest
 from simple_samples import simple_dataset
 
+import benchmarks.lineup
+import benchmarks.methods
+import benchmarks.page_tables
+import benchmarks.published
+import benchmarks.run
 from benchmarks.cases import Case, sample_cases
-from benchmarks.lineup import (
-    LINEUP,
-    NOT_TRAINED,
-    Prompt,
-    PromptedFiReNet,
-    lineup,
-    true_dewarpnet_answer,
-    true_firenet_answer,
-)
+from benchmarks.lineup import EFFORTS, LINEUP, OWN, lineup
 from benchmarks.measure import forward_times, measure, peak_memory
 from benchmarks.methods import Method, flattened
 from benchmarks.page import BEGIN, END, read_results, readme_table, with_table
-from benchmarks.page_text import duel_text, page_text
+from benchmarks.page_tables import losses_text, photos_text
+from benchmarks.page_text import page_text
+from benchmarks.pictures import best_to_worst
+from benchmarks.published import TIME_ONLY, Prompt, PromptedFiReNet, true_dewarpnet_answer, true_firenet_answer
 from benchmarks.results import Report
-from benchmarks.run import Options, main, run, spread
+from benchmarks.run import Options, main, make_methods, run
 from benchmarks.scanner import find_corners, map_of_corners, true_corners
 from benchmarks.schema import kept, problems, read_record, schema_of, write_record
 from benchmarks.scores import score_map
-from benchmarks.summary import duels, rows_of
+from benchmarks.summary import duels, rows_of, spread
 from hybrid.backward import BackwardMap, end_point_error
 from hybrid.coords import film_nodes, pixel_centres
 from hybrid.errors import ConfigError, DataError
 from hybrid.learn.baselines import recover
+from hybrid.learn.dewarpnet import DewarpNetConfig
 from hybrid.learn.firenet import FiReNet, FiReNetConfig
 from hybrid.learn.network import FilmNet, FilmNetConfig
+from hybrid.learn.presets import PRESETS
 from hybrid.learn.samples import truth_at
+from hybrid.learn.weights import save_weights
 
 MINE = '''"""A method in one small file: it takes every film to fill the middle of the photo."""
 
@@ -118,7 +121,7 @@ def test_the_scanner_finds_a_plain_sheet_and_its_bound_is_a_homography() -> None
     assert find_corners(np.full((300, 300, 3), 90, np.uint8)) is None
 
 
-def test_an_untrained_network_is_waited_for_and_answered_for(cases: list[Case]) -> None:
+def test_a_network_of_random_weights_is_waited_for_and_answered_for(cases: list[Case]) -> None:
     case = cases[0].at(0.05)
     network = FiReNet(FiReNetConfig(width=0.03, input_px=64)).eval()
     prompt = Prompt(case.photo(), true_firenet_answer(case, 64))
@@ -128,13 +131,61 @@ def test_an_untrained_network_is_waited_for_and_answered_for(cases: list[Case]) 
     assert BackwardMap(nodes).nodes.max() < 1.2  # in units of the photo's sides
 
 
-def test_untrained_methods_say_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    import benchmarks.lineup
-
-    monkeypatch.setattr(benchmarks.lineup, "FiReNetConfig", lambda: FiReNetConfig(width=0.03))
-    method = LINEUP["firenet"](None)
+@pytest.mark.parametrize("name", ["dewarpnet_full", "dewarpnet_published_full", "firenet_full"])
+def test_networks_of_full_width_have_a_run_time_and_no_error(
+    name: str, cases: list[Case], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(benchmarks.published, "FiReNetConfig", lambda: FiReNetConfig(width=0.03, input_px=64))
+    monkeypatch.setattr(benchmarks.published, "DewarpNetConfig", lambda: DewarpNetConfig(width=0.03, input_px=128))
+    method = LINEUP[name](None)
     assert method is not None
-    assert method.unscored == NOT_TRAINED
+    assert (method.unscored, method.steady, method.training) == (TIME_ONLY, True, "")
+    found = measure(method, cases[0].at(0.05), 0.05, repeats=1, warm=True)
+    assert (found.found, found.score, len(found.seconds)) == (True, None, 1)
+
+
+def test_trained_networks_are_scored_and_say_how_they_were_trained(
+    cases: list[Case], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    packaged, own = tmp_path / "packaged", tmp_path / "own"
+    notes = {"passes": 120_000, "data": ["a", "b"]}
+    for folder, width in ((packaged, 0.03), (own, 0.04)):
+        folder.mkdir()
+        for name in ("firenet", "dewarpnet"):
+            chosen = PRESETS[name].at_width(width).at_input(128)
+            save_weights(folder / f"{name}.safetensors", chosen.network(), chosen.config, notes)
+    names = ("dewarpnet", "dewarpnet_published", "firenet")
+    monkeypatch.setattr(benchmarks.methods, "packaged_path", lambda name: tmp_path / "none" / name)
+    assert not any(LINEUP[name](None) for name in names)
+    monkeypatch.setattr(benchmarks.methods, "packaged_path", lambda name: packaged / f"{name}.safetensors")
+    for name in names:
+        method, other = LINEUP[name](None), LINEUP[name](own)
+        assert method is not None
+        assert other is not None
+        assert "trained at width 0.03 on 120,000 images of a, b" in method.label
+        assert "at width 0.04" in other.training
+        assert not method.unscored
+        assert (method.parameters or 0) < (other.parameters or 0)
+    method = LINEUP["dewarpnet_published"](None)
+    assert method is not None
+    found = measure(method, cases[0], 0.002, repeats=1, warm=True)
+    assert found.score is not None
+    assert found.output == cases[0].photo().shape[:2]  # as released: of the photo's size
+
+
+def test_methods_without_weights_stay_out_unless_they_are_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    table = {"here": lambda weights: Method("here", lambda photo: None), "gone": lambda weights: None}
+    monkeypatch.setattr(benchmarks.run, "lineup", lambda added: table)
+    assert list(make_methods(Options(tmp_path))) == ["here"]
+    with pytest.raises(ConfigError, match=r"gone.*--weights"):
+        make_methods(Options(tmp_path, methods=("gone",)))
+
+
+def test_own_methods_are_efforts_and_parts() -> None:
+    assert set(EFFORTS) <= OWN <= set(LINEUP)
+    assert next(iter(EFFORTS)) == "hybrid"
 
 
 def test_configurations_are_methods_like_others(cases: list[Case]) -> None:
@@ -159,7 +210,8 @@ def test_anyone_can_add_a_method(mine: Path, dataset: Path, tmp_path: Path) -> N
         repeats=1,
         add=(mine,),
         methods=("middle", "remap"),
-        memory=False,
+        memory=(),
+        networks=("FilmNet",),
     )
     report = run(options, ["python -m benchmarks.run"])
     (row, floor) = rows_of(report, 0.003)
@@ -196,7 +248,8 @@ def made(dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Optio
         repeats=2,
         add=(folder / "mine.py",),
         methods=("remap", "scanner_true", "middle"),
-        memory=False,
+        memory=(),
+        networks=("FilmNet",),
         page=folder / "docs" / "benchmarks.md",
     )
     return options, run(options, ["python -m benchmarks.run", "--data", str(dataset)])
@@ -244,14 +297,59 @@ def test_the_page_and_the_readme_come_from_the_figures(made: tuple[Options, Repo
     assert with_table("no marks", "x") == "no marks"
 
 
-def test_the_page_says_where_it_loses(made: tuple[Options, Report]) -> None:
+def test_every_loss_is_listed(made: tuple[Options, Report], monkeypatch: pytest.MonkeyPatch) -> None:
+    """The worse of two methods, taken for ours: it is said of every size, and of every kind of photo."""
     _, report = made
-    against = duels(report, ("scanner_true",), "middle")
-    assert len(against) == 2
-    assert "Its error is larger than that of: four corners" in duel_text(against)
-    assert "fastest" not in duel_text(against)
-    better = [replace(duel, faster=2.0, closer=3.0) for duel in against]
-    assert "It is faster than each" in duel_text(better)
+    assert losses_text(report) == "`hybrid` was not run."
+    monkeypatch.setattr(benchmarks.page_tables, "EFFORTS", {"middle": None})
+    monkeypatch.setattr(benchmarks.page_tables, "OWN", frozenset({"middle"}))
+    lines = losses_text(report).splitlines()
+    assert [sum(f"{size:g} MP" in line and "times its error" in line for line in lines) for size in (0.003, 0.05)] == [
+        1,
+        1,
+    ]
+    assert any("photos of one kind (cell style" in line and "four corners" in line for line in lines)
+    kinds = sum(len(part) for part in ({c.style for c in report.cases}, {c.light for c in report.cases}))
+    assert sum("photos of one kind" in line for line in lines) >= kinds
+
+
+def test_a_method_that_wins_everywhere_has_no_losses(
+    made: tuple[Options, Report], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _, report = made
+    slow = [replace(m, seconds=(99.0,), cpu_seconds=(99.0,)) if m.method == "middle" else m for m in report.measured]
+    monkeypatch.setattr(benchmarks.page_tables, "EFFORTS", {"scanner_true": None})
+    monkeypatch.setattr(benchmarks.page_tables, "OWN", frozenset({"scanner_true"}))
+    assert losses_text(replace(report, measured=tuple(slow))).startswith("Nothing: it is faster than every rival")
+
+
+def test_duels_are_ratios_in_the_methods_favour(made: tuple[Options, Report]) -> None:
+    _, report = made
+    for duel, back in zip(
+        duels(report, ("scanner_true",), "middle"), duels(report, ("middle",), "scanner_true"), strict=True
+    ):
+        assert duel.faster * back.faster == pytest.approx(1)
+        assert duel.closer is not None
+        assert back.closer is not None
+        assert duel.closer < 1 < back.closer
+        assert duel.lost
+        assert duel.nearer + back.nearer == duel.both > 0
+
+
+def test_photos_are_listed_and_drawn_from_best_to_worst(made: tuple[Options, Report]) -> None:
+    _, report = made
+    ours = replace(
+        report,
+        measured=tuple(replace(m, method="hybrid", grid="2x3") for m in report.measured if m.method == "middle"),
+    )
+    errors = {m.case: m.score.end_point_px for m in ours.measured if m.score and m.megapixels == 0.003}
+    order = [name for _, name in best_to_worst(ours, 99)]
+    assert order == sorted(errors, key=lambda name: errors[name])
+    assert [label for label, _ in best_to_worst(ours, 3)] == ["best", "median", "worst"]
+    assert best_to_worst(report, 3) == []
+    rows = photos_text(ours).splitlines()[2:]
+    assert [row.split(" | ")[0].strip("| ") for row in rows] == order
+    assert all("2x3" in row for row in rows)
 
 
 def test_published_figures_make_the_published_page() -> None:
@@ -314,13 +412,17 @@ def test_memory_is_the_methods_own(dataset: Path) -> None:
 
 def test_networks_alone_are_timed() -> None:
     network = FilmNet(FilmNetConfig(widths=(4, 8, 8, 8), blocks=(1, 1, 1), input_px=64))
-    (found,) = forward_times("filmnet", network, 64, "cpu", (2,), repeats=2)
+    (found,) = forward_times("filmnet", network, "cpu", (2,), repeats=2)
     assert (found.batch, found.device, len(found.seconds)) == (2, "cpu", 2)
 
 
 def test_wrong_options_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(ConfigError, match="as many counts as sizes"):
         Options(tmp_path, sizes=(1.0,), counts=(1, 2))
+    with pytest.raises(ConfigError, match=r"UNet.*allowed: FilmNet"):
+        Options(tmp_path, networks=("UNet",))
+    with pytest.raises(ConfigError, match="no negative numbers"):
+        Options(tmp_path, gallery=-1)
     with pytest.raises(ConfigError, match="unet"):
         Options(tmp_path, methods=("unet",))
     assert main(["--out", str(tmp_path), "--photos", str(tmp_path)]) == 1

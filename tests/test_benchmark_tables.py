@@ -10,7 +10,7 @@ import pytest
 from simple_samples import simple_dataset
 
 from benchmarks.cases import Case, photo_cases, read_alike, sample_cases, true_shape
-from benchmarks.methods import METHODS, Method, weights_path
+from benchmarks.methods import METHODS, Method, path_in, weights_path
 from benchmarks.paper_tables import TABLES, table_text
 from benchmarks.scores import score, summarise
 from benchmarks.tables import Options, main, run, score_methods
@@ -19,7 +19,7 @@ from hybrid.errors import ConfigError, DataError, PhotoError
 from hybrid.image_io import write_rgb
 from hybrid.learn.network import FilmNetConfig
 from hybrid.learn.presets import PRESETS, Preset
-from hybrid.learn.weights import save_weights
+from hybrid.learn.weights import packaged_path, save_weights
 
 EXACT_PX = 1e-6
 
@@ -158,10 +158,10 @@ def test_photos_with_truth_are_scored_apart(cases: list[Case], weights: Path, tm
 
 
 def test_packaged_weights_stand_in_and_others_are_not_trained(tmp_path: Path) -> None:
-    assert weights_path(None, "filmnet") is None
-    assert weights_path(tmp_path, "firenet") is None
-    assert METHODS["firenet"](tmp_path) is None
-    assert METHODS["dewarpnet"](None) is None
+    assert weights_path(None, "filmnet") == weights_path(tmp_path, "filmnet") == packaged_path("filmnet")
+    assert path_in(tmp_path, "filmnet") is None
+    assert METHODS["net_uv"](tmp_path) is None
+    assert METHODS["firenet_uv_only"](None) is None
 
 
 def test_wrong_options_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

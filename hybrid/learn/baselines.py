@@ -9,7 +9,6 @@ import cv2
 import numpy as np
 import torch
 from jaxtyping import Float, UInt8
-from torch import Tensor
 
 from hybrid.backward import BackwardMap
 from hybrid.coords import (
@@ -22,6 +21,7 @@ from hybrid.coords import (
 )
 from hybrid.learn.dewarpnet import NODES, DewarpNet
 from hybrid.learn.firenet import FiReNet
+from hybrid.learn.tensors import first_map, image_batch
 from hybrid.learn.uv_recovery import interpolated, joined, points_of_deformation, points_of_uv
 
 # ---------------------------------------------------------------- DewarpNet
@@ -30,12 +30,12 @@ from hybrid.learn.uv_recovery import interpolated, joined, points_of_deformation
 def dewarpnet_map(network: DewarpNet, photo: UInt8[np.ndarray, "H W 3"], interpolation: int) -> BackwardMap:
     """The network's backward map in units of the photo's sides; ``interpolation`` (OpenCV's) shrinks the photo."""
     output = _forward(network, network.config.input_px, photo, interpolation)
-    return BackwardMap(_hwc(output.backward))
+    return BackwardMap(first_map(output.backward))
 
 
 def corrected(network: DewarpNet, photo: UInt8[np.ndarray, "H W 3"]) -> BackwardMap:
     """DewarpNet given its due: the photo shrunk without aliasing, its nodes read as nodes (convention 5), in pixels."""
-    return _in_pixels(dewarpnet_map(network, photo, cv2.INTER_AREA), photo)
+    return in_pixels(dewarpnet_map(network, photo, cv2.INTER_AREA), (photo.shape[0], photo.shape[1]))
 
 
 def published_points(backward: BackwardMap, size: tuple[int, int]) -> Float[np.ndarray, "h w 2"]:
@@ -60,7 +60,7 @@ def published_image(backward: BackwardMap, photo: UInt8[np.ndarray, "H W 3"]) ->
     """
     points = published_points(backward, (photo.shape[0], photo.shape[1]))
     image = torch.from_numpy(photo).permute(2, 0, 1)[None].double().div_(255)
-    return _hwc(sample_photo(image, torch.from_numpy(points)[None]))
+    return first_map(sample_photo(image, torch.from_numpy(points)[None]))
 
 
 def published_map(backward: BackwardMap, size: tuple[int, int]) -> BackwardMap:
@@ -108,11 +108,11 @@ def recover(network: FiReNet, photo: UInt8[np.ndarray, "H W 3"]) -> Recovery:
     """
     px = network.config.input_px
     output = _forward(network, px, photo, cv2.INTER_AREA)
-    points = points_of_uv(_hwc(output.uv), torch.sigmoid(output.mask_logit)[0].numpy())
+    points = points_of_uv(first_map(output.uv), torch.sigmoid(output.mask_logit)[0].numpy())
     if output.deformation is not None:
-        points = joined(points, points_of_deformation(_hwc(output.deformation)))
-    backward = _in_pixels(BackwardMap(interpolated(points, (px, px))), photo)
-    return Recovery(backward, output.albedo[0].numpy(), (photo.shape[0], photo.shape[1]))
+        points = joined(points, points_of_deformation(first_map(output.deformation)))
+    size = (photo.shape[0], photo.shape[1])
+    return Recovery(in_pixels(BackwardMap(interpolated(points, (px, px))), size), output.albedo[0].numpy(), size)
 
 
 # ---------------------------------------------------------------- common
@@ -122,14 +122,9 @@ def recover(network: FiReNet, photo: UInt8[np.ndarray, "H W 3"]) -> Recovery:
 def _forward(network: torch.nn.Module, px: int, photo: np.ndarray, interpolation: int) -> Any:
     """The network's output for the whole photo, squeezed into its square input."""
     small = cv2.resize(photo, (px, px), interpolation=interpolation)
-    return network.eval()(torch.from_numpy(small).permute(2, 0, 1)[None].float().div_(255))
+    return network.eval()(image_batch([small]))
 
 
-def _hwc(maps: Tensor) -> np.ndarray:
-    """The first map of a batch, channels last."""
-    return maps[0].permute(1, 2, 0).numpy()
-
-
-def _in_pixels(backward: BackwardMap, photo: np.ndarray) -> BackwardMap:
-    """A map in units of the photo's sides, in its pixels."""
-    return backward.cropped((0.0, 0.0), (float(photo.shape[1]), float(photo.shape[0])))
+def in_pixels(backward: BackwardMap, size: tuple[int, int]) -> BackwardMap:
+    """A map in units of the photo's sides, in pixels of a photo of ``size`` (height, width)."""
+    return backward.cropped((0.0, 0.0), (float(size[1]), float(size[0])))

@@ -14,6 +14,7 @@ from hybrid.coords import film_centres, film_nodes
 from hybrid.learn.losses import Targets
 from hybrid.learn.network import STRIDE
 from hybrid.learn.samples import Place, Truth, film_of, photo_of, truth_at
+from hybrid.learn.tensors import image_batch, map_batch
 from hybrid.learn.views import VIEW_NODES, film_view, output_points, plane_of, square_view, view_image, whole_view
 
 
@@ -93,17 +94,10 @@ def training_view(place: Place, px: int, rng: np.random.Generator, config: Augme
 
 def batch_of(views: list[View]) -> tuple[torch.Tensor, Targets]:
     """Images (B, 3, n, n) float32 in [0, 1], channels last, and targets."""
-    images = torch.from_numpy(np.stack([v.image for v in views])).permute(0, 3, 1, 2).float().div_(255)
-
-    def stacked(name: str) -> torch.Tensor:
-        return torch.from_numpy(np.stack([getattr(v, name) for v in views]))
-
+    images = image_batch([v.image for v in views])
+    maps = {name: map_batch([getattr(v, name) for v in views]) for name in ("mask", "uv", "xyz", "albedo", "normal")}
     return images.contiguous(memory_format=torch.channels_last), Targets(
-        mask=stacked("mask"),
-        uv=stacked("uv").permute(0, 3, 1, 2),
-        xyz=stacked("xyz").permute(0, 3, 1, 2),
-        albedo=stacked("albedo"),
-        normal=stacked("normal").permute(0, 3, 1, 2),
+        **maps,
         orientation=torch.tensor([v.orientation for v in views]),
         weight=torch.tensor([v.weight for v in views]),
         has_shape=torch.tensor([float(v.has_shape) for v in views]),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import torch
 from jaxtyping import Bool, Float, Int64
@@ -10,10 +10,11 @@ from torch import Tensor
 from torch.nn import functional
 
 from hybrid.learn.network import FilmNetOutput
+from hybrid.learn.tensors import Tensors
 
 
 @dataclass(frozen=True, eq=False)
-class Targets:
+class Targets(Tensors):
     """Truth at the network's output resolution; 0 where the mask is False.
 
     uv: of the film as seen. orientation: index of what makes it read right. weight: of each view in the loss.
@@ -29,10 +30,6 @@ class Targets:
     weight: Float[Tensor, " b"]
     has_shape: Float[Tensor, " b"]
     has_print: Float[Tensor, " b"]
-
-    def to(self, device: str) -> Targets:
-        """The same on another device."""
-        return Targets(**{f.name: getattr(self, f.name).to(device) for f in fields(self)})
 
 
 @dataclass(frozen=True)

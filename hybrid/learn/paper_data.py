@@ -10,7 +10,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 from jaxtyping import Float
 from torch import Tensor
 
@@ -20,6 +19,7 @@ from hybrid.errors import DataError, describe
 from hybrid.learn.data import AugmentConfig, axes_of, disturbed, random_window, turned_axes
 from hybrid.learn.paper_targets import PaperTargets
 from hybrid.learn.samples import Place, film_of, photo_of, truth_at
+from hybrid.learn.tensors import image_batch, map_batch
 from hybrid.learn.views import view_image
 
 
@@ -36,14 +36,9 @@ def paper_batch(
 ) -> tuple[Tensor, PaperTargets]:
     """Images (B, 3, px, px) float32 in [0, 1] and targets of random windows of some samples."""
     seen = [_sample(place, view, rng, config) for place in places]
-    images = torch.from_numpy(np.stack([image for image, _ in seen])).permute(0, 3, 1, 2).float().div_(255)
-
-    def stacked(name: str) -> Tensor:
-        values = torch.from_numpy(np.stack([maps[name] for _, maps in seen]))
-        return values.permute(0, 3, 1, 2) if values.ndim == 4 else values
-
+    images = image_batch([image for image, _ in seen])
     names = ("mask", "uv", "xyz", "normal", "albedo", "backward")
-    return images.contiguous(), PaperTargets(**{name: stacked(name) for name in names})
+    return images.contiguous(), PaperTargets(**{name: map_batch([maps[name] for _, maps in seen]) for name in names})
 
 
 def _sample(

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
 from hybrid.coords import film_nodes
+from hybrid.learn.tensors import Tensors
 
 
 @dataclass(frozen=True, eq=False)
-class PaperTargets:
+class PaperTargets(Tensors):
     """Truth at a network's output resolution; 0 where the mask is False.
 
     uv: film coordinates in [0, 1], v down. xyz: camera axes, relative to the film's centre, in film diagonals.
@@ -26,10 +27,6 @@ class PaperTargets:
     normal: Float[Tensor, "b 3 h w"]
     albedo: Float[Tensor, "b h w"]
     backward: Float[Tensor, "b 2 n n"]
-
-    def to(self, device: str) -> PaperTargets:
-        """The same on another device."""
-        return PaperTargets(**{f.name: getattr(self, f.name).to(device) for f in fields(self)})
 
     @property
     def depth(self) -> Float[Tensor, "b h w"]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from dataclasses import asdict, fields
-from importlib.resources import as_file, files
 from pathlib import Path
 from typing import Any
 
@@ -63,16 +62,29 @@ def load_into(network: nn.Module, path: Path) -> None:
         raise DataError(describe(what="weights", where=path, got=got, do="Use the same preset and width.")) from error
 
 
+def packaged_path(name: str) -> Path:
+    """Where the package keeps the weights of a preset, if it ships them."""
+    return Path(__file__).parent / "packaged" / f"{name}.safetensors"
+
+
 def packaged_film_net() -> FilmNet:
     """The FilmNet that the package ships."""
-    with as_file(files("hybrid.learn") / "packaged" / "filmnet.safetensors") as path:
-        return load_weights(path, FilmNet, FilmNetConfig)
+    return load_weights(packaged_path("filmnet"), FilmNet, FilmNetConfig)
 
 
 def packaged_upright_net() -> UprightNet:
     """The UprightNet that the package ships."""
-    with as_file(files("hybrid.learn") / "packaged" / "upright.safetensors") as path:
-        return load_weights(path, UprightNet, UprightNetConfig)
+    return load_weights(packaged_path("upright"), UprightNet, UprightNetConfig)
+
+
+def notes_of(path: Path) -> dict[str, Any]:
+    """How the weights in a file were trained: the notes of ``save_weights``.
+
+    Raises:
+        DataError: no such file, or not a weights file.
+    """
+    notes: dict[str, Any] = json.loads(_opened(path)[0].get("notes", "{}"))
+    return notes
 
 
 def parameter_count(network: nn.Module) -> int:
@@ -82,16 +94,20 @@ def parameter_count(network: nn.Module) -> int:
 
 def _read(path: Path, kind: str) -> tuple[dict[str, str], dict[str, Tensor]]:
     """Metadata and tensors, in single precision, of a file of the kind."""
-    try:
-        with safe_open(path, framework="pt") as file:
-            metadata = file.metadata() or {}
-            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a mapping)
-    except (OSError, SafetensorError) as error:
-        raise DataError(describe(what="weights", where=path, got=error, do="Name a .safetensors file.")) from error
+    metadata, tensors = _opened(path)
     got, allowed = (metadata.get("kind"), metadata.get("conventions")), (kind, str(CONVENTIONS_VERSION))
     if got != allowed:
         raise DataError(describe(what="weights", where=path, got=got, allowed=allowed, do="Train them again."))
     return metadata, {k: v.to(torch.float32) if v.is_floating_point() else v for k, v in tensors.items()}
+
+
+def _opened(path: Path) -> tuple[dict[str, str], dict[str, Tensor]]:
+    """Metadata and tensors of a file, as they lie in it."""
+    try:
+        with safe_open(path, framework="pt") as file:
+            return file.metadata() or {}, {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    except (OSError, SafetensorError) as error:
+        raise DataError(describe(what="weights", where=path, got=error, do="Name a .safetensors file.")) from error
 
 
 def _frozen(value: Any) -> Any:

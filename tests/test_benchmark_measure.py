@@ -1,4 +1,4 @@
-"""The benchmark: a perfect rectifier scores perfect, a wrong one does not, and the report is complete and anonymous."""
+"""Photos with truth: a perfect rectifier scores perfect, a wrong one does not, and a run is told anonymously."""
 
 from __future__ import annotations
 
@@ -11,13 +11,16 @@ import cv2
 import numpy as np
 import pytest
 
+from benchmarks.cases import Case, photo_cases
 from benchmarks.machine import describe_run, relative_command
+from benchmarks.measure import measure
+from benchmarks.methods import Method, of_rectifier
 from benchmarks.photos import load_photo, load_photos
-from benchmarks.rectify import FIGURES, Options, by_style, one_line, run, score_photo, table
+from benchmarks.traits import note_of
 from hybrid.backward import BackwardMap
 from hybrid.coords import film_nodes, opencv_from_photo, pixel_centres
 from hybrid.errors import DataError
-from hybrid.image_io import read_photo, write_rgb
+from hybrid.image_io import write_rgb
 from hybrid.records import RectifyResult, SliceGrid, StageReport, Status, StatusCode
 
 SIZE = (320, 400)
@@ -87,63 +90,52 @@ def folder(made_once: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(made_once, tmp_path / "photos"))
 
 
-def test_the_truth_scores_perfect(folder: Path) -> None:
+@pytest.fixture
+def case(made_once: Path) -> Case:
+    return photo_cases(made_once)[0]
+
+
+def method_of(rectify: StandIn) -> Method:
+    return of_rectifier("stand_in", rectify)
+
+
+def test_the_truth_scores_perfect(case: Case) -> None:
     rectify = StandIn()
-    score, _ = score_photo(load_photo(folder / "film_a.npz"), rectify, runs=3)
-    assert rectify.calls == 3
-    assert score.end_point is not None
-    assert score.paper is not None
-    assert score.end_point.max_px < 1e-3  # the stored lattice is float32
-    assert score.paper.raw.psnr > 60
-    assert score.paper.raw.ms_ssim > 0.9999
-    assert score.print_psnr is not None
-    assert score.print_psnr > 30  # what JPEG and two resamplings leave
-    assert score.print_psnr == pytest.approx(score.print_psnr_lit, abs=0.1)  # even light: one gain takes it away
-    assert (score.grid, score.true_grid, score.style) == ("2x3", "2x3", "rules")
-    assert score.stages["network"]["seconds"] == pytest.approx(0.25)  # the median of 0.5, 0.25, 0.17
-    assert score.fastest_seconds <= score.seconds
+    found = measure(method_of(rectify), case, 0.128, repeats=3, warm=True)
+    assert rectify.calls == len(found.seconds) == 3
+    assert found.score is not None
+    assert found.film is not None
+    assert found.score.end_point_px < 1e-3  # the stored lattice is float32
+    assert found.score.paper.raw.psnr > 60
+    assert found.score.paper.raw.ms_ssim > 0.9999
+    assert found.film.psnr is not None
+    assert found.film.psnr > 30  # what JPEG and two resamplings leave
+    assert found.film.psnr == pytest.approx(found.film.lit_psnr, abs=0.1)  # even light: one gain takes it away
+    assert found.parts["network"] == pytest.approx(0.25)  # the median of 0.5, 0.25, 0.17
+    assert (found.grid, found.output) == ("2x3", FILM_SIZE)
+    note = note_of(case)
+    assert (note.grid, note.style, note.size) == ("2x3", "rules", SIZE)
 
 
-def test_a_shift_is_measured_as_such(folder: Path) -> None:
-    score, _ = score_photo(load_photo(folder / "film_a.npz"), StandIn(shift=5.0), runs=1)
-    assert score.end_point is not None
-    assert score.paper is not None
-    assert (score.end_point.mean_px, score.end_point.p95_px) == pytest.approx((5, 5), abs=1e-3)
-    assert score.end_point.mean_percent == pytest.approx(100 * 5 / np.hypot(*SIZE), abs=1e-3)
-    assert score.paper.deshifted.psnr > score.paper.raw.psnr + 20
+def test_a_shift_is_measured_as_such(case: Case) -> None:
+    found = measure(method_of(StandIn(shift=5.0)), case, 0.128, repeats=1, warm=True)
+    assert found.score is not None
+    px = 5 * 1080 / max(SIZE)  # as in a photo of 1080 px
+    assert (found.score.end_point_px, found.score.end_point_p95_px) == pytest.approx((px, px), abs=1e-2)
+    assert found.score.paper.deshifted.psnr > found.score.paper.raw.psnr + 20
 
 
-def test_report_and_pictures(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    out = tmp_path / "made" / "result.json"
-    options = Options(folder, out, pictures=tmp_path / "sheets", runs=1)
-    command = ["python -m benchmarks.rectify", "--photos", str(folder), f"--json={out}"]
-    run(options, StandIn(shift=1.0), command)
-    text = out.read_text()
-    report = json.loads(text)
-    assert [row["name"] for row in report["photos"]] == ["film_a", "film_bb"]
-    assert set(report["summary"]) == {"rules", "none", "all"}
-    assert report["summary"]["all"]["end_point_px"]["median"] == pytest.approx(1.0, abs=1e-3)
-    assert set(FIGURES) <= set(report["summary"]["all"])
-    assert {"command", "machine", "packages", "commit", "threads", "python"} <= set(report["run"])
-    assert str(tmp_path) not in text, "no machine's folders in what is published"
-    sheet = read_photo(tmp_path / "sheets" / "contact_sheet.jpg")
-    assert sheet.std() > 10
-    printed = capsys.readouterr().out
-    assert "film_bb" in printed
-    assert "2 of 2 photos ok; end-point error median 1.00 px, worst 1.00 px" in printed
+def test_a_film_that_is_not_found_has_no_score_and_a_reason(case: Case) -> None:
+    found = measure(method_of(StandIn(fails=9)), case, 0.128, repeats=1, warm=True)
+    assert (found.found, found.score, found.film, found.output) == (False, None, None, None)
+    assert "No film was found" in found.message
 
 
-def test_photos_that_fail_are_counted_and_listed(folder: Path, tmp_path: Path) -> None:
-    options = Options(folder, tmp_path / "result.json", pictures=tmp_path, runs=1)
-    scores = run(options, StandIn(fails=2), [])  # the warm-up and the first photo
-    assert [score.ok for score in scores] == [False, True]
-    summary = by_style(scores)["all"]
-    assert (summary["ok"], summary["photos"]) == (1, 2)
-    assert summary["end_point_px"]["worst"] < 1e-3
-    assert "FAILED: No film was found" in table(scores)
-    assert one_line(scores).startswith("1 of 2 photos ok")
-    none_ok = run(options, StandIn(fails=9), [])
-    assert one_line(none_ok) == "0 of 2 photos ok; no film was found in any"
+def test_a_photo_in_memory_is_everyones_own(case: Case) -> None:
+    held = case.in_memory()
+    photo = held.photo()
+    photo[:] = 0
+    np.testing.assert_array_equal(held.photo(), case.photo())
 
 
 def test_folder_without_truth(tmp_path: Path, folder: Path) -> None:

@@ -1,0 +1,254 @@
+"""The tables of the page and of the terminal, in Markdown, read off the figures of ``benchmarks.run``."""
+
+from __future__ import annotations
+
+import statistics
+from collections.abc import Sequence
+
+from benchmarks.lineup import CONFIGURATIONS, EFFORTS, MAIN, OWN
+from benchmarks.results import Report
+from benchmarks.summary import FLOOR, Duel, Row, duels, rows_of, split_rows, spread
+
+PHOTOS_SHOWN = 24
+"""Photos that are listed one by one: the best, the worst and those between, evenly."""
+
+
+def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """A Markdown table."""
+    lines = [head, ["---"] * len(head), *rows]
+    return "\n".join("| " + " | ".join(cells) + " |" for cells in lines)
+
+
+def number(value: float | None, places: int) -> str:
+    """A figure, or a dash where there is none."""
+    return "-" if value is None else f"{value:.{places}f}"
+
+
+def pair(value: float | None, other: float | None, places: int) -> str:
+    """A figure and, in brackets, another way to take it."""
+    return "-" if value is None and other is None else f"{number(value, places)} ({number(other, places)})"
+
+
+def rivals_of(report: Report) -> list[str]:
+    """All methods but this project's and the floor."""
+    return [m.name for m in report.methods if m.name not in OWN and m.name != FLOOR]
+
+
+def efforts_of(report: Report) -> list[str]:
+    """The pipeline at the efforts that were measured."""
+    return [m.name for m in report.methods if m.name in EFFORTS]
+
+
+# ---------------------------------------------------------------- methods
+
+
+def size_section(report: Report, megapixels: float) -> str:
+    """All methods at one size, as a table."""
+    rows = rows_of(report, megapixels)
+    floor = next((row for row in rows if row.method.name == FLOOR), None)
+    head = ("", "photos", "lost", "error, px", "worst", "%", "distortion", "PSNR", "SSIM", "MS-SSIM", "film, dB")
+    head += ("seconds", "processor s", "times the floor", "output, MP")
+    shown = [_cells(row, floor) for row in rows if row.method.name not in CONFIGURATIONS]
+    return f"### {megapixels:g} megapixels\n\n" + table(head, shown)
+
+
+def _cells(row: Row, floor: Row | None) -> list[str]:
+    f, t = row.figures, row.seconds
+    both = [pair(f.get(name), f.get(f"{name}_deshifted"), d) for name, d in (("psnr", 1), ("ssim", 3), ("ms_ssim", 3))]
+    return [
+        row.method.label,
+        str(row.photos),
+        row.method.unscored or str(row.lost),
+        number(row.error, 2),
+        number(row.worst_px, 2),
+        number(f.get("end_point_percent"), 2),
+        number(f.get("distortion_px"), 2),
+        *both,
+        pair(f.get("film"), f.get("film_lit"), 1),
+        f"{t[0]:.3g} ({t[1]:.3g} to {t[2]:.3g})",
+        f"{row.cpu_seconds:.3g}",
+        "-" if floor is None else f"{t[0] / floor.seconds[0]:.3g} ({row.cpu_seconds / floor.cpu_seconds:.3g})",
+        number(row.output, 2),
+    ]
+
+
+def memory_text(report: Report) -> str:
+    """What each method takes beyond the libraries and the photo, at each size."""
+    sizes = list(dict.fromkeys(m.megapixels for m in report.memory))
+    known = {(m.method, m.megapixels): f"{m.own_mib:.0f}" for m in report.memory}
+    labels = {m.name: m.label for m in report.methods}
+    names = list(dict.fromkeys(m.method for m in report.memory))
+    rows = [[labels.get(name, name), *(known.get((name, size), "-") for size in sizes)] for name in names]
+    return table(("MiB at", *(f"{size:g} megapixels" for size in sizes)), rows) if rows else "Not measured."
+
+
+def forward_text(report: Report) -> str:
+    """The networks alone, with columns for a GPU where one was at hand."""
+    times = {(f.network, f.device, f.batch): 1e3 * statistics.median(f.seconds) for f in report.forward}
+    columns = list(dict.fromkeys((f.device, f.batch) for f in report.forward))
+    kinds = {f.network: (f"{f.parameters / 1e6:.1f}", str(f.input_px)) for f in report.forward}
+    rows = [
+        [name, *kind, *(number(times.get((name, *column)), 1) for column in columns)] for name, kind in kinds.items()
+    ]
+    head = [f"{'GPU' if device == 'cuda' else 'processor'}, batch of {batch}, ms" for device, batch in columns]
+    none = "" if any(f.device == "cuda" for f in report.forward) else "\n\nNo GPU was at hand."
+    return table(("network", "million parameters", "input, px", *head), rows) + none
+
+
+# ---------------------------------------------------------------- who wins
+
+
+def duel_text(found: Sequence[Duel]) -> str:
+    """How a method does against each rival."""
+    rows = [
+        [
+            d.rival.label,
+            f"{d.megapixels:g}",
+            f"{d.faster:.2g}",
+            f"{d.cheaper:.2g}",
+            d.rival.unscored or ("-" if d.closer is None else f"{d.closer:.2g}"),
+            f"{d.nearer} of {d.both}" if d.both else "-",
+        ]
+        for d in found
+    ]
+    head = (f"`{found[0].method.label}` against" if found else "against", "megapixels", "times as fast")
+    return table((*head, "by processor seconds", "times as near to the truth", "photos on which it is nearer"), rows)
+
+
+def losses_text(report: Report) -> str:
+    """Every rival that some effort is not both faster and nearer than, and kinds of photos on which one is nearer."""
+    if not efforts_of(report):
+        return "`hybrid` was not run."
+    lines = []
+    for name in efforts_of(report):
+        found = duels(report, rivals_of(report), name)
+        lines += [_loss(duel) for duel in found if duel.lost]
+        lines += _lost_kinds(report, name)
+    if not lines:
+        return "Nothing: it is faster than every rival, and nearer to the truth wherever two errors can be compared."
+    return "\n".join(lines)
+
+
+def _loss(duel: Duel) -> str:
+    said = []
+    if min(duel.faster, duel.cheaper) < 1:
+        said.append(f"{1 / duel.faster:.2g} times its seconds, {1 / duel.cheaper:.2g} times its processor seconds")
+    if duel.closer is not None and duel.closer < 1:
+        said.append(f"{1 / duel.closer:.2g} times its error")
+    return f"- `{duel.method.label}` against {duel.rival.label}, {duel.megapixels:g} MP: {'; '.join(said)}"
+
+
+def _lost_kinds(report: Report, name: str) -> list[str]:
+    size, label = report.settings.sizes[0], next(m.label for m in report.methods if m.name == name)
+    mine = {(title, kind): row.error for title, kind, row in split_rows(report, name, size)}
+    lines = []
+    for rival in rivals_of(report):
+        for title, kind, row in split_rows(report, rival, size):
+            error = mine.get((title, kind))
+            if error is not None and row.error is not None and row.error < error:
+                lines.append(
+                    f"- `{label}` on photos of one kind ({title}: {kind}): {error:.2f} px; {row.method.label}: "
+                    f"{row.error:.2f} px"
+                )
+    return lines
+
+
+# ---------------------------------------------------------------- photos
+
+
+def split_text(report: Report) -> str:
+    """The median error of every scored method on each kind of photo, and how many films it lost of them."""
+    size = report.settings.sizes[0]
+    scored = [m for m in report.methods if not m.unscored and m.name not in CONFIGURATIONS]
+    cells: dict[tuple[str, str], dict[str, Row]] = {}
+    for method in scored:
+        for title, kind, row in split_rows(report, method.name, size):
+            cells.setdefault((title, kind), {})[method.name] = row
+    rows = []
+    for (title, kind), of_kind in cells.items():
+        errors = [of_kind.get(m.name) for m in scored]
+        photos = max(row.photos for row in of_kind.values())
+        rows.append([title, kind, str(photos), *("-" if row is None else _error(row) for row in errors)])
+    head = ("", f"at {size:g} megapixels", "photos", *(m.label for m in scored))
+    return table(head, rows)
+
+
+def _error(row: Row) -> str:
+    return number(row.error, 2) + (f", {row.lost} lost" if row.lost else "")
+
+
+def photos_text(report: Report, method: str = MAIN) -> str:
+    """A method at the first size, photo by photo, from best to worst; films that were lost last."""
+    size, cases = report.settings.sizes[0], {case.name: case for case in report.cases}
+    found = [m for m in report.measured if (m.method, m.megapixels) == (method, size)]
+    found.sort(key=lambda m: float("inf") if m.score is None else m.score.end_point_px)
+    rows = []
+    for m in spread(found, PHOTOS_SHOWN):
+        case, score = cases[m.case], m.score
+        bend = "-" if case.bend_deg is None else f"{case.bend_deg:.0f}"
+        figures = ["lost", m.message, "-"]
+        if score is not None:
+            figures = [number(value, 2) for value in (score.end_point_px, score.end_point_p95_px)]
+            figures.append(number(score.paper.raw.psnr, 1))
+        film = None if m.film is None else m.film.psnr
+        shape = [case.style, case.light, bend, f"{100 * case.coverage:.0f}", f"{case.grid or '-'}, {m.grid or '-'}"]
+        rows.append([m.case, *shape, *figures, number(film, 1), f"{statistics.median(m.seconds):.3g}"])
+    head = ("photo", "cells", "light", "bend, degrees", "% of the photo", "slices: true, found")
+    return table((*head, "error, px", "95th percentile", "PSNR", "film, dB", "seconds"), rows)
+
+
+def configuration_text(report: Report) -> str:
+    """The pipeline, and what becomes of it with one thing changed."""
+    size = report.settings.sizes[0]
+    rows = [r for r in rows_of(report, size) if r.method.name in OWN]
+    cells = [
+        [
+            r.method.label,
+            number(r.error, 2),
+            number(r.worst_px, 2),
+            str(r.lost),
+            pair(r.figures.get("film"), r.figures.get("film_lit"), 1),
+            f"{r.cpu_seconds:.3g}",
+        ]
+        for r in rows
+    ]
+    return table((f"at {size:g} megapixels", "error, px", "worst", "lost", "film, dB", "processor s"), cells)
+
+
+def stages_text(report: Report, method: str = MAIN) -> str:
+    """Median milliseconds of each stage of the pipeline, at every size."""
+    found = {size: [m for m in report.measured if (m.method, m.megapixels) == (method, size)]
+             for size in report.settings.sizes}  # fmt: skip
+    names = list(dict.fromkeys(name for of_size in found.values() for m in of_size for name in m.parts))
+    rows = []
+    for name in names:
+        seconds = [[m.parts.get(name, 0.0) for m in of_size] for of_size in found.values()]
+        rows.append([name, *(number(1e3 * statistics.median(s) if s else None, 1) for s in seconds)])
+    return table(("stage, ms", *(f"{size:g} megapixels" for size in found)), rows)
+
+
+def figures_text(report: Report) -> str:
+    """What the terminal is told of a run: methods by size, `hybrid` by kind of photo and photo by photo."""
+    parts = [*(size_section(report, size) for size in report.settings.sizes), split_text(report)]
+    if MAIN in efforts_of(report):
+        parts.append(photos_text(report))
+    return "\n\n".join(parts)
+
+
+__all__ = [
+    "configuration_text",
+    "duel_text",
+    "efforts_of",
+    "figures_text",
+    "forward_text",
+    "losses_text",
+    "memory_text",
+    "number",
+    "pair",
+    "photos_text",
+    "rivals_of",
+    "size_section",
+    "split_text",
+    "stages_text",
+    "table",
+]

@@ -1,0 +1,185 @@
+"""The paper's networks as wide as published, and DewarpNet as released: their run time.
+
+It does not depend on the values of the weights, so these are random. What follows the network does depend on what the
+network says (recovery looks at film pixels, resampling at places in the photo), so the network is waited for and its
+answer exchanged for the true one. Such a method has a run time and no error.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import torch
+from jaxtyping import UInt8
+from torch import Tensor, nn
+
+from benchmarks.cases import Case
+from benchmarks.methods import DEWARPNET_DUE, Flattened, Method, trained_dewarpnet
+from hybrid.backward import BackwardMap
+from hybrid.coords import film_nodes, pixel_centres, rescale_points
+from hybrid.learn.baselines import corrected, dewarpnet_map, published_image, published_map, recover
+from hybrid.learn.dewarpnet import NODES, BackwardOutput, DewarpNet, DewarpNetConfig
+from hybrid.learn.firenet import FiReNet, FiReNetConfig, FiReNetOutput
+from hybrid.learn.tensors import map_batch
+from hybrid.learn.weights import parameter_count
+
+TIME_ONLY = "time only: random weights"
+"""Why these methods are not scored."""
+
+DEWARPNET_PUBLISHED = "DewarpNet as published"
+
+
+class Prompted(nn.Module):
+    """A network that is waited for; then another answer is given in its place."""
+
+    def __init__(self, network: Any, answer: Any) -> None:
+        nn.Module.__init__(self)  # not the network's own: nothing is to be built
+        self.network, self.answer, self.config = network, answer, network.config
+
+    def forward(self, image: Tensor) -> Any:
+        self.network(image)
+        return self.answer
+
+
+class PromptedFiReNet(Prompted, FiReNet):
+    """FiReNet, to all who look at types."""
+
+
+class PromptedDewarpNet(Prompted, DewarpNet):
+    """DewarpNet, to all who look at types."""
+
+
+@dataclass(frozen=True, eq=False)
+class Prompt:
+    """A photo, and the answer that a perfect network would give."""
+
+    photo: UInt8[np.ndarray, "h w 3"]
+    answer: Any
+
+
+def true_dewarpnet_answer(case: Case) -> BackwardOutput:
+    """The true map on DewarpNet's nodes, in units of the photo's sides."""
+    return BackwardOutput(map_batch([_in_units(case, NODES)]))
+
+
+def true_firenet_answer(case: Case, px: int) -> FiReNetOutput:
+    """The true mask, uv map and deformation map at px x px; the other maps are zero."""
+    height, width = case.photo().shape[:2]
+    uv = case.backward.film_from_photo(rescale_points(pixel_centres((px, px)), (px, px), (height, width)))
+    film = torch.from_numpy(np.isfinite(uv).all(axis=-1))[None]
+    return FiReNetOutput(
+        mask_logit=torch.where(film, 9.0, -9.0),
+        xyz=torch.zeros(1, 3, px, px),
+        uv=map_batch([np.nan_to_num(uv).astype(np.float32)]),
+        albedo=torch.zeros(1, px, px),
+        deformation=map_batch([_in_units(case, px) - film_nodes((px, px)).astype(np.float32)]),
+    )
+
+
+def _in_units(case: Case, n: int) -> np.ndarray:
+    """The true map on n x n nodes, in units of the photo's sides."""
+    height, width = case.photo().shape[:2]
+    return rescale_points(case.backward.resized((n, n)).nodes, (height, width), (1, 1)).astype(np.float32)
+
+
+# ---------------------------------------------------------------- methods
+
+
+def full_firenet(weights: Path | None) -> Method:
+    """FiReNet with its recovery."""
+    network = FiReNet(FiReNetConfig()).eval()
+    return _timed(
+        "firenet_full",
+        "FiReNet, full width",
+        network,
+        lambda prompt: recover(PromptedFiReNet(network, prompt.answer), prompt.photo).backward,
+        lambda case: true_firenet_answer(case, network.config.input_px),
+    )
+
+
+def full_dewarpnet(weights: Path | None) -> Method:
+    """DewarpNet given its due: its map read rightly, the photo as everyone's."""
+    network = DewarpNet(DewarpNetConfig()).eval()
+    return _timed(
+        "dewarpnet_full",
+        f"{DEWARPNET_DUE}, full width",
+        network,
+        lambda prompt: corrected(PromptedDewarpNet(network, prompt.answer), prompt.photo),
+        true_dewarpnet_answer,
+    )
+
+
+def full_dewarpnet_published(weights: Path | None) -> Method:
+    """DewarpNet run as released."""
+    network = DewarpNet(DewarpNetConfig()).eval()
+
+    def flatten(prompt: Prompt) -> Flattened:
+        return flatten_as_published(PromptedDewarpNet(network, prompt.answer), prompt.photo)
+
+    return _timed(
+        "dewarpnet_published_full",
+        f"{DEWARPNET_PUBLISHED}, full width",
+        network,
+        lambda prompt: flatten(prompt).backward,
+        true_dewarpnet_answer,
+        flatten,
+    )
+
+
+def _timed(
+    name: str,
+    label: str,
+    network: DewarpNet | FiReNet,
+    find: Callable[[Prompt], BackwardMap | None],
+    answer: Callable[[Case], Any],
+    flatten: Callable[[Prompt], Flattened] | None = None,
+) -> Method:
+    """A method of which only the run time means anything."""
+    return Method(
+        name,
+        find,
+        lambda case: Prompt(case.photo(), answer(case)),
+        flatten,
+        parameters=parameter_count(network),
+        label=label,
+        unscored=TIME_ONLY,
+        steady=True,
+    )
+
+
+def dewarpnet_published(weights: Path | None) -> Method | None:
+    """DewarpNet run as released, with what weights there are: its error, and the run time at their width."""
+    known = trained_dewarpnet(weights)
+    if known is None:
+        return None
+    return Method(
+        "dewarpnet_published",
+        lambda photo: flatten_as_published(known.network, photo).backward,
+        flatten=lambda photo: flatten_as_published(known.network, photo),
+        parameters=known.parameters,
+        label=f"{DEWARPNET_PUBLISHED}, {known.training}",
+        training=known.training,
+    )
+
+
+def flatten_as_published(network: DewarpNet, photo: UInt8[np.ndarray, "h w 3"]) -> Flattened:
+    """The released inference: the map's mean and resize, and a lookup in double precision at the photo's size."""
+    backward = dewarpnet_map(network, photo, cv2.INTER_LINEAR)
+    image = published_image(backward, photo)
+    found = published_map(backward, (image.shape[0], image.shape[1]))
+    return Flattened(found, np.rint(image * 255).astype(np.uint8))
+
+
+__all__ = [
+    "DEWARPNET_PUBLISHED",
+    "TIME_ONLY",
+    "dewarpnet_published",
+    "full_dewarpnet",
+    "full_dewarpnet_published",
+    "full_firenet",
+]
