@@ -282,7 +282,7 @@ METHODS: dict[str, Callable[[Path | None], Method | None]] = {
     "net_bw": net_bw,
     "net_uv": net_uv,
 }
-"""How each method is made from a folder of weights; None where its network is not trained."""
+"""How each method is made from a folder of weights; None where neither it nor the package holds its network's."""
 
 __all__ = [
     "METHODS",

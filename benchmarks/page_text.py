@@ -118,8 +118,9 @@ def _how(report: Report) -> str:
         f"{run['commit']}; {run['time_utc'][:10]}.",
         f"**Equal footing.** {len(report.cases)} photos whose true geometry is known ({settings.source}). Every method "
         "sees the same photos in memory and ends with the flat film in memory; the methods take turns on each photo. "
-        "Those that give a map have the photo read through it by the same bilinear lookup, to a film of the size that "
-        f"the photo resolves. The floor is that lookup alone. Timed calls on each photo: {settings.repeats}, after one "
+        "Those that give a map have the photo read through it as `hybrid` reads it, to a film of the size that the "
+        "photo resolves. The floor is one bilinear `cv2.remap` to that film, through a map that is there already. "
+        f"Timed calls on each photo: {settings.repeats}, after one "
         "at each size that does not count; networks of full width once each on two photos. Seconds: median over all "
         "calls, quartiles in brackets; processor seconds are those of all threads, which other work on the machine "
         "disturbs less. *Times the floor*: by the clock, by processor seconds in brackets. Memory is the peak of a "

@@ -20,7 +20,7 @@ from tqdm import tqdm
 
 from benchmarks.cases import Case, photo_cases, sample_cases
 from benchmarks.command import run_command
-from benchmarks.lineup import CONFIGURATIONS, LINEUP, lineup
+from benchmarks.lineup import CONFIGURATIONS, lineup
 from benchmarks.machine import commit, describe_run, relative_command, use_threads
 from benchmarks.measure import forward_times, measure, peak_memory
 from benchmarks.methods import Method
@@ -79,7 +79,7 @@ class Options:
     """Files of further methods; benchmarks/methods.py says what they hold."""
 
     weights: Path | None = None
-    """Folder of NAME.safetensors or NAME/NAME.safetensors; networks that are not in it run untrained."""
+    """Folder of NAME.safetensors or NAME/NAME.safetensors; what it lacks is taken from the package, if that has it."""
 
     threads: int = 2
     """That every method may use."""
@@ -265,7 +265,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return run_command("benchmarks.run", Options, run, arguments)
 
 
-__all__ = ["LINEUP", "Options", "load_cases", "main", "run"]
+__all__ = ["Options", "load_cases", "main", "run"]
 
 if __name__ == "__main__":
     sys.exit(main())

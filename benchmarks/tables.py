@@ -39,7 +39,7 @@ class Options:
     """Data sets of the test split."""
 
     weights: Path | None = None
-    """Folder of NAME.safetensors or NAME/NAME.safetensors; without FilmNet in it, the packaged one is used."""
+    """Folder of NAME.safetensors or NAME/NAME.safetensors; what it lacks is taken from the package, if that has it."""
 
     photos: Path | None = None
     """Folder of photos with truth (NAME.jpg, NAME.npz), scored apart; they have no 3D maps for table 2."""

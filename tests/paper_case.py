@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from hybrid.coords import film_centres, film_nodes
 from hybrid.learn.paper_targets import PaperTargets
+from hybrid.learn.presets import weighted_sum
 
 CORNER = np.array([0.14, 0.11])
 PHOTO_PER_FILM = np.array([[0.68, -0.07], [0.09, 0.72]])
@@ -53,3 +57,19 @@ def flat_case(px: int, nodes: int, batch: int = 2) -> tuple[Tensor, PaperTargets
         albedo=torch.from_numpy(albedo).float(),
         backward=backward.expand(batch, -1, -1, -1).clone(),
     )
+
+
+def assert_a_few_steps_lower_the_loss(
+    network: nn.Module, losses: Callable[[Any, Any], dict[str, Tensor]], inputs: Tensor, targets: PaperTargets
+) -> None:
+    """The network learns the case, and every part of it takes part."""
+    optimiser = torch.optim.Adam(network.parameters(), lr=3e-3)
+    values = []
+    for _ in range(8):
+        loss = weighted_sum(losses(network(inputs), targets), {})
+        optimiser.zero_grad()
+        loss.backward()
+        optimiser.step()
+        values.append(float(loss.detach()))
+    assert all(p.grad is not None for p in network.parameters())
+    assert values[-1] < 0.9 * values[0]

@@ -16,7 +16,7 @@ import benchmarks.page_tables
 import benchmarks.published
 import benchmarks.run
 from benchmarks.cases import Case, sample_cases
-from benchmarks.lineup import EFFORTS, LINEUP, OWN, lineup
+from benchmarks.lineup import EFFORTS, LINEUP, MAIN, OWN, lineup
 from benchmarks.measure import forward_times, measure, peak_memory
 from benchmarks.methods import Method, flattened
 from benchmarks.page import BEGIN, END, read_results, readme_table, with_table
@@ -185,7 +185,7 @@ def test_methods_without_weights_stay_out_unless_they_are_named(
 
 def test_own_methods_are_efforts_and_parts() -> None:
     assert set(EFFORTS) <= OWN <= set(LINEUP)
-    assert next(iter(EFFORTS)) == "hybrid"
+    assert MAIN in EFFORTS
 
 
 def test_configurations_are_methods_like_others(cases: list[Case]) -> None:

@@ -56,7 +56,8 @@ def published_points(backward: BackwardMap, size: tuple[int, int]) -> Float[np.n
 def published_image(backward: BackwardMap, photo: UInt8[np.ndarray, "H W 3"]) -> Float[np.ndarray, "H W 3"]:
     """The film image that the published inference makes: of the photo's size, sRGB in [0, 1], in double precision.
 
-    backward: in units of the photo's sides.
+    256 px image -> 3D map -> 128 x 128 map (``backward``, in units of the photo's sides) -> mean -> resize -> bilinear
+    lookup.
     """
     points = published_points(backward, (photo.shape[0], photo.shape[1]))
     image = torch.from_numpy(photo).permute(2, 0, 1)[None].double().div_(255)
@@ -69,14 +70,6 @@ def published_map(backward: BackwardMap, size: tuple[int, int]) -> BackwardMap:
     at = pixel_from_film(film_nodes((NODES, NODES)), (NODES, NODES))
     read = np.stack([sample_bilinear(np.ascontiguousarray(blurred[..., k]), at) for k in range(2)], axis=-1)
     return BackwardMap(photo_from_opencv(read.astype(np.float64) * np.array([size[1] - 1, size[0] - 1])))
-
-
-def as_published(network: DewarpNet, photo: UInt8[np.ndarray, "H W 3"]) -> Float[np.ndarray, "H W 3"]:
-    """DewarpNet's released inference, steps and precision alike: a film image of the photo's size, sRGB in [0, 1].
-
-    256 px image -> 3D map -> 128 x 128 map -> mean -> resize -> bilinear lookup in double precision.
-    """
-    return published_image(dewarpnet_map(network, photo, cv2.INTER_LINEAR), photo)
 
 
 # ---------------------------------------------------------------- FiReNet

@@ -42,6 +42,11 @@ class Feed:
     picture: Callable[[nn.Module, Sequence[Any], int, str], Picture] | None = None
 
 
+def _test_batches(places: Sequence[Any]) -> list[Sequence[Any]]:
+    """The places, as many at a time as are tested together."""
+    return [places[start : start + TEST_BATCH] for start in range(0, len(places), TEST_BATCH)]
+
+
 # ---------------------------------------------------------------- FilmNet
 
 
@@ -59,8 +64,8 @@ def _film_test(network: nn.Module, places: Sequence[Any], px: int, device: str) 
         augment = replace(_UNDISTURBED, whole_share=whole, plane_share=plane)
         rng = np.random.default_rng(0)
         scores = []
-        for start in range(0, len(places), TEST_BATCH):
-            views = [training_view(place, px, rng, augment) for place in places[start : start + TEST_BATCH]]
+        for part in _test_batches(places):
+            views = [training_view(place, px, rng, augment) for place in part]
             scores.append(_film_scores(network, *batch_of(views), device))
         error, overlap, upright = np.concatenate(scores).mean(axis=0)
         row[f"test_{kind}_percent"] = 100 * float(error)
@@ -110,8 +115,7 @@ def paper_feed(nodes: Callable[[int], int], inputs: Callable[[Tensor, Any], Tens
         """Mean distance, over the film, from the true uv (in % of the film) and from the true backward map (in % of
         the photo), where the network predicts them."""
         rng, rows = np.random.default_rng(0), []
-        for start in range(0, len(places), TEST_BATCH):
-            part = places[start : start + TEST_BATCH]
+        for part in _test_batches(places):
             images, targets = paper_batch(part, PaperView(px, nodes(px)), rng, _UNDISTURBED)
             output = network(inputs(images.to(device), targets.to(device)))
             rows.append(_paper_scores(output, targets))
@@ -172,8 +176,8 @@ def print_feed(config: UprightNetConfig) -> Feed:
     def test(network: nn.Module, paths: Sequence[Path], px: int, device: str) -> dict[str, float]:
         """Shares of films and of patches that are read right, and the mean -log2 of the films' probabilities."""
         rng, rows = np.random.default_rng(0), []
-        for start in range(0, len(paths), TEST_BATCH):
-            output = network(batch(paths[start : start + TEST_BATCH], px, rng)[0].to(device))
+        for part in _test_batches(paths):
+            output = network(batch(part, px, rng)[0].to(device))
             right = [(scores.argmax(dim=-1) == 0).float() for scores in (output.films, output.votes)]
             bits = -output.films.log_softmax(dim=1)[:, 0] / np.log(2)
             rows.append(torch.stack([right[0], right[1].mean(dim=1), bits], dim=1).cpu().numpy())
