@@ -8,9 +8,10 @@ from typing import Annotated
 
 import tyro
 
+from hybrid.cli_options import parse
 from hybrid.image_io import read_photo
 from hybrid.outputs import RectifiedFormat, free_name, make_folder, report_lines, write_result
-from hybrid.pipeline import Rectifier, RectifyConfig
+from hybrid.pipeline import Effort, Rectifier, RectifyConfig
 
 
 @dataclass(frozen=True)
@@ -30,13 +31,16 @@ class FuseOptions:
     rectified_format: RectifiedFormat = "jpg"
     """Format of the rectified photo."""
 
+    effort: Effort = "default"
+    """How much work a photo is worth; it sets the options below that are not named."""
+
     config: Annotated[RectifyConfig, tyro.conf.arg(name="")] = field(default_factory=RectifyConfig)
     """How to rectify and fuse."""
 
 
 def run(arguments: list[str]) -> int:
     """Parse the command line and fuse; 0 if the photos gave a film."""
-    options = tyro.cli(FuseOptions, args=arguments, prog="hybrid fuse")
+    options = parse(FuseOptions, arguments, "hybrid fuse", RectifyConfig.of)
     if len(options.photos) < 2:
         print("hybrid fuse: name two or more photos of one film, for example: hybrid fuse a.jpg b.jpg -o out")
         return 2

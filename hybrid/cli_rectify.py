@@ -9,8 +9,9 @@ from typing import Annotated
 import tyro
 from tqdm import tqdm
 
+from hybrid.cli_options import parse
 from hybrid.outputs import RectifiedFormat, rectify_files
-from hybrid.pipeline import Rectifier, RectifyConfig
+from hybrid.pipeline import Effort, Rectifier, RectifyConfig
 
 
 @dataclass(frozen=True)
@@ -31,13 +32,16 @@ class RectifyOptions:
     rectified_format: RectifiedFormat = "jpg"
     """Format of the rectified photo."""
 
+    effort: Effort = "default"
+    """How much work a photo is worth; it sets the options below that are not named."""
+
     config: Annotated[RectifyConfig, tyro.conf.arg(name="")] = field(default_factory=RectifyConfig)
     """How to rectify."""
 
 
 def run(arguments: list[str]) -> int:
     """Parse the command line and rectify; 0 if every photo gave a film."""
-    options = tyro.cli(RectifyOptions, args=arguments, prog="hybrid rectify")
+    options = parse(RectifyOptions, arguments, "hybrid rectify", RectifyConfig.of)
     if not options.photos:
         print("hybrid rectify: no photos; name at least one, for example: hybrid rectify photo.jpg -o out")
         return 2

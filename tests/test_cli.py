@@ -7,6 +7,7 @@ import sys
 import types
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Literal
 
 import cv2
 import numpy as np
@@ -21,6 +22,9 @@ from hybrid.image_io import read_photo, write_rgb
 from hybrid.outputs import free_name, rectify_files
 from hybrid.records import RectifyResult, SliceGrid, StageReport, Status, StatusCode
 
+Effort = Literal["fast", "default"]
+ROWS = {"fast": 1, "default": 2}
+
 
 @dataclass(frozen=True)
 class StandInConfig:
@@ -28,6 +32,13 @@ class StandInConfig:
 
     rows: int = 2
     """Rows of the grid that it claims to have found."""
+
+    @staticmethod
+    def of(effort: Effort) -> StandInConfig:
+        """As ``RectifyConfig.of``: another number of rows."""
+        if effort not in ROWS:
+            raise ConfigError(f"no effort {effort}")
+        return StandInConfig(ROWS[effort])
 
 
 @dataclass
@@ -63,7 +74,7 @@ class StandIn:
 @pytest.fixture
 def _stand_in(monkeypatch: pytest.MonkeyPatch) -> None:
     module = types.ModuleType("hybrid.pipeline")
-    module.__dict__.update(Rectifier=StandIn, RectifyConfig=StandInConfig)
+    module.__dict__.update(Effort=Effort, Rectifier=StandIn, RectifyConfig=StandInConfig)
     monkeypatch.setitem(sys.modules, "hybrid.pipeline", module)
     monkeypatch.delitem(sys.modules, "hybrid.cli_rectify", raising=False)
     yield
@@ -115,6 +126,24 @@ def test_options_of_the_rectifier_are_options_of_the_command(photo: Path, tmp_pa
     assert cli.main(arguments) == 0
     assert len(list((tmp_path / "out" / "film_slices").iterdir())) == 9
     assert np.array_equal(read_photo(tmp_path / "out" / "film_rectified.png"), read_photo(photo))
+
+
+@pytest.mark.usefixtures("_stand_in")
+@pytest.mark.parametrize(
+    ("options", "rows"),
+    [(["--effort", "fast"], 1), (["--effort=fast"], 1), ([], 2), (["--effort", "fast", "--rows", "4"], 4)],
+)
+def test_an_effort_sets_the_options_that_are_not_named(
+    options: list[str], rows: int, photo: Path, tmp_path: Path
+) -> None:
+    assert cli.main(["rectify", str(photo), "-o", str(tmp_path / "out"), *options]) == 0
+    assert json.loads((tmp_path / "out" / "film.json").read_text())["grid"]["rows"] == rows
+
+
+@pytest.mark.usefixtures("_stand_in")
+def test_an_effort_that_does_not_exist_is_refused(photo: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["rectify", str(photo), "--effort", "huge"]) == 1
+    assert "huge" in capsys.readouterr().err
 
 
 @pytest.mark.usefixtures("_stand_in")

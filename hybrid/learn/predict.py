@@ -17,19 +17,20 @@ from hybrid.records import CoarseMaps
 
 @dataclass(frozen=True)
 class PredictConfig:
-    """How the network looks at a photo: at the whole, then again and again at the film as it flattened it last.
-
-    looks: at most, the first included. settled: a look that moves the film by less, on average and in parts of its
-    size, is the last. margin: around the film (part of the view) in the looks at the film alone. sides: ways in which
-    they hold the film (indices of Orientation); the mean of several is a little nearer to the truth. least_px: large
-    photos are reduced, once, to a longer side of this to twice this: several times what the network reads of them.
-    """
+    """How the network looks at a photo: at the whole, then again and again at the film as it flattened it last."""
 
     looks: int = 4
+    """At most, the first included."""
     settled: float = 0.01
+    """A look that moves the film by less, on average and in parts of its size, is the last."""
     margin: float = 0.07
-    sides: tuple[int, ...] = (0,)
-    least_px: int = 512
+    """Around the film (part of the view) in the looks at the film alone."""
+    sides: tuple[int, ...] = (0, 2, 5, 7)
+    """Ways in which the last look holds the film (indices of Orientation): the first is that of all looks, and the
+    mean over all is a little nearer to the truth."""
+    least_px: int = 400
+    """Large photos are reduced by powers of two to a longer side of this to twice this: several times what the network
+    reads of them."""
 
 
 def look(network: FilmNet, photo: UInt8[np.ndarray, "H W 3"], views: Sequence[BackwardMap]) -> list[CoarseMaps]:

@@ -54,19 +54,6 @@ def plane_of(film: BackwardMap) -> BackwardMap:
     return BackwardMap(cv2.perspectiveTransform(film_nodes(VIEW_NODES), homography))
 
 
-def reduced(photo: UInt8[np.ndarray, "H W 3"], least_px: int) -> tuple[UInt8[np.ndarray, "h w 3"], int]:
-    """The photo area-averaged by the largest whole number that leaves its longer side ``least_px``, and that number.
-
-    By a whole number it takes a third of the time; up to as many rows and columns less one are left out at the end.
-    """
-    factor = max(1, max(photo.shape[:2]) // least_px)
-    height, width = (n // factor for n in photo.shape[:2])
-    if factor == 1 or min(height, width) == 0:
-        return photo, 1
-    whole = photo[: height * factor, : width * factor]
-    return cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA), factor
-
-
 def view_image(photo: UInt8[np.ndarray, "H W 3"], view: BackwardMap, n: int) -> UInt8[np.ndarray, "n n 3"]:
     """The view as an n x n image: area-averaged where it is reduced, the photo's rim repeated beyond the photo."""
     points = view.dense((n, n))

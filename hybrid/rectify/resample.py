@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import cv2
@@ -10,17 +11,25 @@ from jaxtyping import Bool, Float, UInt8
 
 from hybrid.backward import BackwardMap, Orientation, spline_weights
 from hybrid.coords import film_centres_1d, opencv_from_photo, photo_from_opencv, sample_bilinear
+from hybrid.pyramid import Pyramid
 
-KEPT_DENSITY = 1.6
-"""Photo pixels per film pixel, along an axis, that are left for cubic interpolation where the photo is averaged down.
-Cubic weights are closest to the area average between 1.4 and 2 (38 to 45 dB on a print's texts); at 4 they alias
-(28 dB), and averaging down to 1 blurs twice (32 dB)."""
 SHRINK_LIMIT = 2.4
-"""Photo pixels per film pixel above which the photo is averaged down first."""
+"""Photo pixels per film pixel, along an axis, above which the photo is halved first. Up to there interpolation comes as
+near to an area average of a print's texts as it does on the halved photo (40 to 43 dB); above, it aliases."""
 STRIP_ROWS = 128
 """Rows of the film that are made at a time."""
 MARGIN_PX = 8
 """Photo pixels kept around the film when the photo is cropped: more than any interpolation kernel reaches."""
+
+
+@dataclass(frozen=True)
+class ResampleConfig:
+    """How the photo's pixels are interpolated."""
+
+    cubic_below: float = 1.2
+    """Photo pixels per film pixel, along an axis, below which interpolation is cubic, for 2.5 times the time of linear.
+    Against an area average of a print's texts cubic gains 3 dB at 1 (40 against 37 dB) and at 1.2 (43 against 40),
+    nothing at 1.4, and loses from there on (at 1.8: 41 against 47). 0: always linear."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,29 +44,43 @@ class Rectified:
         return Rectified(*(np.ascontiguousarray(way.moved(picture)) for picture in (self.image, self.valid)))
 
 
-def rectify_photo(photo: UInt8[np.ndarray, "H W 3"], backward: BackwardMap, size: tuple[int, int]) -> Rectified:
-    """The film, flat, in ``size`` (h, w) pixels, interpolated once from the full-resolution photo."""
+def rectify_photo(
+    photo: UInt8[np.ndarray, "H W 3"] | Pyramid,
+    backward: BackwardMap,
+    size: tuple[int, int],
+    config: ResampleConfig | None = None,
+) -> Rectified:
+    """The film, flat, in ``size`` (h, w) pixels, interpolated once from the full-resolution photo.
+
+    A photo of far more pixels than the film is interpolated from its copy of half the size, or less.
+    """
+    pyramid = photo if isinstance(photo, Pyramid) else Pyramid(photo)
+    shrink = photo_per_film_pixel(backward, size)
+    part, factor = pyramid.reduced(2.0 * shrink / SHRINK_LIMIT)
+    backward, shrink = backward.cropped((0.0, 0.0), (1.0 / factor, 1.0 / factor)), shrink / factor
     low = np.maximum(np.floor(backward.nodes.min(axis=(0, 1))) - MARGIN_PX, 0).astype(int)
-    high = np.minimum(np.ceil(backward.nodes.max(axis=(0, 1))) + MARGIN_PX, photo.shape[1::-1]).astype(int)
+    high = np.minimum(np.ceil(backward.nodes.max(axis=(0, 1))) + MARGIN_PX, part.shape[1::-1]).astype(int)
     if (high - low < 2).any():
         return Rectified(np.zeros((*size, 3), np.uint8), np.zeros(size, bool))
-    part = photo[low[1] : high[1], low[0] : high[0]]
-    local = backward.cropped((float(low[0]), float(low[1])))
-    part, local = _averaged_down(part, local, size)
+    surely_inside = _surely_inside(backward, part.shape[:2])
+    part = part[low[1] : high[1], low[0] : high[0]]  # OpenCV reads no picture of more than 32,767 pixels a side
     image = np.empty((*size, 3), np.uint8)
     valid = np.ones(size, bool)
-    surely_inside = _surely_inside(backward, photo.shape[:2])
-    weights_v, columns_x, columns_y = _opencv_columns(local, size)
-    # Strip by strip, the two maps stay in the processor's cache: that halves the time on top of the remap.
-    for top in range(0, size[0], STRIP_ROWS):
+    weights_v, columns_x, columns_y = _opencv_columns(backward.cropped((float(low[0]), float(low[1]))), size)
+    # OpenCV's cubic steps of 1/32 px do not show; Lanczos gains another 0.3 dB for five times the time, and rings.
+    method = cv2.INTER_CUBIC if shrink < (config or ResampleConfig()).cubic_below else cv2.INTER_LINEAR
+
+    def strip(top: int) -> None:
         rows = slice(top, min(top + STRIP_ROWS, size[0]))
         map_x, map_y = weights_v[rows] @ columns_x, weights_v[rows] @ columns_y
-        # Cubic: 2 dB closer than linear to an area-averaged print at one photo pixel per film pixel, for twice the
-        # time; Lanczos gains another 0.3 dB for five times the time, and rings. Its 1/32 px steps do not show.
-        cv2.remap(part, map_x, map_y, cv2.INTER_CUBIC, dst=image[rows], borderMode=cv2.BORDER_REPLICATE)
+        cv2.remap(part, map_x, map_y, method, dst=image[rows], borderMode=cv2.BORDER_REPLICATE)
         if not surely_inside:
             valid[rows] = _inside(map_x, map_y, part.shape[:2])
             image[rows] *= valid[rows, :, None]
+
+    # Strip by strip, the two maps stay in the processor's cache: that halves the time on top of the remap.
+    with ThreadPoolExecutor(max_workers=2) as pool:
+        list(pool.map(strip, range(0, size[0], STRIP_ROWS)))
     return Rectified(image, valid)
 
 
@@ -88,18 +111,6 @@ def photo_per_film_pixel(backward: BackwardMap, size: tuple[int, int]) -> float:
     """Mean photo pixels per pixel of a film image of ``size`` (h, w), along one axis: above 1 the film is shrunk."""
     down, across = backward.mean_film_pixels()
     return float(np.sqrt(down / size[0] * across / size[1]))
-
-
-def _averaged_down(
-    part: UInt8[np.ndarray, "H W 3"], local: BackwardMap, size: tuple[int, int]
-) -> tuple[UInt8[np.ndarray, "h w 3"], BackwardMap]:
-    """The photo averaged over areas, with its map, where the film is shrunk so far that interpolation would alias."""
-    shrink = photo_per_film_pixel(local, size)
-    if shrink <= SHRINK_LIMIT:
-        return part, local
-    height, width = (max(round(n * KEPT_DENSITY / shrink), 4) for n in part.shape[:2])
-    small = cv2.resize(part, (width, height), interpolation=cv2.INTER_AREA)
-    return small, local.cropped((0.0, 0.0), (width / part.shape[1], height / part.shape[0]))
 
 
 def _opencv_columns(

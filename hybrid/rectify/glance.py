@@ -1,0 +1,42 @@
+"""The grid of slices as one look through the map shows it, where the map is to be left as it is."""
+
+from __future__ import annotations
+
+from time import perf_counter
+
+import cv2
+import numpy as np
+from jaxtyping import UInt8
+
+from hybrid.backward import BackwardMap
+from hybrid.coords import film_centres_1d
+from hybrid.records import StageReport
+from hybrid.rectify.film_view import view_film
+from hybrid.rectify.layout import Layout, find_layout
+from hybrid.rectify.refine import RefineConfig, Refinement
+
+VIEW_PX = 500
+"""Longer side of the film in this look: half of what refinement looks at, as a rough map shows texts no better."""
+
+
+def glance(photo: UInt8[np.ndarray, "H W 3"], backward: BackwardMap, config: RefineConfig) -> Refinement:
+    """The map as it is, with the grid that shows through it."""
+    start = perf_counter()
+    down, across = backward.mean_film_pixels()
+    scale = VIEW_PX / max(down, across)
+    size = (max(64, round(down * scale)), max(64, round(across * scale)))
+    grey = cv2.cvtColor(photo, cv2.COLOR_RGB2GRAY)
+    view = view_film(grey, backward, film_centres_1d(size[1]), film_centres_1d(size[0]))
+    layout, _ = find_layout(view, Layout(), True, config.grid, config.repeat)
+    grid = layout.slice_grid(backward)
+    seconds = perf_counter() - start
+    why = "the map is left as it is"
+    stages = (
+        StageReport("outline", False, why, 0.0),
+        StageReport("grid", grid is not None, layout.reason(), seconds),
+        StageReport("spline", False, why, 0.0),
+    )
+    return Refinement(backward, grid, stages)
+
+
+__all__ = ["glance"]
