@@ -81,7 +81,7 @@ def score_photo(truth: TruePhoto, rectify: Rectify, runs: int) -> tuple[PhotoSco
         name=truth.name,
         style=truth.style,
         true_grid=f"{truth.rows}x{truth.cols}",
-        ok=result.status.ok,
+        ok=result.status.has_film,
         status=str(result.status),
         seconds=statistics.median(seconds),
         fastest_seconds=min(seconds),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -28,7 +28,8 @@ from hybrid.rectify.fuse import FuseConfig, fuse
 from hybrid.rectify.invert import Inversion, InvertConfig, NotInverted, agreed, change, fit_backward
 from hybrid.rectify.refine import RefineConfig, Refinement, refine
 from hybrid.rectify.resample import Rectified, rectify_photo
-from hybrid.rectify.survey import SurveyConfig, expected_error, survey_maps, survey_photo
+from hybrid.rectify.survey import SurveyConfig, Verdict, expected_error, survey_maps, survey_photo
+from hybrid.rectify.trust import TrustConfig, expected_error_px, film_verdict, signs_of
 
 Photo = UInt8[np.ndarray, "H W 3"]
 
@@ -48,6 +49,7 @@ class RectifyConfig:
     size: FilmSizeConfig = field(default_factory=FilmSizeConfig)
     upright: UprightConfig = field(default_factory=UprightConfig)
     light: DeilluminateConfig = field(default_factory=DeilluminateConfig)
+    trust: TrustConfig = field(default_factory=TrustConfig)
     fuse: FuseConfig = field(default_factory=FuseConfig)
 
 
@@ -96,7 +98,7 @@ class Rectifier:
             raise FusionError(describe(what="Photos to fuse", got=len(sources), allowed="two or more", do=do))
         photos = [as_photo(source) for source in sources]
         results = [self(photo) for photo in photos]
-        if not results[0].status.ok:
+        if not results[0].status.has_film:
             return results[0]
         with _blas().limit(limits=1, user_api="blas"):
             return fuse(photos, results, self.config.fuse, self.config.light)
@@ -133,7 +135,22 @@ class Rectifier:
             return RectifyResult(Status(code), clock.reports)
         refinement = refine(photo, inversion.backward, self.config.refine)
         clock.reports += refinement.stages
-        return self._finish(photo, maps, refinement, clock)
+        with clock.stage("verdict") as report:
+            verdict, expected = self._trusted(photo, maps, inversion.backward, refinement)
+            report.reason = verdict.reason
+        result = self._finish(photo, maps, refinement, clock)
+        return replace(result, status=Status(verdict.code), expected_error_px=expected)
+
+    def _trusted(
+        self, photo: Photo, maps: CoarseMaps, coarse: BackwardMap, refinement: Refinement
+    ) -> tuple[Verdict, float]:
+        """Whether the refined map is as good as certain, and its expected error; the network looks once more for it."""
+        config = self.config
+        small, factor = reduced(photo, config.predict.least_px)
+        plane = plane_of(refinement.backward.cropped((0.0, 0.0), (1 / factor, 1 / factor)))
+        (again,) = look(self._network, small, [film_view(plane, config.predict.margin)])
+        signs = signs_of(photo, maps, coarse, refinement, again.enlarged(factor))
+        return film_verdict(signs, config.trust), expected_error_px(signs, config.trust)
 
     def _see(self, photo: Photo, clock: _Clock) -> tuple[CoarseMaps, Inversion | NotInverted]:
         """What the network makes of the photo: of the whole, then of the film, flattened by the plane seen last."""
