@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import Bool, UInt8
 
 from hybrid.backward import BackwardMap
 from hybrid.coords import film_nodes, opencv_from_photo
@@ -15,6 +15,9 @@ from hybrid.draw import resized
 
 SMALLEST_PX, LARGEST_PX = 64.0**2, 100e6
 """Areas that photos are resized to."""
+
+LATTICE = (33, 33)
+"""Film points, edges included, over which errors are taken."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,6 +28,10 @@ class Damaged:
     backward: BackwardMap
     scale: float = 1.0
     kinds: tuple[str, ...] = ()
+
+    def visible_share(self) -> float:
+        """Share of the film that lies within the photo."""
+        return float(_inside(self.backward, (self.photo.shape[0], self.photo.shape[1])).mean())
 
 
 Damage = Callable[[Damaged, np.random.Generator], Damaged]
@@ -128,11 +135,16 @@ def cut_file(photo: UInt8[np.ndarray, "h w 3"], rng: np.random.Generator) -> byt
 
 def visible_error_px(found: BackwardMap, true: BackwardMap, size: tuple[int, int]) -> float:
     """Mean distance over the film points that lie within a photo of ``size``; infinite where none does."""
-    nodes = film_nodes((33, 33))
-    points = true.photo_from_film(nodes)
-    inside = ((points >= 0) & (points <= np.array(size[::-1]))).all(axis=-1)
-    errors = np.linalg.norm(found.photo_from_film(nodes) - points, axis=-1)[inside]
+    nodes = film_nodes(LATTICE)
+    distances = np.linalg.norm(found.photo_from_film(nodes) - true.photo_from_film(nodes), axis=-1)
+    errors = distances[_inside(true, size)]
     return float(errors.mean()) if errors.size else float("inf")
+
+
+def _inside(backward: BackwardMap, size: tuple[int, int]) -> Bool[np.ndarray, "n n"]:
+    """Which points of a lattice over the film lie within a photo of ``size``."""
+    points = backward.photo_from_film(film_nodes(LATTICE))
+    return ((points >= 0) & (points <= np.array(size[::-1]))).all(axis=-1)
 
 
 __all__ = ["CUT_OFF", "DAMAGES", "Damaged", "cut_file", "damaged", "visible_error_px"]

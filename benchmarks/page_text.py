@@ -171,17 +171,21 @@ def _stability_text(stability: StabilityReport) -> str:
     ]
     counts = stability.counts()
     verdict = (
-        f"Of {len(stability.photos)} damaged photos {counts['ok']} were reported ok, {counts['refused']} refused with "
-        "a reason. "
+        f"Of {len(stability.photos)} damaged photos {counts['ok']} were reported ok, {counts['unsure']} flattened with "
+        f"a warning ({stability.cautious} of these were right after all), {counts['refused']} refused with a reason. "
         f"Crashes: {counts['crash']}; hangs: {counts['hang']}; NaN: {counts['nan']}; reported ok but more than "
-        f"{stability.truthful_px:g} px off: {counts['untruthful']}."
+        f"{stability.truthful_px:g} px off: {counts['untruthful']}; refused though a right map was there: "
+        f"{counts['lost']}."
     )
-    damages = [[d.damage, str(d.photos), str(d.ok), str(d.refused), str(d.failed)] for d in stability.by_damage()]
+    damages = [
+        [d.damage, str(d.photos), str(d.ok), str(d.unsure), str(d.refused), str(d.failed)]
+        for d in stability.by_damage()
+    ]
     return (
         f"```bash\n{stability.run['command']}\n```\n\n"
         + table(("part", "what", "tried", "refused", "failed", "worst residual"), rows)
         + f"\n\n{verdict}\n\n"
-        + table(("damage", "photos", "ok", "refused", "failed"), damages)
+        + table(("damage", "photos", "ok", "unsure", "refused", "failed"), damages)
     )
 
 

@@ -2,7 +2,8 @@
 
 Random problems for the solver, the spline, the inversion and the grid; then photos damaged at random, each rectified
 in a process that is watched: it may refuse with a reason, but neither die, nor hang, nor give a number that is not
-finite, nor call a film flattened whose points lie elsewhere. Every result is kept in DIR as it comes: a run that was
+finite, nor call a film flattened whose points lie elsewhere (it may say that it is not sure), nor refuse one whose
+points it knows. Every result is kept in DIR as it comes: a run that was
 cut off goes on with the same command.
 """
 
@@ -30,10 +31,12 @@ from benchmarks.own_photos import make_photos
 from benchmarks.problems import PROBLEMS, ended, part_of
 from benchmarks.schema import kept, write_record
 from benchmarks.stress_records import DamagedPhoto, Part, StabilityReport
+from hybrid.backward import BackwardMap
 from hybrid.errors import ConfigError, PhotoError, describe
 from hybrid.image_io import write_bytes
 from hybrid.pipeline import Rectifier, RectifyConfig
-from hybrid.records import RectifyResult
+from hybrid.records import RectifyResult, StatusCode
+from hybrid.rectify.refine import refine
 
 TRUTHFUL_PX = 5.0
 """Largest end-point error of a film that is reported ok, in pixels of the photo (1080) before it was damaged; in one
@@ -47,8 +50,14 @@ CUT_SHARE = 0.1
 
 OWN_PHOTOS = 12
 
+WHOLE = 0.75
+"""Share of the sheet in the photo from which a refusal may be called a loss."""
+
 Rectify = Callable[..., RectifyResult]
 """From a photo or its path."""
+
+FindAnyway = Callable[[np.ndarray], BackwardMap | None]
+"""From a photo to the map that would be given, were the photo not refused; None for no map at all."""
 
 
 @dataclass(frozen=True)
@@ -174,6 +183,7 @@ def _serve(folders: tuple[Path, ...], options: Options, line: Connection) -> Non
     """Answer numbers with what is tried and then with how it ended."""
     use_threads(options.threads)
     cases, rectifier = sample_cases(folders), Rectifier(RectifyConfig(weights=options.weights))
+    find_anyway = partial(_map_anyway, rectifier)
     while True:
         try:
             number = line.recv()
@@ -186,10 +196,16 @@ def _serve(folders: tuple[Path, ...], options: Options, line: Connection) -> Non
         else:
             it = damaged(case.photo(), case.backward, rng)
             line.send(DamagedPhoto(number, it.kinds, (it.photo.shape[0], it.photo.shape[1]), "tried", "", 0.0))
-            line.send(_rectified(number, it, rectifier))
+            line.send(_rectified(number, it, rectifier, find_anyway))
 
 
-def _rectified(number: int, it: Damaged, rectify: Rectify) -> DamagedPhoto:
+def _map_anyway(rectifier: Rectifier, photo: np.ndarray) -> BackwardMap | None:
+    """The refined map of what the network sees, whether or not that is a film."""
+    coarse = rectifier.network_map(photo)
+    return None if coarse is None else refine(photo, coarse, rectifier.config.refine).backward
+
+
+def _rectified(number: int, it: Damaged, rectify: Rectify, find_anyway: FindAnyway) -> DamagedPhoto:
     """How rectifying a damaged photo ended."""
     size = (it.photo.shape[0], it.photo.shape[1])
     start = time.perf_counter()
@@ -201,15 +217,26 @@ def _rectified(number: int, it: Damaged, rectify: Rectify) -> DamagedPhoto:
         text = f"{type(error).__name__}: {error}"
         return DamagedPhoto(number, it.kinds, size, "crash", text, time.perf_counter() - start)
     seconds = time.perf_counter() - start
-    if not result.status.ok:
-        return DamagedPhoto(number, it.kinds, size, "refused", str(result.status), seconds)
+    message = str(result.status)
+    if not result.status.has_film:
+        unseen = result.status.code in (StatusCode.NO_FILM, StatusCode.FOLDED)
+        if unseen and it.visible_share() >= WHOLE and (found := find_anyway(it.photo)) is not None:
+            error, allowed = _error_and_limit(found, it)
+            outcome = "lost" if error <= allowed else "refused"
+            return DamagedPhoto(number, it.kinds, size, outcome, message, seconds, error, allowed)
+        return DamagedPhoto(number, it.kinds, size, "refused", message, seconds)
     if result.backward is None or not _finite(result):
-        return DamagedPhoto(number, it.kinds, size, "nan", str(result.status), seconds)
-    seen, _ = read_alike(result.backward, it.backward)
-    error = min(visible_error_px(seen, it.backward, size) / it.scale, 1e9)
-    allowed = max(TRUTHFUL_PX, 1 / it.scale)
-    outcome = "ok" if error <= allowed else "untruthful"
-    return DamagedPhoto(number, it.kinds, size, outcome, str(result.status), seconds, error, allowed)
+        return DamagedPhoto(number, it.kinds, size, "nan", message, seconds)
+    error, allowed = _error_and_limit(result.backward, it)
+    outcome = ("ok" if error <= allowed else "untruthful") if result.status.ok else "unsure"
+    return DamagedPhoto(number, it.kinds, size, outcome, message, seconds, error, allowed)
+
+
+def _error_and_limit(found: BackwardMap, it: Damaged) -> tuple[float, float]:
+    """Error of a map over what is in the photo, and the largest that is called right, in pixels before the damage."""
+    seen, _ = read_alike(found, it.backward)
+    error = min(visible_error_px(seen, it.backward, (it.photo.shape[0], it.photo.shape[1])) / it.scale, 1e9)
+    return error, max(TRUTHFUL_PX, 1 / it.scale)
 
 
 def _finite(result: RectifyResult) -> bool:
@@ -227,7 +254,7 @@ def _cut_off(number: int, case: Case, rectify: Rectify, rng: np.random.Generator
         write_bytes(path, cut_file(photo, rng))
         try:
             status = rectify(path).status
-            outcome, message = ("untruthful" if status.ok else "refused"), str(status)
+            outcome, message = ("untruthful" if status.has_film else "refused"), str(status)
         except PhotoError as refusal:
             outcome, message = "refused", str(refusal).replace(folder, "")
         except Exception as error:

@@ -7,8 +7,11 @@ from dataclasses import dataclass
 from statistics import median
 from typing import Any
 
-OUTCOMES = ("ok", "refused", "untruthful", "nan", "crash", "hang")
-"""How a damaged photo can end; only the first two are as they should be."""
+OUTCOMES = ("ok", "unsure", "refused", "untruthful", "lost", "nan", "crash", "hang")
+"""How a damaged photo can end: flattened and right, flattened with a warning, refused with reason; or, as it should
+not: called right but off, refused though it was there and right, not a number, dead, hanging."""
+
+GOOD = OUTCOMES[:3]
 
 
 @dataclass(frozen=True)
@@ -55,6 +58,7 @@ class DamageCount:
     damage: str
     photos: int
     ok: int
+    unsure: int
     refused: int
     failed: int
 
@@ -81,14 +85,21 @@ class StabilityReport:
         for kind in kinds:
             ends = Counter(photo.outcome for photo in self.photos if kind in photo.damage)
             total = sum(ends.values())
-            rows.append(DamageCount(kind, total, ends["ok"], ends["refused"], total - ends["ok"] - ends["refused"]))
+            good = [ends[outcome] for outcome in GOOD]
+            rows.append(DamageCount(kind, total, *good, total - sum(good)))
         return rows
+
+    @property
+    def cautious(self) -> int:
+        """Films given with a warning that was not needed: their error is small."""
+        unsure = [photo for photo in self.photos if photo.outcome == "unsure"]
+        return sum((photo.end_point_px or 0.0) <= (photo.allowed_px or 0.0) for photo in unsure)
 
     @property
     def failures(self) -> int:
         """All that ended as nothing should."""
-        good = self.counts()
-        return sum(part.failed for part in self.parts) + len(self.photos) - good["ok"] - good["refused"]
+        good = sum(count for outcome, count in self.counts().items() if outcome in GOOD)
+        return sum(part.failed for part in self.parts) + len(self.photos) - good
 
 
 @dataclass(frozen=True)
@@ -119,4 +130,4 @@ class SoakReport:
         return median(self.cpu_seconds[-fifth:]) / median(self.cpu_seconds[:fifth]) - 1
 
 
-__all__ = ["OUTCOMES", "DamageCount", "DamagedPhoto", "Part", "SoakReport", "StabilityReport"]
+__all__ = ["GOOD", "OUTCOMES", "DamageCount", "DamagedPhoto", "Part", "SoakReport", "StabilityReport"]

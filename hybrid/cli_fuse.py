@@ -51,4 +51,4 @@ def run(arguments: list[str]) -> int:
     name = f"{free_name(first, options.out, set())}_fused"
     files = write_result(options.out, name, first, photos[0], result, options.rectified_format)
     print("\n".join(report_lines(first, result, files)))
-    return 0 if result.status.ok else 1
+    return 0 if result.status.has_film else 1

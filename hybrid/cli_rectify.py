@@ -20,7 +20,7 @@ class RectifyOptions:
 
     For each photo NAME this writes NAME_film.png (16 bit, light removed), NAME_rectified (flat, light kept),
     NAME_slices/01.png and so on, NAME_side_by_side.jpg and NAME.json. A photo that fails is told, and the next one
-    follows; the exit code is 1 if any failed.
+    follows; the exit code is 1 if any failed. Films that may be off are written too, and named at the end.
     """
 
     photos: tyro.conf.Positional[tuple[Path, ...]]
@@ -53,4 +53,7 @@ def run(arguments: list[str]) -> int:
         print(f"{len(outcomes) - len(failed)} of {len(outcomes)} photos flattened, in {options.out}")
         for outcome in failed:
             print(f"  failed: {outcome.photo}: {outcome.message}")
+    for outcome in outcomes:
+        if outcome.ok and not outcome.sure:
+            print(f"warning: {outcome.photo}: {outcome.message}")
     return 1 if failed else 0

@@ -33,12 +33,14 @@ class Outcome:
     ok: a film was found and every file is written.
     message: the status, or the error, as a sentence.
     files: what was written, in that order.
+    sure: whether the film is known to lie as it is given.
     """
 
     photo: Path
     ok: bool
     message: str
     files: tuple[Path, ...] = ()
+    sure: bool = True
 
 
 def rectify_files(
@@ -58,7 +60,8 @@ def rectify_files(
             result = rectify(photo)
             result = replace(result, stages=(read, *result.stages))
             files = write_result(out, name, path, photo, result, rectified_format)
-            outcomes.append(Outcome(path, result.status.ok, str(result.status), files))
+            status = result.status
+            outcomes.append(Outcome(path, status.has_film, str(status), files, sure=status.ok))
             say("\n".join(report_lines(path, result, files)))
         except (HybridError, OSError, MemoryError) as error:
             outcomes.append(Outcome(path, False, str(error) or type(error).__name__))
@@ -84,8 +87,15 @@ def report_lines(path: Path, result: RectifyResult, files: Iterable[Path]) -> li
     """What is printed for one photo: a line for each stage, the status, and where the pictures are."""
     seconds = sum(stage.seconds for stage in result.stages)
     lines = [str(path), *(f"  {stage}" for stage in result.stages)]
-    lines.append(f"  {'ok' if result.status.ok else 'FAILED'}  {result.status}  ({seconds:.2f} s)")
+    lines.append(f"  {status_word(result)}  {result.status}  ({seconds:.2f} s)")
     return lines + [f"  -> {file}" for file in files if SLICES_SUFFIX not in file.parent.name]
+
+
+def status_word(result: RectifyResult) -> str:
+    """How a photo ended, in a word."""
+    if result.status.ok:
+        return "ok"
+    return "UNSURE" if result.status.has_film else "FAILED"
 
 
 # ---------------------------------------------------------------- names
@@ -155,7 +165,7 @@ def write_result(
     record["files"] = [file.relative_to(out).as_posix() for file in files]
     files.append(out / f"{name}.json")
     write_bytes(files[-1], (json.dumps(record, indent=2) + "\n").encode())
-    if result.status.ok:
+    if result.status.has_film:
         for left_over in {out / file for file in earlier} - set(files):
             left_over.unlink(missing_ok=True)
     return tuple(files)
@@ -183,6 +193,7 @@ def result_record(path: Path, photo_size: tuple[int, ...], result: RectifyResult
         "ok": result.status.ok,
         "status": result.status.code.name,
         "message": str(result.status),
+        "expected_error_px": _rounded(result.expected_error_px, 2),
         "film_size": None if result.film is None else list(result.film.shape),
         "orientation": None
         if result.orientation is None

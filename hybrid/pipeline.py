@@ -30,7 +30,8 @@ from hybrid.rectify.glance import VIEW_PX, glance
 from hybrid.rectify.invert import Inversion, InvertConfig, NotInverted, agreed, change, fit_backward
 from hybrid.rectify.refine import RefineConfig, Refinement, refine
 from hybrid.rectify.resample import Rectified, ResampleConfig, rectify_photo
-from hybrid.rectify.survey import SurveyConfig, expected_error, survey_maps, survey_photo
+from hybrid.rectify.survey import SurveyConfig, Verdict, expected_error, survey_maps, survey_photo
+from hybrid.rectify.trust import TrustConfig, expected_error_px, film_verdict, signs_of
 
 Effort = Literal["fast", "default", "thorough"]
 """How much work a photo is worth; RectifyConfig.of says what each of them does."""
@@ -55,6 +56,7 @@ class RectifyConfig:
     resample: ResampleConfig = field(default_factory=ResampleConfig)
     upright: UprightConfig = field(default_factory=UprightConfig)
     light: DeilluminateConfig = field(default_factory=DeilluminateConfig)
+    trust: TrustConfig = field(default_factory=TrustConfig)
     fuse: FuseConfig = field(default_factory=FuseConfig)
 
     @staticmethod
@@ -128,7 +130,7 @@ class Rectifier:
             raise FusionError(describe(what="Photos to fuse", got=len(sources), allowed="two or more", do=do))
         photos = [as_photo(source) for source in sources]
         results = [self(photo) for photo in photos]
-        if not results[0].status.ok:
+        if not results[0].status.has_film:
             return results[0]
         with _blas().limit(limits=1, user_api="blas"):
             return fuse(photos, results, self.config.fuse, self.config.light)
@@ -166,7 +168,22 @@ class Rectifier:
             code = StatusCode.NO_FILM if verdict.ok else verdict.code
             return RectifyResult(Status(code), clock.reports)
         refinement = self._refine(pyramid, inversion, seen.sides, clock)
-        return self._finish(pyramid, maps, refinement, clock)
+        with clock.stage("verdict") as report:
+            verdict, expected = self._trusted(pyramid, maps, inversion.backward, refinement)
+            report.reason = verdict.reason
+        result = self._finish(pyramid, maps, refinement, clock)
+        return replace(result, status=Status(verdict.code), expected_error_px=expected)
+
+    def _trusted(
+        self, pyramid: Pyramid, maps: CoarseMaps, coarse: BackwardMap, refinement: Refinement
+    ) -> tuple[Verdict, float]:
+        """Whether the refined map is as good as certain, and its expected error; the network looks once more for it."""
+        config = self.config
+        small, factor = pyramid.reduced(max(pyramid.photo.shape[:2]) / config.predict.least_px)
+        plane = plane_of(refinement.backward.cropped((0.0, 0.0), (1 / factor, 1 / factor)))
+        (again,) = look(self._network, small, [film_view(plane, config.predict.margin)])
+        signs = signs_of(pyramid, maps, coarse, refinement, again.enlarged(factor))
+        return film_verdict(signs, config.trust), expected_error_px(signs, config.trust)
 
     def _see(self, pyramid: Pyramid, clock: _Clock) -> _Seen:
         """What the network makes of the photo: of the whole, then of the film, flattened by the plane seen last."""

@@ -79,6 +79,10 @@ class StatusCode(Enum):
     """How a rectification ended; the value is the sentence shown to a person."""
 
     OK = "The film was found and flattened."
+    UNSURE = (
+        "A film was found and flattened, but parts of it may be off by more than a few pixels. Compare it with the "
+        "photo; for a surer result photograph the whole sheet from the front, on a plain background, without glare."
+    )
     NO_FILM = (
         "No film was found in the photo. Photograph the whole sheet, edges included, "
         "so that it fills at least a third of the picture."
@@ -93,13 +97,20 @@ class StatusCode(Enum):
 
 @dataclass(frozen=True)
 class Status:
-    """How a rectification ended: ``status.ok``, and ``str(status)`` for a person."""
+    """How a rectification ended: ``status.ok``, and ``str(status)`` for a person.
+
+    ok: the film lies where the result says. has_film: a film is given, sure (ok) or not (``StatusCode.UNSURE``).
+    """
 
     code: StatusCode
 
     @property
     def ok(self) -> bool:
         return self.code is StatusCode.OK
+
+    @property
+    def has_film(self) -> bool:
+        return self.code in (StatusCode.OK, StatusCode.UNSURE)
 
     def __str__(self) -> str:
         return self.code.value
@@ -120,7 +131,7 @@ class StageReport:
 
 @dataclass(frozen=True, eq=False)
 class RectifyResult:
-    """All that is known about one photo. Everything but status and stages is None unless ``status.ok``.
+    """All that is known about one photo. Everything but status and stages is None unless ``status.has_film``.
 
     film: (h, w) float32 display grey in [0, 1]: flat, light removed.
     rectified: (h, w, 3) uint8 sRGB: flat, light kept.
@@ -130,6 +141,8 @@ class RectifyResult:
     upright_probability: that the film as it is given reads right; None where nothing could be read.
     glare: (h, w) bool, where nothing could be recovered.
     confidence: (h, w) float32 in [0, 1], how far the film can be trusted.
+    expected_error_px: mean distance, in pixels of the photo, by which film points are expected to be off; the true one
+        is as often larger as smaller.
     """
 
     status: Status
@@ -142,6 +155,7 @@ class RectifyResult:
     upright_probability: float | None = None
     glare: Bool[np.ndarray, "h w"] | None = field(default=None, repr=False)
     confidence: Float[np.ndarray, "h w"] | None = field(default=None, repr=False)
+    expected_error_px: float | None = None
 
     def slices(self) -> list[Float[np.ndarray, "sh sw"]]:
         """The slice images cut out of the film, row by row; empty where no grid was found."""

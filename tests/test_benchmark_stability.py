@@ -90,18 +90,28 @@ def test_only_what_is_in_the_photo_counts() -> None:
 # ---------------------------------------------------------------- statuses
 
 
+def moved(off: float) -> BackwardMap:
+    """The film so many pixels beside where it is."""
+    return BackwardMap(sheet().nodes + np.array([off, 0.0]))
+
+
 class Says:
     """A rectifier that finds the film so many pixels from where it is, or fails as told."""
 
-    def __init__(self, off: float = 0.0, film: float = 0.5, error: Exception | None = None) -> None:
-        self.off, self.film, self.error = off, film, error
+    def __init__(
+        self,
+        off: float = 0.0,
+        film: float = 0.5,
+        error: Exception | None = None,
+        code: StatusCode = StatusCode.OK,
+    ) -> None:
+        self.off, self.film, self.error, self.code = off, film, error, code
 
     def __call__(self, photo: np.ndarray) -> RectifyResult:
         if self.error is not None:
             raise self.error
         film = np.full((8, 8), self.film, np.float32)
-        found = BackwardMap(sheet().nodes + np.array([self.off, 0.0]))
-        return RectifyResult(Status(StatusCode.OK), film=film, backward=found, confidence=film)
+        return RectifyResult(Status(self.code), film=film, backward=moved(self.off), confidence=film)
 
 
 def refuses(photo: np.ndarray) -> RectifyResult:
@@ -118,18 +128,30 @@ def refuses(photo: np.ndarray) -> RectifyResult:
         (Says(film=1.5), "nan"),
         (Says(error=PhotoError("no photo")), "refused"),
         (Says(error=ZeroDivisionError()), "crash"),
+        (Says(off=5.1, code=StatusCode.UNSURE), "unsure"),
+        (Says(off=0.1, code=StatusCode.UNSURE), "unsure"),
+        (Says(film=np.nan, code=StatusCode.UNSURE), "nan"),
         (refuses, "refused"),
     ],
 )
 def test_every_end_is_told_apart(rectify, outcome: str) -> None:
     it = Damaged(ramp(), sheet(), kinds=("noise",))
-    assert _rectified(0, it, rectify).outcome == outcome
+    assert _rectified(0, it, rectify, lambda photo: None).outcome == outcome
+
+
+@pytest.mark.parametrize(("off", "shift", "outcome"), [(4.9, 0, "lost"), (5.1, 0, "refused"), (0.0, -150, "refused")])
+def test_a_refusal_of_a_film_that_was_there_and_right_is_a_loss(off: float, shift: int, outcome: str) -> None:
+    """Unless most of the sheet lies outside the photo: it is moved to the left by ``shift``."""
+    it = Damaged(ramp(), sheet().cropped((float(-shift), 0.0)))
+    found = BackwardMap(it.backward.nodes + np.array([off, 0.0]))
+    assert it.visible_share() == pytest.approx(1.0 if shift == 0 else 0.55, abs=0.02)
+    assert _rectified(0, it, refuses, lambda photo: found).outcome == outcome
 
 
 def test_a_shrunk_photo_may_be_off_by_one_of_its_own_pixels() -> None:
     it = Damaged(ramp(), sheet(), scale=0.1)
-    assert _rectified(0, it, Says(off=0.9)).outcome == "ok"
-    assert _rectified(0, it, Says(off=1.1)).outcome == "untruthful"
+    assert _rectified(0, it, Says(off=0.9), lambda photo: None).outcome == "ok"
+    assert _rectified(0, it, Says(off=1.1), lambda photo: None).outcome == "untruthful"
 
 
 # ---------------------------------------------------------------- parts
@@ -184,14 +206,18 @@ def test_a_process_that_dies_is_a_crash(dataset: Path, tmp_path: Path, monkeypat
 
 
 def test_counts_by_damage() -> None:
-    ends = [("ok", ("noise",)), ("refused", ("noise", "crop")), ("untruthful", ("crop",))]
-    photos = tuple(DamagedPhoto(k, kinds, SIZE, end, "", 0.1) for k, (end, kinds) in enumerate(ends))
+    ends = [("ok", ("noise",)), ("refused", ("noise", "crop")), ("untruthful", ("crop",)), ("lost", ("noise",))]
+    ends += [("unsure", ("crop",)), ("unsure", ("crop",))]
+    photos = tuple(
+        DamagedPhoto(k, kinds, SIZE, end, "", 0.1, end_point_px=float(k), allowed_px=4.5)
+        for k, (end, kinds) in enumerate(ends)
+    )
     report = StabilityReport({}, 0, 5.0, (), photos)
-    assert [(row.damage, row.ok, row.refused, row.failed) for row in report.by_damage()] == [
-        ("crop", 0, 1, 1),
-        ("noise", 1, 1, 0),
+    assert [(row.damage, row.ok, row.unsure, row.refused, row.failed) for row in report.by_damage()] == [
+        ("crop", 0, 2, 1, 1),
+        ("noise", 1, 0, 1, 1),
     ]
-    assert report.failures == 1
+    assert (report.failures, report.cautious) == (2, 1)
 
 
 def test_soak_counts_what_differs() -> None:

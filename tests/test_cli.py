@@ -43,7 +43,10 @@ class StandInConfig:
 
 @dataclass
 class StandIn:
-    """Finds a film that fills the photo, unless the photo is black: then none; or white: then it crashes."""
+    """Finds a film that fills the photo, unless the photo is black: then none; or white: then it crashes.
+
+    It is not sure of dark ones.
+    """
 
     config: StandInConfig = field(default_factory=StandInConfig)
 
@@ -60,7 +63,7 @@ class StandIn:
         scale = np.array(photo.shape[1::-1], dtype=np.float64)
         size = photo.shape[:2]
         return RectifyResult(
-            Status(StatusCode.OK),
+            Status(StatusCode.OK if photo.max() > 99 else StatusCode.UNSURE),
             stages,
             film=(photo[..., 0] / 255).astype(np.float32),
             rectified=photo,
@@ -68,6 +71,7 @@ class StandIn:
             grid=SliceGrid(self.config.rows, 3, vertices, vertices * scale, 0.8),
             glare=np.zeros(size, dtype=bool),
             confidence=np.ones(size, dtype=np.float32),
+            expected_error_px=1.234,
         )
 
 
@@ -110,6 +114,7 @@ def test_one_photo(photo: Path, tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert np.array_equal(film, read_photo(photo)[..., 0].astype(np.uint16) * 257)
     record = json.loads((out / "film.json").read_text())
     assert record["ok"] is True
+    assert record["expected_error_px"] == 1.23
     assert (record["grid"]["rows"], record["grid"]["cols"]) == (2, 3)
     assert (record["photo_size"], record["film_size"]) == ([60, 90], [60, 90])
     assert set(record["files"]) == slices | pictures
@@ -118,6 +123,23 @@ def test_one_photo(photo: Path, tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert "network" in printed
     assert "skipped" in printed
     assert str(StatusCode.OK.value) in printed
+
+
+@pytest.mark.usefixtures("_stand_in")
+def test_a_film_that_may_be_off_is_written_with_a_warning(
+    photo: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_rgb(photo.with_name("dark.png"), read_photo(photo) // 4)
+    out = tmp_path / "out"
+    assert cli.main(["rectify", str(photo), str(photo.with_name("dark.png")), "-o", str(out)]) == 0
+    assert (out / "dark_film.png").exists()
+    record = json.loads((out / "dark.json").read_text())
+    assert (record["ok"], record["status"]) == (False, "UNSURE")
+    printed = capsys.readouterr().out
+    assert f"UNSURE  {StatusCode.UNSURE.value}" in printed
+    assert "2 of 2 photos flattened" in printed
+    assert f"warning: {photo.with_name('dark.png')}: {StatusCode.UNSURE.value}" in printed
+    assert f"warning: {photo}:" not in printed
 
 
 @pytest.mark.usefixtures("_stand_in")

@@ -26,6 +26,10 @@ def test_only_ok_is_ok_and_every_other_status_says_what_to_do() -> None:
         assert code is StatusCode.OK or sentence.count(".") >= 2, "a failure says what happened and what to do next"
 
 
+def test_a_film_is_given_when_sure_and_when_not() -> None:
+    assert [code for code in StatusCode if Status(code).has_film] == [StatusCode.OK, StatusCode.UNSURE]
+
+
 def test_stage_report_reads_as_one_line() -> None:
     line = str(StageReport("grid", False, "no printed lines found", 0.0123))
     assert line.split() == ["grid", "skipped", "12.3", "ms", "no", "printed", "lines", "found"]

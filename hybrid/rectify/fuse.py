@@ -254,7 +254,7 @@ def fuse(
     size = (_film_of(base).shape[0], _film_of(base).shape[1])
     films, lost, trust, notes = [], [], [], []
     for number, (photo, result) in enumerate(zip(photos, results, strict=True)):
-        if not result.status.ok:
+        if not result.status.has_film:
             notes.append(f"photo {number + 1} left out: no film was found in it")
             continue
         if number == 0:

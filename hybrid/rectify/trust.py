@@ -1,0 +1,208 @@
+"""How far a flattened film can be trusted: what speaks for its map and against it, and the error to be expected.
+
+Nothing here was used to make the map. The network looks once more, at the film as a plane sheet would be flattened by
+the finished map: what it now sees as film must fill the sheet. Cells must be alike, about as wide as they are high,
+and what was seen of edges and print must agree. A regression over photos with truth turns these signs into an error.
+Three signs are musts: without them, photos exist on which all the others speak for a map that is wrong.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from hybrid.backward import BackwardMap
+from hybrid.coords import film_centres_1d
+from hybrid.pyramid import Pyramid
+from hybrid.records import CoarseMaps, SliceGrid, StatusCode
+from hybrid.rectify.film_view import view_film
+from hybrid.rectify.refine import Refinement
+from hybrid.rectify.repeat import Repeats, cell_agreement
+from hybrid.rectify.survey import Verdict, mask_overlap
+
+REFERENCE_PX = 1080
+"""Longer side of the photos that limits in pixels are stated for."""
+
+NO_GRID_OBLONG = 0.7
+"""Stands for the cells' shape where no cells were found: as a factor of two in their sides."""
+
+UNKNOWN_HELD_OUT = 3.0
+"""Stands for the residual of held-out sightings where there were none, in stated deviations: as of a contradiction."""
+
+
+@dataclass(frozen=True)
+class TrustConfig:
+    """From which error on a film is not called flattened, and how that error is predicted.
+
+    The weights are those of a least-squares fit of the logarithm of the error, in parts of the film's size, to photos
+    of training scans with truth, as they are and damaged.
+    """
+
+    limit_px: float = 5.0
+    """Largest error of a film that is called flattened, in pixels of a photo of 1080; at least one of its own."""
+    safety: float = 0.5
+    """The expected error must be below this part of the limit: single errors are up to several times as large."""
+    min_edges: int = 3
+    """Least number of the sheet's edges that are seen: what only repeats tells neither place nor size."""
+    constant: float = -2.0
+    overlap_before: float = 0.46
+    overlap_after: float = 0.29
+    shift: float = 0.18
+    held_out: float = 0.46
+    unlike: float = 0.90
+    oblong: float = 0.30
+
+
+@dataclass(frozen=True)
+class Signs:
+    """What speaks for a map and against it.
+
+    overlap_before: intersection over union of the network's mask with the sheet's outline before refinement.
+    overlap_after: the same of the mask seen in one more look, with the outline of the finished map.
+    shift: mean displacement between the finished map and what that look sees, in parts of the film's size.
+    held_out: residual of sightings that the correction was not fitted to, in stated deviations.
+    alike: share of the detail that the cells have in common beyond what chance gives, 0 without a grid.
+    oblong: absolute logarithm of the ratio of a cell's sides as they are seen.
+    grid: whether the grid is known along both axes. corrected: whether the correction was believed.
+    edges: number of the sheet's edges that were seen.
+    film_px, photo_px: side of a square of the film's area in the photo, and the photo's longer side.
+    stated: the error that refinement itself expects, in parts of the film's size; 0 if it says nothing.
+    """
+
+    overlap_before: float
+    overlap_after: float
+    shift: float
+    held_out: float
+    alike: float
+    oblong: float
+    grid: bool
+    corrected: bool
+    edges: int
+    film_px: float
+    photo_px: int
+    stated: float = 0.0
+
+
+def signs_of(
+    pyramid: Pyramid, seen: CoarseMaps, coarse: BackwardMap, refinement: Refinement, again: CoarseMaps
+) -> Signs:
+    """What speaks for a refined map.
+
+    seen, coarse: what the network saw last before refinement, and the map made of it. again: what it sees of the film
+    as the refined map flattens it (as a plane sheet).
+    """
+    backward, grid = refinement.backward, refinement.grid
+    held_out, edges, corrected = _reported(refinement)
+    film_px = float(np.sqrt(np.prod(backward.mean_film_pixels())))
+    return Signs(
+        overlap_before=mask_overlap(seen, coarse),
+        overlap_after=mask_overlap(again, backward),
+        shift=_shift(again, backward) / max(film_px, 1e-9),
+        held_out=held_out,
+        alike=0.0 if grid is None else cells_alike(pyramid, backward, grid),
+        oblong=NO_GRID_OBLONG if grid is None else _oblong(backward, grid),
+        grid=grid is not None,
+        corrected=corrected,
+        edges=edges,
+        film_px=film_px,
+        photo_px=max(pyramid.photo.shape[:2]),
+    )
+
+
+def expected_error_px(signs: Signs, config: TrustConfig | None = None) -> float:
+    """Mean distance, in pixels of the photo, by which the points of the film are expected to be off."""
+    config = config or TrustConfig()
+    terms = (
+        config.constant,
+        config.overlap_before * _miss(signs.overlap_before),
+        config.overlap_after * _miss(signs.overlap_after),
+        config.shift * float(np.log(signs.shift + 1e-4)),
+        config.held_out * float(np.log(np.clip(signs.held_out, 0.5, 8.0))),
+        config.unlike * (1.0 - signs.alike),
+        config.oblong * signs.oblong,
+    )
+    return max(float(np.exp(sum(terms))), signs.stated) * signs.film_px
+
+
+def film_verdict(signs: Signs, config: TrustConfig | None = None) -> Verdict:
+    """OK where the film is as good as certain to lie where the map says, UNSURE else, with the evidence."""
+    config = config or TrustConfig()
+    limit = max(config.limit_px / REFERENCE_PX * signs.photo_px, 1.0)
+    expected = expected_error_px(signs, config)
+    doubts = [
+        text
+        for text, doubtful in (
+            (f"{signs.edges} of 4 edges seen", signs.edges < config.min_edges),
+            ("no grid seen", not signs.grid),
+            ("not corrected by what is seen on the film", not signs.corrected),
+            (f"more than {config.safety * limit:.1f} px", expected > config.safety * limit),
+        )
+        if doubtful
+    ]
+    evidence = (
+        f"{expected:.1f} px of error expected; mask and outline agree to {signs.overlap_before:.1%} before and "
+        f"{signs.overlap_after:.1%} after refinement, cells are alike to {signs.alike:.0%}"
+    )
+    if doubts:
+        return Verdict(StatusCode.UNSURE, f"{', '.join(doubts)}: {evidence}")
+    return Verdict(StatusCode.OK, evidence)
+
+
+def cells_alike(pyramid: Pyramid, backward: BackwardMap, grid: SliceGrid, side_px: int = 500) -> float:
+    """Share of fine detail that the cells of the grid have in common, less what as many unlike ones would have."""
+    cells = grid.rows * grid.cols
+    if cells < 2:
+        return 0.0
+    photo, scale = pyramid.scaled(side_px / max(backward.mean_film_pixels()))
+    backward = backward.cropped((0.0, 0.0), scale)
+    down, across = (max(round(side), 64) for side in backward.mean_film_pixels())
+    grey = cv2.cvtColor(photo, cv2.COLOR_RGB2GRAY)
+    view = view_film(grey, backward, film_centres_1d(across), film_centres_1d(down))
+    columns, rows = (_repeats(grid, axis) for axis in (0, 1))
+    if min(columns.pitch * across, rows.pitch * down) < 4:
+        return 0.0
+    share = cell_agreement(view, columns, rows)
+    return float(np.clip((share - 1 / cells) / (1 - 1 / cells), 0.0, 1.0))
+
+
+def _repeats(grid: SliceGrid, axis: int) -> Repeats:
+    """The grid along one axis as cells that repeat."""
+    lines = grid.vertices[0, :, 0] if axis == 0 else grid.vertices[:, 0, 1]
+    cells = len(lines) - 1
+    return Repeats(axis, float(lines[0]), float(lines[-1] - lines[0]) / cells, cells, 1.0)
+
+
+def _miss(overlap: float) -> float:
+    """Logarithm of what is missing to full overlap, with what the network's resolution always leaves missing."""
+    return float(np.log(1.003 - min(overlap, 1.0)))
+
+
+def _shift(again: CoarseMaps, backward: BackwardMap) -> float:
+    """Length of the mean displacement between a map and what the network sees, in pixels of the photo."""
+    film = again.mask >= 0.5
+    if not film.any():
+        return float("inf")
+    points = backward.photo_from_film(np.asarray(again.uv[film], dtype=np.float64))
+    return float(np.linalg.norm((points - again.photo_points[film]).mean(axis=0)))
+
+
+def _oblong(backward: BackwardMap, grid: SliceGrid) -> float:
+    """How far the cells are from being as wide as high in the photo."""
+    down, across = backward.mean_film_pixels()
+    return float(abs(np.log((across / grid.cols) / (down / grid.rows))))
+
+
+def _reported(refinement: Refinement) -> tuple[float, int, bool]:
+    """Held-out residual, number of edges seen, and whether the correction counts, from the reports of refinement."""
+    reports = {stage.name: stage for stage in refinement.stages}
+    edges = re.match(r"(\d) of 4 edges", reports["outline"].reason)
+    spline = reports["spline"]
+    after = re.search(r"-> ([\d.]+) sigma", spline.reason) or re.search(r"residual ([\d.]+) sigma", spline.reason)
+    held_out = float(after[1]) if after else UNKNOWN_HELD_OUT
+    return held_out, int(edges[1]) if edges else 0, spline.ran
+
+
+__all__ = ["Signs", "TrustConfig", "cells_alike", "expected_error_px", "film_verdict", "signs_of"]
