@@ -144,8 +144,17 @@ def _untrusted(result: RectifyResult) -> Bool[np.ndarray, "h w"]:
 def _whole_shift(fixed: Film, moving: Film) -> Float[np.ndarray, "2"]:
     """Film units by which ``moving`` as a whole lies to the right of and below ``fixed``."""
     window = cv2.createHanningWindow(fixed.shape[::-1], cv2.CV_32F)
-    (x, y), _ = cv2.phaseCorrelate(fixed, moving, window)
+    x, y, _ = _phase_shift(fixed, moving, window)
     return film_from_pixel(np.array([x, y]), (fixed.shape[0], fixed.shape[1]))
+
+
+def _phase_shift(fixed: Film, moving: Film, window: Film) -> tuple[float, float, float]:
+    """Pixels by which ``moving`` lies to the right of and below ``fixed``, and how clearly.
+
+    OpenCV multiplies pictures whose sizes suit its Fourier transform by the window in place: it is given copies.
+    """
+    (x, y), response = cv2.phaseCorrelate(fixed.copy(), moving.copy(), window)
+    return x, y, response
 
 
 def _moved_by(moving: Film, shift: Float[np.ndarray, "gh gw 2"]) -> Film:
@@ -174,7 +183,7 @@ def _match(
         a, b = fixed[part], moving[part]
         if a.std() < config.least_contrast * whole[0] or b.std() < config.least_contrast * whole[1]:
             continue
-        (x, y), response = cv2.phaseCorrelate(a, b, window)
+        x, y, response = _phase_shift(a, b, window)
         if max(abs(x), abs(y)) > side / 3:
             continue
         at.append((part[1].start + side / 2, part[0].start + side / 2))
