@@ -64,14 +64,24 @@ class FuseConfig:
 class Registration:
     """Where another photo shows the film of the first: its map, how it had to be moved, and how well films agree.
 
-    backward: from the first film's uv to the other photo. agreement: share of slices found in their place. shift:
-    largest displacement that was needed, in film units.
+    turned: the other photo's own map, turned as ``way`` says. shift: (gh, gw, 2) film units by which points of its
+    film lie beside those of the first, on film nodes. agreement: share of slices found in their place.
     """
 
-    backward: BackwardMap
+    turned: BackwardMap
+    shift: Float[np.ndarray, "gh gw 2"]
     way: Orientation
     agreement: float
-    shift: float
+
+    @property
+    def backward(self) -> BackwardMap:
+        """From the first film's uv to the other photo."""
+        return _read_beside(self.turned, self.shift)
+
+    @property
+    def largest(self) -> float:
+        """The largest displacement, in film units."""
+        return float(np.linalg.norm(self.shift, axis=-1).max())
 
 
 # ---------------------------------------------------------------- registration
@@ -105,8 +115,7 @@ def register(first: RectifyResult, other: RectifyResult, config: FuseConfig, nam
             )
         )
     way, shift = best
-    backward = BackwardMap(other.backward.turned(way).photo_from_film(film_nodes(shift.shape[:2]) + shift))
-    return Registration(backward, way, agreement, float(np.linalg.norm(shift, axis=-1).max()))
+    return Registration(other.backward.turned(way), shift, way, agreement)
 
 
 def _details(result: RectifyResult, way: Orientation, size: tuple[int, ...], config: FuseConfig) -> list[AnyFilm]:
@@ -144,8 +153,17 @@ def _untrusted(result: RectifyResult) -> Bool[np.ndarray, "h w"]:
 def _whole_shift(fixed: Film, moving: Film) -> Float[np.ndarray, "2"]:
     """Film units by which ``moving`` as a whole lies to the right of and below ``fixed``."""
     window = cv2.createHanningWindow(fixed.shape[::-1], cv2.CV_32F)
-    (x, y), _ = cv2.phaseCorrelate(fixed, moving, window)
+    x, y, _ = _phase_shift(fixed, moving, window)
     return film_from_pixel(np.array([x, y]), (fixed.shape[0], fixed.shape[1]))
+
+
+def _phase_shift(fixed: Film, moving: Film, window: Film) -> tuple[float, float, float]:
+    """Pixels by which ``moving`` lies to the right of and below ``fixed``, and how clearly.
+
+    OpenCV multiplies pictures whose sizes suit its Fourier transform by the window in place: it is given copies.
+    """
+    (x, y), response = cv2.phaseCorrelate(fixed.copy(), moving.copy(), window)
+    return x, y, response
 
 
 def _moved_by(moving: Film, shift: Float[np.ndarray, "gh gw 2"]) -> Film:
@@ -174,7 +192,7 @@ def _match(
         a, b = fixed[part], moving[part]
         if a.std() < config.least_contrast * whole[0] or b.std() < config.least_contrast * whole[1]:
             continue
-        (x, y), response = cv2.phaseCorrelate(a, b, window)
+        x, y, response = _phase_shift(a, b, window)
         if max(abs(x), abs(y)) > side / 3:
             continue
         at.append((part[1].start + side / 2, part[0].start + side / 2))
@@ -243,7 +261,8 @@ def fuse(
     """One result of several photos of one film, lying as in the first of them.
 
     results: of the photos; a film was found in the first, and photos without one are left out. film, glare and
-    confidence are made of all; everything else (rectified, backward, grid) is the first photo's.
+    confidence are made of all; rectified, backward and grid are of the first photo, moved to where all photos
+    together say that the print lies.
 
     Raises:
         FusionError: the photos show different films.
@@ -252,33 +271,78 @@ def fuse(
     start = perf_counter()
     base = results[0]
     size = (_film_of(base).shape[0], _film_of(base).shape[1])
-    films, lost, trust, notes = [], [], [], []
-    for number, (photo, result) in enumerate(zip(photos, results, strict=True)):
+    if base.backward is None:
+        raise FusionError(describe(what="Photos that cannot be fused", got="one without a map", do="Leave it out."))
+    used, maps, shifts, notes = [photos[0]], [base.backward], [np.zeros((NODES, NODES, 2))], []
+    for number, (photo, result) in enumerate(zip(photos[1:], results[1:], strict=True), start=2):
         if not result.status.has_film:
-            notes.append(f"photo {number + 1} left out: no film was found in it")
+            notes.append(f"photo {number} left out: no film was found in it")
             continue
-        if number == 0:
-            film, gone, sure = _film_of(base), _untrusted(base), base.confidence
-        else:
-            found = register(base, result, config, f"photo {number + 1}")
-            notes.append(f"photo {number + 1} moved by up to {found.shift:.1%} of the film")
-            flat = rectify_photo(photo, found.backward, size)
-            recovered = deilluminate(flat.image, flat.valid, base.grid, light)
-            film, gone, sure = recovered.film, recovered.glare | ~flat.valid, recovered.confidence
-        films.append(film)
-        lost.append(gone)
-        trust.append(np.ones(size, np.float32) if sure is None else sure)
-    fused = merge(films, lost, trust, config.merge)
+        found = register(base, result, config, f"photo {number}")
+        notes.append(f"photo {number} moved by up to {found.largest:.1%} of the film")
+        used.append(photo)
+        maps.append(found.turned)
+        shifts.append(found.shift)
+    maps = [_read_beside(own, shift) for own, shift in zip(maps, _to_common(shifts), strict=True)]
+    flats = [rectify_photo(photo, backward, size) for photo, backward in zip(used, maps, strict=True)]
+    grid = base.grid and replace(base.grid, vertices_photo=maps[0].photo_from_film(base.grid.vertices))
+    lights = [deilluminate(flat.image, flat.valid, grid, light) for flat in flats]
+    fused = merge(
+        [one.film for one in lights],
+        [one.glare | ~flat.valid for one, flat in zip(lights, flats, strict=True)],
+        [one.confidence for one in lights],
+        config.merge,
+    )
     shares = ", ".join(f"{share:.0%}" for share in fused.shares)
-    reason = f"{len(films)} photos; {'; '.join(notes)}; shares {shares}"
+    reason = f"{len(used)} photos; {'; '.join(notes)}; shares {shares}"
     report = StageReport("fuse", True, reason, perf_counter() - start)
     return replace(
         base,
         film=fused.film,
+        rectified=flats[0].image,
+        backward=maps[0],
+        grid=grid,
         glare=fused.glare,
         confidence=fused.confidence,
         stages=(*base.stages, report),
     )
+
+
+def _read_beside(backward: BackwardMap, shift: Float[np.ndarray, "gh gw 2"]) -> BackwardMap:
+    """The map that reads each film point ``shift`` (film units, on film nodes) beside it."""
+    return BackwardMap(backward.photo_from_film(film_nodes(shift.shape[:2]) + shift))
+
+
+def _to_common(shifts: Sequence[Float[np.ndarray, "gh gw 2"]]) -> list[Float[np.ndarray, "gh gw 2"]]:
+    """Where the points of the film on which all photos agree lie on each photo's own film, as shifts.
+
+    shifts: where points of the first film lie on each. The maps of several photos err independently, so the middle of
+    where they place a point of the print errs less than each of them. It is the geometric median of the fields: of
+    three photos one may be far off.
+    """
+    middle = _geometric_median(np.stack(shifts))
+    nodes = film_nodes(middle.shape[:2])
+    back = -middle
+    for _ in range(3):  # the first film's point that lies in the middle at a node; the fields are smooth and small
+        back = -_between(middle, nodes + back)
+    return [back + _between(shift, nodes + back) for shift in shifts]
+
+
+def _geometric_median(fields: Float[np.ndarray, "n gh gw 2"]) -> Float[np.ndarray, "gh gw 2"]:
+    """The field with the least sum of distances (root mean square) to all (Weiszfeld 1937); of two, their mean."""
+    middle = fields.mean(axis=0)
+    if len(fields) == 2:
+        return middle
+    for _ in range(30):
+        distance = np.sqrt(np.square(fields - middle).mean(axis=(1, 2, 3)))
+        weight = 1.0 / np.maximum(distance, max(1e-3 * float(distance.max()), 1e-12))
+        middle = np.tensordot(weight / weight.sum(), fields, axes=1)
+    return middle
+
+
+def _between(field: Float[np.ndarray, "gh gw 2"], uv: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n 2"]:
+    """A smooth field on film nodes at film points."""
+    return BackwardMap(field).photo_from_film(uv)
 
 
 __all__ = ["FuseConfig", "Registration", "fuse", "register"]
