@@ -67,11 +67,16 @@ class RefineConfig:
 
 @dataclass(frozen=True, eq=False)
 class Refinement:
-    """A refined map, the slice grid if one was found, and what was done."""
+    """A refined map, the slice grid if one was found, and what was done.
+
+    expected_px: expected mean end-point error that is left, in pixels of the photo; None where the coarse map was kept.
+    A rough rule as yet: the more the film was moved, the less of it is known, by lines best and by edges alone least.
+    """
 
     backward: BackwardMap
     grid: SliceGrid | None
     stages: tuple[StageReport, ...]
+    expected_px: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,8 +135,9 @@ def refine(photo: UInt8[np.ndarray, "H W 3"], coarse: BackwardMap, config: Refin
         StageReport("grid", layout.any_found, layout.reason(), clock["grid"]),
         StageReport("spline", backward is not None, verdict, clock["spline"]),
     )
+    expected = None if backward is None else _expected_px(coarse, backward, layout)
     backward = coarse if backward is None else backward
-    return Refinement(backward, layout.slice_grid(backward), stages)
+    return Refinement(backward, layout.slice_grid(backward), stages, expected)
 
 
 @dataclass(frozen=True, eq=False)
@@ -271,6 +277,14 @@ def _judge(coarse: BackwardMap, attempt: _Attempt, config: RefineConfig) -> tupl
     if backward.folds() and not coarse.folds():
         return None, "the film would fold"
     return backward, f"held-out residual {before:.1f} -> {after:.1f} sigma, moved by up to {100 * move:.1f} %"
+
+
+def _expected_px(coarse: BackwardMap, refined: BackwardMap, layout: Layout) -> float:
+    """The mean error that is left after the film was moved so far, by what was seen on it."""
+    moved = float(np.linalg.norm(refined.nodes - coarse.resized(refined.nodes.shape[:2]).nodes, axis=-1).mean())
+    lines = sum(comb is not None for comb in layout.combs)
+    left = 0.15 if lines == 2 else 0.3 if lines or layout.settled else 0.8
+    return 0.4 + left * moved
 
 
 def held_out_residuals(sightings: Sequence[Sightings], config: SplineConfig, folds: int = 2) -> tuple[float, float]:
