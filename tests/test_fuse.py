@@ -9,6 +9,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from synthetic_film import FilmDrawing, draw_print
 
 from hybrid.backward import BackwardMap, Orientation
 from hybrid.cli import main
@@ -20,7 +21,6 @@ from hybrid.rectify.deilluminate import deilluminate
 from hybrid.rectify.fuse import FuseConfig, fuse, register
 from hybrid.rectify.merge import MergeConfig, merge
 from hybrid.rectify.resample import rectify_photo
-from tests.synthetic_film import FilmDrawing, draw_print
 
 SIZE = (600, 480)
 MARGIN = 12

@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import pytest
 import torch
+from synthetic_film import FilmDrawing, draw_print
 
 from hybrid.backward import Orientation
 from hybrid.learn.network import fused
@@ -22,7 +23,6 @@ from hybrid.learn.upright import (
 from hybrid.learn.upright_data import PrintAugment, upright_view
 from hybrid.learn.upright_patches import PatchConfig, standardised, text_patches, text_places
 from hybrid.learn.weights import packaged_upright_net, parameter_count
-from tests.synthetic_film import FilmDrawing, draw_print
 
 RIGHT, TURNED = WAYS[0], WAYS[1]
 

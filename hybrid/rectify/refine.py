@@ -1,68 +1,25 @@
 """A coarse backward map made exact to a fraction of a pixel by what the photo shows of the sheet and its print.
 
-The coarse map is kept and corrected by a smooth displacement of the film plane (sightings.py): the film's shape
-is the network's, only its smooth error is fitted. Sightings are the sheet's edges (outline.py), the rules or
-gutters between the slices (grid.py), and what the cells have in common (repeat.py for the first two rounds, then
-congeal.py). All are looked for again through the improved map, and count only if they agree: the spline is fitted
-to half of them and must explain the other half better than the map before.
+Two maps are started from. One is that of a sheet that does not stretch, bent until its edges lie where they are seen
+in the photo (sheet.py); the other is the network's, corrected along the edges. From each, what is printed on the film
+is looked for and fitted (course.py). The sheet is tried first, and the network's map only where what is printed does
+not bear the sheet out; then that through which the cells look more alike counts.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
-from functools import partial
-from time import perf_counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
-import cv2
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import UInt8
 
 from hybrid.backward import BackwardMap
-from hybrid.coords import film_centres_1d
 from hybrid.records import SliceGrid, StageReport
-from hybrid.rectify.congeal import CongealConfig, register_cells
-from hybrid.rectify.film_view import FilmView, view_film
-from hybrid.rectify.grid import GridConfig
-from hybrid.rectify.layout import Evidence, Layout, find_layout
-from hybrid.rectify.match import match_cells, match_to_one_cell
-from hybrid.rectify.outline import OutlineConfig, find_outline
-from hybrid.rectify.repeat import RepeatConfig, cell_agreement
-from hybrid.rectify.sightings import (
-    Displacement,
-    Sightings,
-    SplineConfig,
-    fit_displacement,
-    no_displacement,
-)
-
-
-@dataclass(frozen=True)
-class RefineConfig:
-    """Options of the refinement of a coarse map."""
-
-    outline: OutlineConfig = field(default_factory=OutlineConfig)
-    grid: GridConfig = field(default_factory=GridConfig)
-    repeat: RepeatConfig = field(default_factory=RepeatConfig)
-    congeal: CongealConfig = field(default_factory=CongealConfig)
-    spline: SplineConfig = field(default_factory=SplineConfig)
-    working_px: int = 1000
-    """Longer side of the film, in pixels, at which the photo is looked at; larger films are scaled down to it."""
-    near_band: float = 0.015
-    """Half width of the search band for edges once the map has been improved, in film units."""
-    rule_width: float = 0.002
-    """How far a rule printed on the film's edge may shift the edge that is seen, in film units."""
-    settled_move: float = 5e-4
-    """A round that moves the film by less than this is the last, in film units."""
-    line_rounds: int = 3
-    """Rounds in which lines are looked for where they have not been found: they show better in a straighter view."""
-    max_move: float = 0.08
-    """Largest displacement believed, in film units."""
-    min_gain: float = 0.9
-    """The spline counts only if held-out sightings disagree with it by less than this fraction of before."""
-    max_residual: float = 2.5
-    """Where held-out sightings disagree with the spline by more than this, in their stated deviations, some of them are
-    wrong together, as where cells were taken for their neighbours: the coarse map is kept."""
+from hybrid.rectify.course import Clock, Course, RefineConfig, Scene, agreement, follow, working_scene
+from hybrid.rectify.outline import find_outline
+from hybrid.rectify.sheet import fit_sheet
+from hybrid.rectify.sightings import Sightings
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,22 +27,12 @@ class Refinement:
     """A refined map, the slice grid if one was found, and what was done.
 
     expected_px: expected mean end-point error that is left, in pixels of the photo; None where the coarse map was kept.
-    A rough rule as yet: the more the film was moved, the less of it is known, by lines best and by edges alone least.
     """
 
     backward: BackwardMap
     grid: SliceGrid | None
     stages: tuple[StageReport, ...]
     expected_px: float | None = None
-
-
-@dataclass(frozen=True, eq=False)
-class _Scene:
-    """The grey photo and the coarse map into it. film_size: (height, width) of a view of the film."""
-
-    grey: UInt8[np.ndarray, "H W"]
-    coarse: BackwardMap
-    film_size: tuple[int, int]
 
 
 def refine(photo: UInt8[np.ndarray, "H W 3"], coarse: BackwardMap, config: RefineConfig) -> Refinement:
@@ -95,235 +42,72 @@ def refine(photo: UInt8[np.ndarray, "H W 3"], coarse: BackwardMap, config: Refin
     the correction does not explain the photo better, or where it would fold the film or move it too far; the
     report of stage ``spline`` says which. Raises nothing on any photo.
     """
-    clock = _Clock()
-    photo, scene = _working_scene(photo, coarse, config)
-    outline = find_outline(photo, scene.coarse, config.outline)
-    displacement = no_displacement(config.spline)
-    if outline:
-        displacement = fit_displacement(outline, config.spline).displacement
+    clock = Clock()
+    scene = working_scene(photo, coarse, config)
+    outline = find_outline(scene.photo, scene.coarse, config.outline)
     clock.lap("outline")
-
-    layout, attempts = Layout(), [_Attempt(displacement, tuple(Evidence(s) for s in outline))]
-    near = replace(config.outline, band=config.near_band)
-    for number, matcher in enumerate(_matchers(config)):
-        displacement = attempts[-1].displacement
-        view = _view(scene, displacement)
-        layout, lines = find_layout(view, layout, number < config.line_rounds, config.grid, config.repeat)
-        found = _observe_print(view, layout, lines, matcher, outline, config)
-        clock.lap("grid")
-        evidence = tuple(e.lifted(displacement) for e in found)
-        if number == 0:
-            edges = find_outline(photo, displacement.composed(scene.coarse), near)
-            outline = tuple(displacement.lift(s) for s in edges)
-            clock.lap("outline")
-        evidence += tuple(Evidence(_as_uncertain(s, layout, config)) for s in outline)
-        if not evidence:
-            return _unchanged(coarse, "no edge, rule, gutter or repeated text was seen", clock)
-        fit = fit_displacement([e.sightings for e in evidence], config.spline)
-        attempts.append(_Attempt(fit.displacement, evidence, fit.stiffness))
-        layout = layout.adjusted(evidence, fit)
-        clock.lap("spline")
-        moved = float(np.abs(fit.displacement.values - displacement.values).max())
-        if number >= 2 and (moved < config.settled_move or layout.is_enough):
-            break
-    chosen = _most_alike(scene, layout, attempts, config)
-    backward, verdict = _judge(coarse, chosen, config)
-    clock.lap("spline")
-    edges = [e for e in chosen.evidence if e.source is None]
+    bent = _from_sheet(scene, outline, config, clock)
+    if bent is None or not _borne_out(bent, config):
+        flat = follow(scene, outline, config, clock)
+        course = flat if bent is None or flat is None or _better(flat, bent, config) else bent
+    else:
+        course = bent
+    if course is None:
+        return _unchanged(coarse, "no edge, rule, gutter or repeated text was seen", clock)
+    scale = (photo.shape[1] / scene.photo.shape[1], photo.shape[0] / scene.photo.shape[0])
+    changed = course.believed and (course is bent or course.moves)
+    backward = coarse
+    if changed:
+        start = course.scene.coarse.cropped((0.0, 0.0), scale) if course is bent else coarse
+        rows, columns = (max(33, n) for n in coarse.nodes.shape[:2])
+        backward = course.displacement.composed(start, (rows, columns))
     stages = (
-        StageReport("outline", bool(edges), f"{len(edges)} of 4 edges", clock["outline"]),
-        StageReport("grid", layout.any_found, layout.reason(), clock["grid"]),
-        StageReport("spline", backward is not None, verdict, clock["spline"]),
+        StageReport("outline", course.edges > 0, f"{course.edges} of 4 edges", clock["outline"]),
+        StageReport("grid", course.layout.any_found, course.layout.reason(), clock["grid"]),
+        StageReport("spline", changed, course.verdict, clock["spline"]),
     )
-    expected = None if backward is None else _expected_px(coarse, backward, layout)
-    backward = coarse if backward is None else backward
-    return Refinement(backward, layout.slice_grid(backward), stages, expected)
+    expected = _expected_px(coarse, backward, course) if changed else None
+    return Refinement(backward, course.layout.slice_grid(backward), stages, expected)
 
 
-@dataclass(frozen=True, eq=False)
-class _Attempt:
-    """A displacement and what it was fitted to, as seen through the coarse map."""
-
-    displacement: Displacement
-    evidence: tuple[Evidence, ...]
-    stiffness: tuple[float, float] = (0.0, 0.0)
-
-
-class _Clock:
-    """Seconds spent in each stage."""
-
-    def __init__(self) -> None:
-        self._last = perf_counter()
-        self._spent: dict[str, float] = {}
-
-    def lap(self, stage: str) -> None:
-        """Books the time since the last call on a stage."""
-        now = perf_counter()
-        self._spent[stage] = self._spent.get(stage, 0.0) + now - self._last
-        self._last = now
-
-    def __getitem__(self, stage: str) -> float:
-        return self._spent.get(stage, 0.0)
+def _from_sheet(scene: Scene, outline: Sequence[Sightings], config: RefineConfig, clock: Clock) -> Course | None:
+    """The rounds from the map of an unstretched sheet; None where too few edges are seen, or no sheet fits them."""
+    if len(outline) < config.sheet.least_edges:
+        return None
+    found = fit_sheet(scene.coarse, (scene.photo.shape[0], scene.photo.shape[1]), outline, config.sheet)
+    if found is None or found.cost > config.sheet.most_cost or found.backward.folds((33, 33)):
+        clock.lap("outline")
+        return None
+    bent = replace(scene, coarse=found.backward)
+    outline = find_outline(scene.photo, bent.coarse, replace(config.outline, band=config.near_band))
+    clock.lap("outline")
+    return follow(bent, outline, config, clock)
 
 
-# ---------------------------------------------------------------- steps
+def _borne_out(bent: Course, config: RefineConfig) -> bool:
+    """True where what is printed lies where the sheet has it: the sheet was fitted to nothing but its edges."""
+    return bent.believed and bent.before < config.borne_out
 
 
-def _matchers(config: RefineConfig) -> list[Callable[..., tuple[Sightings, ...]]]:
-    """How cells are matched, round for round: ever less far and ever more exactly."""
-    far = partial(match_to_one_cell, search=config.repeat.first, config=config.repeat)
-    nearer = partial(match_cells, search=config.repeat.second, config=config.repeat)
-    return [far, nearer, *(partial(register_cells, blur_px=b, config=config.congeal) for b in config.congeal.blurs_px)]
+def _better(flat: Course, bent: Course, config: RefineConfig) -> bool:
+    """True where the end of the course from the network's map is to be preferred."""
+    if not (flat.believed and bent.believed):
+        return flat.believed
+    alike = [max(agreement(course, layout) for layout in (flat.layout, bent.layout)) for course in (flat, bent)]
+    return alike[1] < config.as_alike * alike[0]
 
 
-def _working_scene(
-    photo: UInt8[np.ndarray, "H W 3"], coarse: BackwardMap, config: RefineConfig
-) -> tuple[UInt8[np.ndarray, "h w 3"], _Scene]:
-    """The photo scaled down, if need be, until the film's longer side has ``working_px`` pixels."""
-    film_px = max(coarse.mean_film_pixels())
-    if film_px > 1.15 * config.working_px:
-        scale = config.working_px / film_px
-        height, width = photo.shape[:2]
-        size = (max(1, round(width * scale)), max(1, round(height * scale)))
-        photo = cv2.resize(photo, size, interpolation=cv2.INTER_AREA)
-        coarse = coarse.cropped((0.0, 0.0), (size[0] / width, size[1] / height))
-    down, across = coarse.mean_film_pixels()
-    film_size = (int(np.clip(round(down), 64, 4096)), int(np.clip(round(across), 64, 4096)))
-    return photo, _Scene(cv2.cvtColor(photo, cv2.COLOR_RGB2GRAY), coarse, film_size)
-
-
-def _half(scene: _Scene) -> _Scene:
-    """The scene at half the size."""
-    height, width = scene.grey.shape
-    size = (max(1, width // 2), max(1, height // 2))
-    grey = cv2.resize(scene.grey, size, interpolation=cv2.INTER_AREA)
-    coarse = scene.coarse.cropped((0.0, 0.0), (size[0] / width, size[1] / height))
-    return _Scene(grey, coarse, (scene.film_size[0] // 2, scene.film_size[1] // 2))
-
-
-def _view(scene: _Scene, displacement: Displacement) -> FilmView:
-    """The flat grey film as the displaced map sees it."""
-    height, width = scene.film_size
-    return view_film(scene.grey, displacement.composed(scene.coarse), film_centres_1d(width), film_centres_1d(height))
-
-
-def _observe_print(
-    view: FilmView,
-    layout: Layout,
-    lines: tuple[Sightings | None, Sightings | None],
-    matcher: Callable[..., tuple[Sightings, ...]],
-    outline: Sequence[Sightings],
-    config: RefineConfig,
-) -> list[Evidence]:
-    """Sightings of lines, and of what the cells have in common.
-
-    Where both edges across an axis are seen they say where the lines are, unless the grid fills the film: what is
-    straight and repeats need not lie where cells meet.
-    """
-    evidence = []
-    for comb, sightings in zip(layout.combs, lines, strict=True):
-        if comb is None or sightings is None:
-            continue
-        pinned = sum(edge.axis == comb.axis for edge in outline) == 2
-        if pinned and not (comb.sign > 0 and comb.fills_film(config.grid)):
-            sightings = replace(sightings, shared_sigma=np.full(2, config.congeal.shared_sigma))
-        evidence.append(Evidence(sightings, comb))
-    columns, rows = layout.repeats
-    if columns is not None and rows is not None:
-        evidence += [Evidence(s, layout.repeats[s.axis]) for s in matcher(view, columns, rows)]
-    return evidence
-
-
-def _as_uncertain(edge: Sightings, layout: Layout, config: RefineConfig) -> Sightings:
-    """An edge on which a rule may be printed: next to a bright background its step is the rule's inner side.
-
-    Its shape counts, its place only within a rule's width: where the lines' pitch tells the place better.
-    """
-    comb = layout.combs[edge.axis]
-    if comb is None or comb.sign < 0 or not comb.fills_film(config.grid):
-        return edge
-    return replace(edge, shared=np.ones((len(edge), 1)), shared_sigma=np.array([config.rule_width]))
-
-
-def _most_alike(scene: _Scene, layout: Layout, attempts: list[_Attempt], config: RefineConfig) -> _Attempt:
-    """Of no displacement, the outline's and the last two, that through which the cells look most alike.
-
-    The last where cells were not matched.
-    """
-    columns, rows = layout.repeats
-    if columns is None or rows is None:
-        return attempts[-1]
-    candidates = [_Attempt(no_displacement(config.spline), ()), attempts[0], *attempts[1:][-2:]]
-    small = _half(scene)  # which of them is best shows there too
-    return max(candidates, key=lambda a: cell_agreement(_view(small, a.displacement), columns, rows))
-
-
-def _judge(coarse: BackwardMap, attempt: _Attempt, config: RefineConfig) -> tuple[BackwardMap | None, str]:
-    """The corrected map if it is to be believed, and why or why not."""
-    if not attempt.evidence:
-        return None, "the cells look most alike through the coarse map"
-    stiffness = max(*attempt.stiffness, config.spline.stiffness[0])
-    same = replace(config.spline, stiffness=(stiffness, stiffness, 1))
-    before, after = held_out_residuals([e.sightings for e in attempt.evidence], same)
-    size = tuple(max(33, n) for n in coarse.nodes.shape[:2])
-    move = float(np.linalg.norm(attempt.displacement.values, axis=1).max())
-    if after > config.min_gain * before:
-        return None, f"held-out residual {after:.2f} sigma against {before:.2f} before: no better"
-    if after > config.max_residual:
-        return None, f"held-out residual {after:.1f} sigma: what is seen on the film contradicts itself"
-    if move > config.max_move:
-        return None, f"the film would move by {move:.3f} of its size"
-    backward = attempt.displacement.composed(coarse, (size[0], size[1]))
-    if backward.folds() and not coarse.folds():
-        return None, "the film would fold"
-    return backward, f"held-out residual {before:.1f} -> {after:.1f} sigma, moved by up to {100 * move:.1f} %"
-
-
-def _expected_px(coarse: BackwardMap, refined: BackwardMap, layout: Layout) -> float:
+def _expected_px(coarse: BackwardMap, refined: BackwardMap, course: Course) -> float:
     """The mean error that is left after the film was moved so far, by what was seen on it."""
     moved = float(np.linalg.norm(refined.nodes - coarse.resized(refined.nodes.shape[:2]).nodes, axis=-1).mean())
-    lines = sum(comb is not None for comb in layout.combs)
-    left = 0.15 if lines == 2 else 0.3 if lines or layout.settled else 0.8
+    lines = sum(comb is not None for comb in course.layout.combs)
+    left = 0.15 if lines == 2 else 0.3 if lines or course.layout.settled else 0.8
     return 0.4 + left * moved
 
 
-def held_out_residuals(sightings: Sequence[Sightings], config: SplineConfig, folds: int = 2) -> tuple[float, float]:
-    """Mean clipped residual in stated deviations, before and after, of sightings that the spline did not see.
-
-    Runs of neighbouring sightings are held out together, because neighbours share their errors. The constants
-    that a list shares are taken from the sightings that the spline did see.
-    """
-    clip = 20.0
-    before, after, count = 0.0, 0.0, 0
-    for fold in range(folds):
-        out = [np.arange(len(s)) // 8 % folds == fold for s in sightings]
-        fit = fit_displacement([s.subset(~o) for s, o in zip(sightings, out, strict=True)], config)
-        for s, o, constants in zip(sightings, out, fit.constants, strict=True):
-            held = s.subset(o)
-            if not len(held):
-                continue
-            predicted = fit.displacement(held.places())[:, held.axis] - held.places()[:, held.axis]
-            offsets = held.offsets() - held.shared @ constants
-            before += np.minimum(np.abs(_without_shared(held)) / held.sigma, clip).sum()
-            after += np.minimum(np.abs(offsets - predicted) / held.sigma, clip).sum()
-            count += len(held)
-    return (before / count, after / count) if count else (0.0, 0.0)
-
-
-def _without_shared(sightings: Sightings) -> Float[np.ndarray, " n"]:
-    """Offsets less what the shared constants alone can explain: what is left if nothing is displaced."""
-    if sightings.shared.shape[1] == 0:
-        return sightings.offsets()
-    best, *_ = np.linalg.lstsq(sightings.shared, sightings.offsets(), rcond=None)
-    return sightings.offsets() - sightings.shared @ best
-
-
-# ---------------------------------------------------------------- reports
-
-
-def _unchanged(coarse: BackwardMap, reason: str, clock: _Clock) -> Refinement:
+def _unchanged(coarse: BackwardMap, reason: str, clock: Clock) -> Refinement:
     stages = tuple(StageReport(name, False, reason, clock[name]) for name in ("outline", "grid", "spline"))
     return Refinement(coarse, None, stages)
 
 
-__all__ = ["RefineConfig", "Refinement", "held_out_residuals", "refine"]
+__all__ = ["RefineConfig", "Refinement", "refine"]

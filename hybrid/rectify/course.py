@@ -1,0 +1,325 @@
+"""From one map to start from, round for round, to a map that what is seen on the film bears out.
+
+The start is kept and corrected by a smooth displacement of the film plane (sightings.py). Sightings are the sheet's
+edges (outline.py), the rules or gutters between the slices (grid.py), and what the cells have in common (repeat.py for
+the first two rounds, then congeal.py). All are looked for again through the improved map, and count only if they
+agree: the spline is fitted to half of them and must explain the other half.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from time import perf_counter
+
+import cv2
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from hybrid.backward import BackwardMap
+from hybrid.coords import film_centres_1d
+from hybrid.rectify.congeal import CongealConfig, register_cells
+from hybrid.rectify.film_view import FilmView, view_film
+from hybrid.rectify.grid import GridConfig
+from hybrid.rectify.layout import Evidence, Layout, find_layout
+from hybrid.rectify.match import match_cells, match_to_one_cell
+from hybrid.rectify.outline import OutlineConfig, find_outline
+from hybrid.rectify.repeat import RepeatConfig, cell_agreement
+from hybrid.rectify.sheet import SheetConfig
+from hybrid.rectify.sightings import (
+    Displacement,
+    Sightings,
+    SplineConfig,
+    fit_displacement,
+    no_displacement,
+)
+
+
+@dataclass(frozen=True)
+class RefineConfig:
+    """Options of the refinement of a coarse map."""
+
+    outline: OutlineConfig = field(default_factory=OutlineConfig)
+    sheet: SheetConfig = field(default_factory=SheetConfig)
+    grid: GridConfig = field(default_factory=GridConfig)
+    repeat: RepeatConfig = field(default_factory=RepeatConfig)
+    congeal: CongealConfig = field(default_factory=CongealConfig)
+    spline: SplineConfig = field(default_factory=SplineConfig)
+    working_px: int = 1000
+    """Longer side of the film, in pixels, at which the photo is looked at; larger films are scaled down to it."""
+    near_band: float = 0.015
+    """Half width of the search band for edges once the map has been improved, in film units."""
+    rule_width: float = 0.002
+    """How far a rule printed on the film's edge may shift the edge that is seen, in film units."""
+    settled_move: float = 5e-4
+    """A round that moves the film by less than this is the last, in film units."""
+    line_rounds: int = 3
+    """Rounds in which lines are looked for where they have not been found: they show better in a straighter view."""
+    max_move: float = 0.08
+    """Largest displacement believed, in film units."""
+    min_gain: float = 0.9
+    """The spline counts only if held-out sightings disagree with it by less than this fraction of before."""
+    borne_out: float = 2.0
+    """Where the print lies within so many deviations of where the bent sheet has it, no other map is tried."""
+    as_alike: float = 0.92
+    """The bent sheet counts if its cells look at least so much as alike as those of the network's map."""
+    max_residual: float = 2.5
+    """Where held-out sightings disagree with the spline by more than this, in their stated deviations, some of them are
+    wrong together, as where cells were taken for their neighbours: the map is not believed."""
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """The photo, its grey, and the map to start from. film_size: (height, width) of a view of the film."""
+
+    photo: UInt8[np.ndarray, "H W 3"]
+    grey: UInt8[np.ndarray, "H W"]
+    coarse: BackwardMap
+    film_size: tuple[int, int]
+
+
+class Clock:
+    """Seconds spent in each stage."""
+
+    def __init__(self) -> None:
+        self._last = perf_counter()
+        self._spent: dict[str, float] = {}
+
+    def lap(self, stage: str) -> None:
+        """Books the time since the last call on a stage."""
+        now = perf_counter()
+        self._spent[stage] = self._spent.get(stage, 0.0) + now - self._last
+        self._last = now
+
+    def __getitem__(self, stage: str) -> float:
+        return self._spent.get(stage, 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Course:
+    """How it ended.
+
+    displacement: of the start; zero where no better is believed. layout: of the grid. evidence: what was seen, through
+    the start. before, after: held-out residual of the start and of the end, in stated deviations. believed: whether
+    what was seen bears the end out. verdict: why or why not.
+    """
+
+    scene: Scene
+    displacement: Displacement
+    layout: Layout
+    evidence: tuple[Evidence, ...]
+    before: float
+    after: float
+    believed: bool
+    verdict: str
+
+    @property
+    def edges(self) -> int:
+        """Number of the sheet's edges that were seen."""
+        return sum(e.source is None for e in self.evidence)
+
+    @property
+    def moves(self) -> bool:
+        """Whether the start is displaced at all."""
+        return bool(np.any(self.displacement.values))
+
+
+def agreement(course: Course, layout: Layout) -> float:
+    """How alike the cells of a layout look at the end of a course, in [0, 1]; 0 where the layout has no cells."""
+    columns, rows = layout.repeats
+    if columns is None or rows is None:
+        return 0.0
+    return cell_agreement(_view(_half(course.scene), course.displacement), columns, rows)
+
+
+def follow(scene: Scene, outline: Sequence[Sightings], config: RefineConfig, clock: Clock) -> Course | None:
+    """All rounds from the scene's map on. outline: the edges as seen through it. None where nothing is seen."""
+    displacement = no_displacement(config.spline)
+    if outline:
+        displacement = fit_displacement(outline, config.spline).displacement
+    layout, attempts = Layout(), [_Attempt(displacement, tuple(Evidence(s) for s in outline))]
+    near = replace(config.outline, band=config.near_band)
+    for number, matcher in enumerate(_matchers(config)):
+        displacement = attempts[-1].displacement
+        view = _view(scene, displacement)
+        layout, lines = find_layout(view, layout, number < config.line_rounds, config.grid, config.repeat)
+        found = _observe_print(view, layout, lines, matcher, outline, config)
+        clock.lap("grid")
+        evidence = tuple(e.lifted(displacement) for e in found)
+        if number == 0:
+            edges = find_outline(scene.photo, displacement.composed(scene.coarse), near)
+            outline = tuple(displacement.lift(s) for s in edges)
+            clock.lap("outline")
+        evidence += tuple(Evidence(_as_uncertain(s, layout, config)) for s in outline)
+        if not evidence:
+            return None
+        fit = fit_displacement([e.sightings for e in evidence], config.spline)
+        attempts.append(_Attempt(fit.displacement, evidence, fit.stiffness))
+        layout = layout.adjusted(evidence, fit)
+        clock.lap("spline")
+        moved = float(np.abs(fit.displacement.values - displacement.values).max())
+        if number >= 2 and (moved < config.settled_move or layout.is_enough):
+            break
+    course = _judged(scene, layout, _most_alike(scene, layout, attempts, config), config)
+    clock.lap("spline")
+    return course
+
+
+@dataclass(frozen=True, eq=False)
+class _Attempt:
+    """A displacement and what it was fitted to, as seen through the coarse map."""
+
+    displacement: Displacement
+    evidence: tuple[Evidence, ...]
+    stiffness: tuple[float, float] = (0.0, 0.0)
+
+
+# ---------------------------------------------------------------- steps
+
+
+def _matchers(config: RefineConfig) -> list[Callable[..., tuple[Sightings, ...]]]:
+    """How cells are matched, round for round: ever less far and ever more exactly."""
+    far = partial(match_to_one_cell, search=config.repeat.first, config=config.repeat)
+    nearer = partial(match_cells, search=config.repeat.second, config=config.repeat)
+    return [far, nearer, *(partial(register_cells, blur_px=b, config=config.congeal) for b in config.congeal.blurs_px)]
+
+
+def working_scene(photo: UInt8[np.ndarray, "H W 3"], coarse: BackwardMap, config: RefineConfig) -> Scene:
+    """The photo scaled down, if need be, until the film's longer side has ``working_px`` pixels."""
+    film_px = max(coarse.mean_film_pixels())
+    if film_px > 1.15 * config.working_px:
+        scale = config.working_px / film_px
+        height, width = photo.shape[:2]
+        size = (max(1, round(width * scale)), max(1, round(height * scale)))
+        photo = cv2.resize(photo, size, interpolation=cv2.INTER_AREA)
+        coarse = coarse.cropped((0.0, 0.0), (size[0] / width, size[1] / height))
+    down, across = coarse.mean_film_pixels()
+    film_size = (int(np.clip(round(down), 64, 4096)), int(np.clip(round(across), 64, 4096)))
+    return Scene(photo, cv2.cvtColor(photo, cv2.COLOR_RGB2GRAY), coarse, film_size)
+
+
+def _half(scene: Scene) -> Scene:
+    """The scene at half the size."""
+    height, width = scene.grey.shape
+    size = (max(1, width // 2), max(1, height // 2))
+    grey = cv2.resize(scene.grey, size, interpolation=cv2.INTER_AREA)
+    coarse = scene.coarse.cropped((0.0, 0.0), (size[0] / width, size[1] / height))
+    return Scene(scene.photo, grey, coarse, (scene.film_size[0] // 2, scene.film_size[1] // 2))
+
+
+def _view(scene: Scene, displacement: Displacement) -> FilmView:
+    """The flat grey film as the displaced map sees it."""
+    height, width = scene.film_size
+    return view_film(scene.grey, displacement.composed(scene.coarse), film_centres_1d(width), film_centres_1d(height))
+
+
+def _observe_print(
+    view: FilmView,
+    layout: Layout,
+    lines: tuple[Sightings | None, Sightings | None],
+    matcher: Callable[..., tuple[Sightings, ...]],
+    outline: Sequence[Sightings],
+    config: RefineConfig,
+) -> list[Evidence]:
+    """Sightings of lines, and of what the cells have in common.
+
+    Where both edges across an axis are seen they say where the lines are, unless the grid fills the film: what is
+    straight and repeats need not lie where cells meet.
+    """
+    evidence = []
+    for comb, sightings in zip(layout.combs, lines, strict=True):
+        if comb is None or sightings is None:
+            continue
+        pinned = sum(edge.axis == comb.axis for edge in outline) == 2
+        if pinned and not (comb.sign > 0 and comb.fills_film(config.grid)):
+            sightings = replace(sightings, shared_sigma=np.full(2, config.congeal.shared_sigma))
+        evidence.append(Evidence(sightings, comb))
+    columns, rows = layout.repeats
+    if columns is not None and rows is not None:
+        evidence += [Evidence(s, layout.repeats[s.axis]) for s in matcher(view, columns, rows)]
+    return evidence
+
+
+def _as_uncertain(edge: Sightings, layout: Layout, config: RefineConfig) -> Sightings:
+    """An edge on which a rule may be printed: next to a bright background its step is the rule's inner side.
+
+    Its shape counts, its place only within a rule's width: where the lines' pitch tells the place better.
+    """
+    comb = layout.combs[edge.axis]
+    if comb is None or comb.sign < 0 or not comb.fills_film(config.grid):
+        return edge
+    return replace(edge, shared=np.ones((len(edge), 1)), shared_sigma=np.array([config.rule_width]))
+
+
+def _most_alike(scene: Scene, layout: Layout, attempts: list[_Attempt], config: RefineConfig) -> _Attempt:
+    """Of no displacement, the outline's and the last two, that through which the cells look most alike.
+
+    The last where cells were not matched.
+    """
+    columns, rows = layout.repeats
+    if columns is None or rows is None:
+        return attempts[-1]
+    candidates = [_Attempt(no_displacement(config.spline), ()), attempts[0], *attempts[1:][-2:]]
+    small = _half(scene)  # which of them is best shows there too
+    return max(candidates, key=lambda a: cell_agreement(_view(small, a.displacement), columns, rows))
+
+
+def _judged(scene: Scene, layout: Layout, attempt: _Attempt, config: RefineConfig) -> Course:
+    """Whether the end of the rounds is to be believed, and why or why not."""
+    still = no_displacement(config.spline)
+    if not attempt.evidence:
+        verdict = "the cells look most alike through the coarse map"
+        return Course(scene, still, layout, (), np.inf, np.inf, False, verdict)
+    stiffness = max(*attempt.stiffness, config.spline.stiffness[0])
+    same = replace(config.spline, stiffness=(stiffness, stiffness, 1))
+    before, after = held_out_residuals([e.sightings for e in attempt.evidence], same)
+    move = float(np.linalg.norm(attempt.displacement.values, axis=1).max())
+    moved, believed = attempt.displacement, False
+    if after > config.max_residual:
+        verdict = f"held-out residual {after:.1f} sigma: what is seen on the film contradicts itself"
+    elif after > config.min_gain * before:
+        verdict = f"held-out residual {after:.2f} sigma against {before:.2f} before: no better"
+        moved, believed = still, True
+    elif move > config.max_move:
+        verdict = f"the film would move by {move:.3f} of its size"
+    elif moved.composed(scene.coarse).folds((33, 33)) and not scene.coarse.folds((33, 33)):
+        verdict = "the film would fold"
+    else:
+        verdict = f"held-out residual {before:.1f} -> {after:.1f} sigma, moved by up to {100 * move:.1f} %"
+        believed = True
+    return Course(scene, moved if believed else still, layout, attempt.evidence, before, after, believed, verdict)
+
+
+def held_out_residuals(sightings: Sequence[Sightings], config: SplineConfig, folds: int = 2) -> tuple[float, float]:
+    """Mean clipped residual in stated deviations, before and after, of sightings that the spline did not see.
+
+    Runs of neighbouring sightings are held out together, because neighbours share their errors. The constants
+    that a list shares are taken from the sightings that the spline did see.
+    """
+    clip = 20.0
+    before, after, count = 0.0, 0.0, 0
+    for fold in range(folds):
+        out = [np.arange(len(s)) // 8 % folds == fold for s in sightings]
+        fit = fit_displacement([s.subset(~o) for s, o in zip(sightings, out, strict=True)], config)
+        for s, o, constants in zip(sightings, out, fit.constants, strict=True):
+            held = s.subset(o)
+            if not len(held):
+                continue
+            predicted = fit.displacement(held.places())[:, held.axis] - held.places()[:, held.axis]
+            offsets = held.offsets() - held.shared @ constants
+            before += np.minimum(np.abs(_without_shared(held)) / held.sigma, clip).sum()
+            after += np.minimum(np.abs(offsets - predicted) / held.sigma, clip).sum()
+            count += len(held)
+    return (before / count, after / count) if count else (0.0, 0.0)
+
+
+def _without_shared(sightings: Sightings) -> Float[np.ndarray, " n"]:
+    """Offsets less what the shared constants alone can explain: what is left if nothing is displaced."""
+    if sightings.shared.shape[1] == 0:
+        return sightings.offsets()
+    best, *_ = np.linalg.lstsq(sightings.shared, sightings.offsets(), rcond=None)
+    return sightings.offsets() - sightings.shared @ best
+
+
+__all__ = ["Clock", "Course", "RefineConfig", "Scene", "agreement", "follow", "held_out_residuals", "working_scene"]
