@@ -8,7 +8,7 @@ import pytest
 from synthetic_film import FilmDrawing, disturbed, draw_print
 
 from hybrid.backward import BackwardMap, end_point_error
-from hybrid.coords import film_nodes, pixel_centres
+from hybrid.coords import film_nodes, opencv_from_photo, pixel_centres, pixel_from_film
 from hybrid.rectify.glance import glance
 from hybrid.rectify.invert import project
 from hybrid.rectify.plane import PlaneConfig, edge_line, film_corners, flat_film, plane_by_edges
@@ -25,11 +25,11 @@ def plane_map() -> BackwardMap:
 
 def flat_photo(bow: float = 0.0) -> np.ndarray:
     """A drawn film on a brighter ground; ``bow``: the depth of the arc of its sides, in film units."""
-    printed = draw_print(FilmDrawing(), np.random.default_rng(0))
+    printed = draw_print(FilmDrawing(margin=0.03), np.random.default_rng(0))
     points = pixel_centres((1800, 1800)) / 2.0
     uv = project(np.linalg.inv(HOMOGRAPHY), points.reshape(-1, 2)).reshape(points.shape)
     uv[..., 0] += bow * (1 - 4 * (uv[..., 1] - 0.5) ** 2)
-    at = (uv * printed.shape[::-1]).astype(np.float32)
+    at = opencv_from_photo(pixel_from_film(uv, printed.shape)).astype(np.float32)
     film = cv2.remap(printed, at, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     on_film = ((uv >= 0) & (uv <= 1)).all(axis=-1)
     photo = cv2.resize(np.where(on_film, 12.0 + film, 120.0), (900, 900), interpolation=cv2.INTER_AREA)
