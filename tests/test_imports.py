@@ -11,7 +11,7 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 ROOMS = ("hybrid.mesh", "hybrid.learn", "hybrid.rectify")
-OUTER = ("hybrid.pipeline", "hybrid.cli", "data_gen", "benchmarks", "tests")
+OUTER = ("hybrid.pipeline", "hybrid.geometry", "hybrid.effort", "hybrid.cli", "data_gen", "benchmarks", "tests")
 
 MODULES = {
     ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): path
@@ -45,7 +45,7 @@ def test_rooms_import_neither_each_other_nor_outwards(module: str) -> None:
     assert not wrong, f"{module} imports {sorted(wrong)}"
 
 
-CORE = ("records", "coords", "errors", "backward", "image_io", "metrics", "draw")
+CORE = ("records", "coords", "errors", "backward", "image_io", "metrics", "draw", "pyramid")
 
 
 @pytest.mark.parametrize("module", CORE)

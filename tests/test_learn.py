@@ -22,8 +22,9 @@ from hybrid.learn.presets import PRESETS, weighted_sum
 from hybrid.learn.samples import film_of, open_places
 from hybrid.learn.train import TrainConfig, train
 from hybrid.learn.upright import UprightNet, UprightNetConfig
-from hybrid.learn.views import film_from_view, output_points, reduced, square_view
+from hybrid.learn.views import film_from_view, output_points, square_view
 from hybrid.learn.weights import load_into, load_weights, parameter_count, save_weights
+from hybrid.pyramid import Pyramid
 
 TINY = FilmNetConfig(widths=(4, 8, 8, 8), blocks=(1, 1, 1), input_px=64)
 
@@ -344,8 +345,7 @@ def test_too_little_data_is_refused(dataset, tmp_path):
 
 def test_large_photos_are_reduced_once_and_maps_go_back_to_them():
     photo = np.random.default_rng(0).integers(0, 256, (301, 402, 3), dtype=np.uint8)
-    assert reduced(photo, 300)[0] is photo
-    small, factor = reduced(photo, 180)
+    small, factor = Pyramid(photo).reduced(2.0)
     assert (small.shape, factor) == ((150, 201, 3), 2)
     network = fused(FilmNet(TINY))
     (maps,) = look(network, small, [square_view((100.0, 75.0), 150.0)])

@@ -1,16 +1,18 @@
 """The whole way with the packaged network: what is promised of a result, and of photos that hold no film."""
 
 from pathlib import Path
+from typing import get_args
 
 import cv2
 import numpy as np
 import pytest
+from test_plane import flat_photo, plane_map
 
 import hybrid
 from data_gen.sample import SampleConfig, film_samples
 from hybrid.backward import Orientation, end_point_error, film_as_seen
-from hybrid.errors import DataError, PhotoError
-from hybrid.pipeline import Rectifier, RectifyConfig
+from hybrid.errors import ConfigError, DataError, PhotoError
+from hybrid.pipeline import Effort, Rectifier, RectifyConfig
 from hybrid.records import StatusCode
 
 EXAMPLE = Path(hybrid.__file__).parent / "examples" / "film.jpg"
@@ -49,9 +51,40 @@ def test_the_example_is_flattened(result, photo):
 
 def test_every_stage_reports(result):
     names = [stage.name for stage in result.stages]
-    seen = ["read", "survey", "network", "check", "outline", "grid", "spline", "verdict"]
-    assert names == [*seen, "resample", "upright", "light"]
+    expected = "read survey network check plane sides outline grid spline again verdict resample upright light"
+    assert names == expected.split()
     assert all(stage.reason and stage.seconds >= 0 for stage in result.stages)
+
+
+def test_efforts_differ_in_what_runs(photo, result):
+    """Fast leaves the network's map as it is and still finds slices; thorough refines again."""
+    fast = hybrid.rectify(photo, effort="fast")
+    ran = {stage.name: stage.ran for stage in fast.stages}
+    assert fast.status.ok
+    assert (ran["sides"], ran["outline"], ran["spline"], ran["grid"]) == (False, False, False, True)
+    assert len(fast.slices()) == len(result.slices())
+    thorough = Rectifier(RectifyConfig.of("thorough"))(photo)
+    assert {stage.name: stage.ran for stage in thorough.stages}["again"]
+    far = np.linalg.norm(thorough.backward.nodes - result.backward.nodes, axis=-1).mean()
+    near = np.linalg.norm(fast.backward.resized(result.backward.nodes.shape[:2]).nodes - result.backward.nodes, axis=-1)
+    assert far < near.mean()
+
+
+def test_the_efforts_are_those_of_the_type_and_no_other():
+    assert RectifyConfig.of("default") == RectifyConfig()
+    assert len({repr(RectifyConfig.of(effort)) for effort in get_args(Effort)}) == 3
+    with pytest.raises(ConfigError, match="fast, default, thorough"):
+        RectifyConfig.of("huge")
+
+
+def test_a_flat_film_needs_no_network_from_several_sides_and_no_spline(rectifier):
+    true = plane_map()
+    found = rectifier(flat_photo())
+    stages = {stage.name: stage for stage in found.stages}
+    assert stages["plane"].reason.startswith("flat"), stages["plane"].reason
+    assert "sides" not in stages
+    assert not stages["spline"].ran
+    assert end_point_error(found.backward, true.nodes).mean() < 1.0
 
 
 def test_slices_are_the_grids_cells(result):

@@ -19,8 +19,8 @@ VIEW_PX = 500
 """Longer side of the film in this look: half of what refinement looks at, as a rough map shows texts no better."""
 
 
-def glance(photo: UInt8[np.ndarray, "H W 3"], backward: BackwardMap, config: RefineConfig) -> Refinement:
-    """The map as it is, with the grid that shows through it."""
+def glance(photo: UInt8[np.ndarray, "H W 3"], backward: BackwardMap, config: RefineConfig, why: str) -> Refinement:
+    """The map as it is, with the grid that shows through it. why: it needs no spline, for the reports."""
     start = perf_counter()
     down, across = backward.mean_film_pixels()
     scale = VIEW_PX / max(down, across)
@@ -30,7 +30,6 @@ def glance(photo: UInt8[np.ndarray, "H W 3"], backward: BackwardMap, config: Ref
     layout, _ = find_layout(view, Layout(), True, config.grid, config.repeat)
     grid = layout.slice_grid(backward)
     seconds = perf_counter() - start
-    why = "the map is left as it is"
     stages = (
         StageReport("outline", False, why, 0.0),
         StageReport("grid", grid is not None, layout.reason(), seconds),

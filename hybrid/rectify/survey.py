@@ -40,8 +40,6 @@ class SurveyConfig:
     """Largest median of the errors that the network expects of film coordinates; of what is no film it is unsure."""
     max_stretch: float = 60.0
     """Largest ratio of the areas that equal pieces of the film cover in the photo."""
-    plane_tolerance_px: float = 0.1
-    """A film is a plane if one homography explains its backward map this closely everywhere."""
 
 
 @dataclass(frozen=True)
@@ -138,18 +136,16 @@ def mask_overlap(maps: CoarseMaps, backward: BackwardMap) -> float:
     return np.count_nonzero(mask & inside) / union if union else 0.0
 
 
-def survey_plane(
-    backward: BackwardMap, config: SurveyConfig | None = None
-) -> tuple[Decision, Float[np.ndarray, "3 3"]]:
-    """Whether the film is a plane, and the homography (film uv to photo points) that comes closest."""
-    config = config or SurveyConfig()
+def survey_plane(backward: BackwardMap, max_off: float) -> tuple[Decision, BackwardMap]:
+    """Whether a map lies within ``max_off`` (parts of the film's size) of a plane sheet's, and that of the nearest."""
     nodes = backward.nodes.reshape(-1, 2)
     uv = film_nodes(backward.nodes.shape[:2]).reshape(-1, 2)
     centre, unit = nodes.mean(axis=0), float(nodes.std())
     homography = fit_homography(uv, (nodes - centre) / unit, np.ones(len(uv)))
-    homography = np.array([[unit, 0, centre[0]], [0, unit, centre[1]], [0, 0, 1]]) @ homography
-    off = float(np.linalg.norm(project(homography, uv) - nodes, axis=1).max())
-    return Decision(off <= config.plane_tolerance_px, f"the sheet is within {off:.2f} px of a plane"), homography
+    plane = project(homography, uv) * unit + centre
+    off = float(np.linalg.norm(plane - nodes, axis=1).max()) / max(backward.mean_film_pixels())
+    evidence = f"the sheet is within {off:.1%} of its size of a plane"
+    return Decision(off <= max_off, evidence), BackwardMap(plane.reshape(backward.nodes.shape))
 
 
 def survey_light(gain: Float[np.ndarray, "gh gw"], veil: Float[np.ndarray, "vh vw"], even: float) -> Decision:

@@ -1,0 +1,72 @@
+"""The options of all stages, and how much work a photo is worth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+from hybrid.errors import ConfigError, describe
+from hybrid.learn.predict import PredictConfig
+from hybrid.learn.upright import UprightConfig
+from hybrid.rectify.deilluminate import DeilluminateConfig
+from hybrid.rectify.film_size import FilmSizeConfig
+from hybrid.rectify.fuse import FuseConfig
+from hybrid.rectify.invert import InvertConfig
+from hybrid.rectify.plane import PlaneConfig
+from hybrid.rectify.refine import RefineConfig
+from hybrid.rectify.resample import ResampleConfig
+from hybrid.rectify.survey import SurveyConfig
+from hybrid.rectify.trust import TrustConfig
+
+Effort = Literal["fast", "default", "thorough"]
+"""How much work a photo is worth; RectifyConfig.of says what each of them does."""
+
+
+@dataclass(frozen=True)
+class RectifyConfig:
+    """How photos are rectified; every stage has its own options, and ``of`` sets those on which time depends."""
+
+    weights: Path | None = None
+    """A FilmNet file made by ``hybrid train``; None for the packaged one."""
+    survey: SurveyConfig = field(default_factory=SurveyConfig)
+    predict: PredictConfig = field(default_factory=PredictConfig)
+    invert: InvertConfig = field(default_factory=InvertConfig)
+    refine: RefineConfig = field(default_factory=RefineConfig)
+    plane: PlaneConfig = field(default_factory=PlaneConfig)
+    exact: bool = True
+    """Whether the network's map is made exact by what is seen of the film; else it is only searched for the grid."""
+    again: bool = False
+    """Whether refinement is started again: from its own result, or, where that is not believed, from what the network
+    saw of each side apart."""
+    size: FilmSizeConfig = field(default_factory=FilmSizeConfig)
+    resample: ResampleConfig = field(default_factory=ResampleConfig)
+    upright: UprightConfig = field(default_factory=UprightConfig)
+    light: DeilluminateConfig = field(default_factory=DeilluminateConfig)
+    trust: TrustConfig = field(default_factory=TrustConfig)
+    fuse: FuseConfig = field(default_factory=FuseConfig)
+
+    @staticmethod
+    def of(effort: Effort) -> RectifyConfig:
+        """The options of an effort.
+
+        fast: the network's map of one side as it is, unless the film is flat, and the photo read bilinearly. default:
+        the options' own values. thorough: more looks where they move the film, and refinement started again.
+
+        Raises:
+            ConfigError: there is no such effort.
+        """
+        efforts = {
+            "fast": RectifyConfig(
+                predict=PredictConfig(sides=(0,)),
+                exact=False,
+                resample=ResampleConfig(cubic_below=0.0),
+            ),
+            "default": RectifyConfig(),
+            "thorough": RectifyConfig(predict=PredictConfig(looks=5, settled=0.003), again=True),
+        }
+        if effort not in efforts:
+            raise ConfigError(
+                describe(what="Effort", got=repr(effort), allowed=", ".join(efforts), do="Name one of them.")
+            )
+        return efforts[effort]

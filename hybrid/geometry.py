@@ -1,0 +1,177 @@
+"""From the photo to the backward map and the grid: looks, the plane, refinement; each only as far as the film needs."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from hybrid.backward import BackwardMap
+from hybrid.effort import RectifyConfig
+from hybrid.learn.network import FilmNet
+from hybrid.learn.predict import look, look_from_sides
+from hybrid.learn.views import film_view, plane_of, whole_view
+from hybrid.pyramid import Photo, Pyramid
+from hybrid.records import CoarseMaps, StageReport
+from hybrid.rectify.glance import VIEW_PX, glance
+from hybrid.rectify.invert import Inversion, NotInverted, agreed, change, fit_backward
+from hybrid.rectify.plane import flat_film
+from hybrid.rectify.refine import Refinement, refine
+from hybrid.rectify.survey import Verdict, expected_error
+from hybrid.rectify.trust import expected_error_px, film_verdict, signs_of
+
+
+@dataclass
+class Report:
+    """What a stage says of itself while it runs."""
+
+    reason: str = ""
+    ran: bool = True
+
+
+class Clock:
+    """Collects the reports of the stages of one photo, with their seconds."""
+
+    def __init__(self) -> None:
+        self.reports: tuple[StageReport, ...] = ()
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[Report]:
+        report, start = Report(), time.perf_counter()
+        yield report
+        self.reports += (StageReport(name, report.ran, report.reason, time.perf_counter() - start),)
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """What the network saw in its last look: the maps, the film's map that follows, and the view of the film, if any.
+
+    All but ``inversion`` and ``maps`` are of ``photo``, the copy of the photo, ``factor`` times smaller, that it saw.
+    """
+
+    maps: CoarseMaps
+    inversion: Inversion | NotInverted
+    view: BackwardMap | None
+    photo: Photo
+    factor: int
+
+
+def see(network: FilmNet, pyramid: Pyramid, config: RectifyConfig, clock: Clock) -> Seen:
+    """The network's looks at the photo: at the whole, then at the film, flattened by the plane seen last."""
+    predict = config.predict
+    with clock.stage("network") as report:
+        photo, factor = pyramid.reduced(max(pyramid.photo.shape[:2]) / predict.least_px)
+        (maps,) = look(network, photo, [whole_view((photo.shape[0], photo.shape[1]))])
+        inversion, looks, moved = fit_backward(maps, config.invert), 1, np.inf
+        view: BackwardMap | None = None
+        while looks < predict.looks and moved > predict.settled:
+            if isinstance(inversion, NotInverted) or inversion.backward.folds((9, 9)):
+                break
+            if looks > 1 and expected_error(maps) > config.survey.max_expected_error:
+                break  # no film, it seems: a further look would only flatter it
+            view = film_view(plane_of(inversion.backward), predict.margin)
+            (maps,) = look_from_sides(network, photo, view, predict.sides[:1])
+            last, inversion = inversion, fit_backward(maps, config.invert)
+            looks, moved = looks + 1, change(last, inversion)
+        if isinstance(inversion, NotInverted):
+            report.reason = inversion.reason
+        else:
+            inversion = inversion.enlarged(factor)
+            report.reason = f"{looks} looks, the last explained to {inversion.residual_px:.1f} px"
+    return Seen(maps.enlarged(factor), inversion, view, photo, factor)
+
+
+def see_from_sides(network: FilmNet, seen: Seen, config: RectifyConfig, clock: Clock) -> list[Inversion]:
+    """The maps of the last look, turned and mirrored in several ways for the network; that of ``seen`` is the last."""
+    first, others = seen.inversion, config.predict.sides[1:]
+    if isinstance(first, NotInverted):
+        return []
+    with clock.stage("sides") as report:
+        report.ran = bool(others) and seen.view is not None
+        report.reason = "one side is enough in this effort" if not others else "the film was not looked at alone"
+        if seen.view is None or not others:
+            return [first]
+        looks = look_from_sides(network, seen.photo, seen.view, others)
+        found = [fit_backward(maps, config.invert) for maps in looks]
+        sides = [side.enlarged(seen.factor) for side in found if isinstance(side, Inversion)]
+        apart = np.mean([change(first, side) for side in sides]) if sides else 0.0
+        report.reason = f"{len(sides)} more sides, {apart:.1%} of the film from the first on average"
+    return [*sides, first]
+
+
+def shape_of(
+    pyramid: Pyramid, coarse: BackwardMap, sides: Callable[[], Sequence[Inversion]], config: RectifyConfig, clock: Clock
+) -> Refinement:
+    """The exact map of the film and its grid, by the shortest way that it allows.
+
+    coarse: the network's map of one side. sides: gives those of all sides; called where they are needed.
+    """
+    by_edges = partial(flat_film, refine=config.refine, config=config.plane)
+    flat = _on_copy(pyramid, coarse, config.refine.working_px, by_edges)
+    clock.reports += flat.stages
+    if _believed(flat):
+        return flat
+    every = sides()
+    mean = agreed(every)
+    assert isinstance(mean, Inversion)  # the last of the sides is
+    if config.exact:
+        return _exact(pyramid, mean.backward, every, config, clock)
+    look_at = partial(glance, config=config.refine, why="the network's map is kept in this effort")
+    found = _on_copy(pyramid, mean.backward, VIEW_PX, look_at)
+    clock.reports += found.stages
+    return found
+
+
+def _exact(
+    pyramid: Pyramid, coarse: BackwardMap, sides: Sequence[Inversion], config: RectifyConfig, clock: Clock
+) -> Refinement:
+    """The network's map made exact by what is seen of the film, once or twice."""
+    exact, px = partial(refine, config=config.refine), config.refine.working_px
+    best = _on_copy(pyramid, coarse, px, exact)
+    clock.reports += best.stages
+    with clock.stage("again") as report:
+        report.ran, report.reason = config.again, "one refinement is enough in this effort"
+        if config.again:
+            starts = [best] if _believed(best) else sides
+            further = [_on_copy(pyramid, start.backward, px, exact) for start in starts]
+            report.reason = f"from {'its own result' if _believed(best) else f'each of {len(sides)} sides'}"
+            further = [one for one in further if _believed(one)]
+            report.reason += f": {len(further)} of {len(starts)} believed"
+            best = min(further, key=lambda one: one.expected_px or 0.0, default=best)
+    return best
+
+
+def trusted(
+    network: FilmNet, pyramid: Pyramid, seen: Seen, refinement: Refinement, config: RectifyConfig, clock: Clock
+) -> tuple[Verdict, float]:
+    """Whether the map is as good as certain, and the error to be expected in pixels; the network looks once more."""
+    coarse = seen.inversion
+    assert isinstance(coarse, Inversion)  # else there is nothing to trust
+    with clock.stage("verdict") as report:
+        plane = plane_of(refinement.backward.cropped((0.0, 0.0), (1 / seen.factor, 1 / seen.factor)))
+        (again,) = look(network, seen.photo, [film_view(plane, config.predict.margin)])
+        signs = signs_of(pyramid, seen.maps, coarse.backward, refinement, again.enlarged(seen.factor))
+        verdict = film_verdict(signs, config.trust)
+        report.reason = verdict.reason
+    return verdict, expected_error_px(signs, config.trust)
+
+
+def _on_copy(
+    pyramid: Pyramid, coarse: BackwardMap, film_px: int, work: Callable[[Photo, BackwardMap], Refinement]
+) -> Refinement:
+    """What ``work`` makes of the map on a copy of the photo in which the film's longer side has about ``film_px``."""
+    photo, (x, y) = pyramid.scaled(film_px / max(coarse.mean_film_pixels()))
+    found = work(photo, coarse.cropped((0.0, 0.0), (x, y)))
+    up = (1.0 / x, 1.0 / y)
+    grid = found.grid and replace(found.grid, vertices_photo=found.grid.vertices_photo * np.array(up))
+    left = None if found.expected_px is None else found.expected_px * up[0]
+    return replace(found, backward=found.backward.cropped((0.0, 0.0), up), grid=grid, expected_px=left)
+
+
+def _believed(refinement: Refinement) -> bool:
+    """Whether refinement took what it found for better than the map that it started from."""
+    return refinement.expected_px is not None

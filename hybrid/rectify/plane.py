@@ -1,0 +1,124 @@
+"""Flat films: where all four edges of the sheet are straight, their lines give the whole map, a homography."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from time import perf_counter
+
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from hybrid.backward import BackwardMap
+from hybrid.coords import film_nodes
+from hybrid.records import StageReport
+from hybrid.rectify.glance import glance
+from hybrid.rectify.invert import fit_homography, project
+from hybrid.rectify.outline import SIDES, find_outline
+from hybrid.rectify.refine import RefineConfig, Refinement
+from hybrid.rectify.sightings import Sightings
+from hybrid.rectify.survey import survey_plane
+from hybrid.rectify.tps import MAD_TO_SIGMA, tukey_weights
+
+PARTS = 8
+"""Parts of an edge that must each lie on its line: an arc, a wave or a curled corner shows in some of them."""
+
+EXPECTED_ERROR = 5e-4
+"""Median error of the map of a flat film, in parts of its size; 0.1 to 1 on flat films of the generator."""
+
+
+@dataclass(frozen=True)
+class PlaneConfig:
+    """When a film is taken for flat. All in parts of the film's size."""
+
+    max_off: float = 0.015
+    """Largest distance of the network's map from the nearest plane: beyond, edges are not looked at."""
+    max_bend: float = 0.001
+    """Largest distance of a part of an edge from the edge's line."""
+    max_shift: float = 0.03
+    """Largest distance of a corner by the edges from the corner by the network's map."""
+    min_parts: int = 6
+    """Of the eight parts of each edge, so many must be seen."""
+
+
+@dataclass(frozen=True, eq=False)
+class EdgeLine:
+    """An edge as a line, ``across = at + slope * along`` in film coordinates.
+
+    bend: largest distance of a part of the edge from it. parts: of PARTS, how many are seen.
+    """
+
+    at: float
+    slope: float
+    bend: float
+    parts: int
+
+
+def flat_film(
+    photo: UInt8[np.ndarray, "H W 3"],
+    coarse: BackwardMap,
+    refine: RefineConfig,
+    config: PlaneConfig,
+) -> Refinement:
+    """The map of a flat film by the lines of its edges, with the grid that shows through it.
+
+    coarse: the network's map. It comes back, without expected_px, where the film is not surely flat.
+    """
+    start = perf_counter()
+    decision, plane = survey_plane(coarse, config.max_off)
+    found, evidence = None, decision.reason
+    if decision.yes:  # straight edges are straight as the nearest plane sheet shows them
+        found, evidence = plane_by_edges(find_outline(photo, plane, refine.outline), plane, config)
+    report = StageReport("plane", decision.yes, evidence, perf_counter() - start)
+    if found is None:
+        return Refinement(coarse, None, (report,))
+    flat = glance(photo, found, refine, "the film is flat")
+    left = EXPECTED_ERROR * max(found.mean_film_pixels())
+    return replace(flat, stages=(report, *flat.stages), expected_px=left)
+
+
+def plane_by_edges(
+    edges: Sequence[Sightings], plane: BackwardMap, config: PlaneConfig
+) -> tuple[BackwardMap | None, str]:
+    """The homography by the edges' lines, seen through ``plane``; None where the film is not surely flat; evidence."""
+    if len(edges) < len(SIDES):
+        return None, f"{len(edges)} of 4 edges seen"
+    lines = [edge_line(edge) for edge in edges]
+    bend, parts = max(line.bend for line in lines), min(line.parts for line in lines)
+    evidence = f"edges straight to {bend:.2%} of the film"
+    if bend > config.max_bend or parts < config.min_parts:
+        return None, f"{evidence}, each in {parts} of {PARTS} parts: not surely flat"
+    corners, true = film_corners(lines), film_nodes((2, 2)).reshape(-1, 2)
+    shift = float(np.abs(corners - true).max())
+    if shift > config.max_shift:
+        return None, f"{evidence}, but {shift:.1%} beside the film that the network saw"
+    at = fit_homography(true, corners, np.ones(len(true)))  # where the plane shows a film point
+    size = (plane.nodes.shape[0], plane.nodes.shape[1])
+    return BackwardMap.from_function(lambda uv: plane.photo_from_film(project(at, uv)), size), f"flat: {evidence}"
+
+
+def edge_line(side: Sightings) -> EdgeLine:
+    """The line along an edge, by robust least squares, and how far the edge leaves it."""
+    along, across = side.seen[:, 1 - side.axis], side.seen[:, side.axis]
+    rows = np.stack([np.ones_like(along), along], axis=1)
+    weight = np.ones(len(along))
+    for _ in range(5):
+        fit = np.linalg.lstsq(rows * weight[:, None], across * weight, rcond=None)[0]
+        residual = across - rows @ fit
+        scale = max(MAD_TO_SIGMA * float(np.median(np.abs(residual))), 1e-6)
+        weight = np.sqrt(tukey_weights(residual / scale))
+    part = np.clip((along * PARTS).astype(int), 0, PARTS - 1)
+    middles = [abs(float(np.median(residual[part == k]))) for k in range(PARTS) if np.count_nonzero(part == k) >= 3]
+    return EdgeLine(float(fit[0]), float(fit[1]), max(middles, default=np.inf), len(middles))
+
+
+def film_corners(lines: Sequence[EdgeLine]) -> Float[np.ndarray, "4 2"]:
+    """Where the edges' lines (top, bottom, left, right) meet, in the order of ``film_nodes((2, 2))``."""
+    top, bottom, left, right = lines
+    corners = []
+    for across in (top, bottom):
+        for down in (left, right):
+            # u = down.at + down.slope * v and v = across.at + across.slope * u
+            u = (down.at + down.slope * across.at) / (1.0 - down.slope * across.slope)
+            corners.append([u, across.at + across.slope * u])
+    return np.array(corners)
