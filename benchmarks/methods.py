@@ -24,6 +24,7 @@ from typing import Any
 import numpy as np
 import torch
 from jaxtyping import Float, UInt8
+from torch import nn
 
 from benchmarks.cases import Case, TrueShape, true_shape
 from hybrid.backward import BackwardMap
@@ -126,7 +127,7 @@ def path_in(folder: Path | None, name: str) -> Path | None:
 
 @dataclass(frozen=True, eq=False)
 class Trained:
-    """A network with its weights, at the width and input of their file. training: in words."""
+    """A network with its weights, at the width and input of their file. training: on what, in words."""
 
     network: Any
     training: str
@@ -135,6 +136,17 @@ class Trained:
     def parameters(self) -> int:
         """How many there are."""
         return parameter_count(self.network)
+
+    def label(self, of: str) -> str:
+        """What a row with this network is called."""
+        config = self.network.config
+        width = f" at width {config.width:g}" if isinstance(config, PaperConfig) else ""
+        return f"{of}, trained{width} ({millions(self.network)})"
+
+
+def millions(network: nn.Module) -> str:
+    """The size of a network, in words."""
+    return f"{parameter_count(network) / 1e6:.1f} M parameters"
 
 
 def trained(folder: Path | None, name: str) -> Trained | None:
@@ -149,12 +161,9 @@ def trained(folder: Path | None, name: str) -> Trained | None:
 
 def _loaded(path: Path, name: str) -> Trained:
     chosen, notes = PRESETS[name], notes_of(path)
-    network = load_weights(path, chosen.build, type(chosen.config)).eval()
-    config = network.config
-    seen = f"{notes['passes']:,} images" if "passes" in notes else ""
-    on = f"of {', '.join(map(str, notes['data']))}" if notes.get("data") else ""
-    width = f"at width {config.width:g}" if isinstance(config, PaperConfig) else ""
-    return Trained(network, " ".join(part for part in ("trained", width, seen and f"on {seen}", on) if part))
+    seen = f"{notes['passes']:,} images" if "passes" in notes else "images that its file does not count"
+    of = f" of {', '.join(map(str, notes['data']))}" if notes.get("data") else ""
+    return Trained(load_weights(path, chosen.build, type(chosen.config)).eval(), f"trained on {seen}{of}")
 
 
 # ---------------------------------------------------------------- this project
@@ -267,9 +276,7 @@ def _of_network(
     given: Callable[[Case], Any] = photo_of_case,
 ) -> Method:
     """A method that is a trained network and what finds the map of its answer."""
-    return Method(
-        name, find, given, parameters=known.parameters, label=f"{label}, {known.training}", training=known.training
-    )
+    return Method(name, find, given, parameters=known.parameters, label=known.label(label), training=known.training)
 
 
 METHODS: dict[str, Callable[[Path | None], Method | None]] = {

@@ -109,7 +109,7 @@ def _how(report: Report) -> str:
     run, settings = report.run, report.settings
     machine, packages = run["machine"], run["packages"]
     versions = ", ".join(f"{name} {version}" for name, version in packages.items() if version)
-    trained = sorted({m.label for m in report.methods if m.training and m.name in rivals_of(report)})
+    trained = [f"{m.label}: {m.training}" for m in report.methods if m.training and m.name in rivals_of(report)]
     timed = sorted(m.label for m in report.methods if m.unscored == TIME_ONLY)
     lines = [
         f"To make this page again:\n\n```bash\n{run['command']}\n```",

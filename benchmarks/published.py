@@ -19,7 +19,7 @@ from jaxtyping import UInt8
 from torch import Tensor, nn
 
 from benchmarks.cases import Case
-from benchmarks.methods import DEWARPNET_DUE, Flattened, Method, trained_dewarpnet
+from benchmarks.methods import DEWARPNET_DUE, Flattened, Method, millions, trained_dewarpnet
 from hybrid.backward import BackwardMap
 from hybrid.coords import film_nodes, pixel_centres, rescale_points
 from hybrid.learn.baselines import corrected, dewarpnet_map, published_image, published_map, recover
@@ -95,7 +95,7 @@ def full_firenet(weights: Path | None) -> Method:
     network = FiReNet(FiReNetConfig()).eval()
     return _timed(
         "firenet_full",
-        "FiReNet, full width",
+        "FiReNet",
         network,
         lambda prompt: recover(PromptedFiReNet(network, prompt.answer), prompt.photo).backward,
         lambda case: true_firenet_answer(case, network.config.input_px),
@@ -107,7 +107,7 @@ def full_dewarpnet(weights: Path | None) -> Method:
     network = DewarpNet(DewarpNetConfig()).eval()
     return _timed(
         "dewarpnet_full",
-        f"{DEWARPNET_DUE}, full width",
+        DEWARPNET_DUE,
         network,
         lambda prompt: corrected(PromptedDewarpNet(network, prompt.answer), prompt.photo),
         true_dewarpnet_answer,
@@ -123,7 +123,7 @@ def full_dewarpnet_published(weights: Path | None) -> Method:
 
     return _timed(
         "dewarpnet_published_full",
-        f"{DEWARPNET_PUBLISHED}, full width",
+        DEWARPNET_PUBLISHED,
         network,
         lambda prompt: flatten(prompt).backward,
         true_dewarpnet_answer,
@@ -146,7 +146,7 @@ def _timed(
         lambda case: Prompt(case.photo(), answer(case)),
         flatten,
         parameters=parameter_count(network),
-        label=label,
+        label=f"{label}, full width ({millions(network)})",
         unscored=TIME_ONLY,
         steady=True,
     )
@@ -162,7 +162,7 @@ def dewarpnet_published(weights: Path | None) -> Method | None:
         lambda photo: flatten_as_published(known.network, photo).backward,
         flatten=lambda photo: flatten_as_published(known.network, photo),
         parameters=known.parameters,
-        label=f"{DEWARPNET_PUBLISHED}, {known.training}",
+        label=known.label(DEWARPNET_PUBLISHED),
         training=known.training,
     )
 

@@ -162,8 +162,10 @@ def test_trained_networks_are_scored_and_say_how_they_were_trained(
         method, other = LINEUP[name](None), LINEUP[name](own)
         assert method is not None
         assert other is not None
-        assert "trained at width 0.03 on 120,000 images of a, b" in method.label
-        assert "at width 0.04" in other.training
+        assert "trained at width 0.03 (" in method.label
+        assert "M parameters" in method.label
+        assert method.training == "trained on 120,000 images of a, b"
+        assert "trained at width 0.04" in other.label
         assert not method.unscored
         assert (method.parameters or 0) < (other.parameters or 0)
     method = LINEUP["dewarpnet_published"](None)
