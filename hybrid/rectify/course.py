@@ -60,10 +60,15 @@ class RefineConfig:
     """Largest displacement believed, in film units."""
     min_gain: float = 0.9
     """The spline counts only if held-out sightings disagree with it by less than this fraction of before."""
-    borne_out: float = 2.0
+    trial_rounds: int = 2
+    """After so many rounds it is decided from which map to go on."""
+    borne_out: float = 1.6
     """Where the print lies within so many deviations of where the bent sheet has it, no other map is tried."""
-    as_alike: float = 0.92
-    """The bent sheet counts if its cells look at least so much as alike as those of the network's map."""
+    near_sheet: float = 0.015
+    """A bent sheet that lies further than this from the network's map, in film units, has more to prove."""
+    as_alike: tuple[float, float] = (0.92, 1.2)
+    """The bent sheet counts if its cells look at least so much as alike as those of the network's map: near it, and
+    beyond."""
     max_residual: float = 2.5
     """Where held-out sightings disagree with the spline by more than this, in their stated deviations, some of them are
     wrong together, as where cells were taken for their neighbours: the map is not believed."""
@@ -125,47 +130,6 @@ class Course:
         return bool(np.any(self.displacement.values))
 
 
-def agreement(course: Course, layout: Layout) -> float:
-    """How alike the cells of a layout look at the end of a course, in [0, 1]; 0 where the layout has no cells."""
-    columns, rows = layout.repeats
-    if columns is None or rows is None:
-        return 0.0
-    return cell_agreement(_view(_half(course.scene), course.displacement), columns, rows)
-
-
-def follow(scene: Scene, outline: Sequence[Sightings], config: RefineConfig, clock: Clock) -> Course | None:
-    """All rounds from the scene's map on. outline: the edges as seen through it. None where nothing is seen."""
-    displacement = no_displacement(config.spline)
-    if outline:
-        displacement = fit_displacement(outline, config.spline).displacement
-    layout, attempts = Layout(), [_Attempt(displacement, tuple(Evidence(s) for s in outline))]
-    near = replace(config.outline, band=config.near_band)
-    for number, matcher in enumerate(_matchers(config)):
-        displacement = attempts[-1].displacement
-        view = _view(scene, displacement)
-        layout, lines = find_layout(view, layout, number < config.line_rounds, config.grid, config.repeat)
-        found = _observe_print(view, layout, lines, matcher, outline, config)
-        clock.lap("grid")
-        evidence = tuple(e.lifted(displacement) for e in found)
-        if number == 0:
-            edges = find_outline(scene.photo, displacement.composed(scene.coarse), near)
-            outline = tuple(displacement.lift(s) for s in edges)
-            clock.lap("outline")
-        evidence += tuple(Evidence(_as_uncertain(s, layout, config)) for s in outline)
-        if not evidence:
-            return None
-        fit = fit_displacement([e.sightings for e in evidence], config.spline)
-        attempts.append(_Attempt(fit.displacement, evidence, fit.stiffness))
-        layout = layout.adjusted(evidence, fit)
-        clock.lap("spline")
-        moved = float(np.abs(fit.displacement.values - displacement.values).max())
-        if number >= 2 and (moved < config.settled_move or layout.is_enough):
-            break
-    course = _judged(scene, layout, _most_alike(scene, layout, attempts, config), config)
-    clock.lap("spline")
-    return course
-
-
 @dataclass(frozen=True, eq=False)
 class _Attempt:
     """A displacement and what it was fitted to, as seen through the coarse map."""
@@ -173,6 +137,89 @@ class _Attempt:
     displacement: Displacement
     evidence: tuple[Evidence, ...]
     stiffness: tuple[float, float] = (0.0, 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Progress:
+    """What is known after some rounds. rounds: how many. outline, attempts: as seen through the scene's map."""
+
+    scene: Scene
+    outline: tuple[Sightings, ...]
+    attempts: tuple[_Attempt, ...]
+    layout: Layout = field(default_factory=Layout)
+    rounds: int = 0
+    settled: bool = False
+
+
+def begin(scene: Scene, outline: Sequence[Sightings], config: RefineConfig) -> Progress:
+    """Before the first round. outline: the edges as seen through the scene's map."""
+    displacement = no_displacement(config.spline)
+    if outline:
+        displacement = fit_displacement(outline, config.spline).displacement
+    return Progress(scene, tuple(outline), (_Attempt(displacement, tuple(Evidence(s) for s in outline)),))
+
+
+def followed(progress: Progress, rounds: int, config: RefineConfig, clock: Clock) -> Progress | None:
+    """After so many rounds in all, or fewer if they settle before. None where nothing is seen."""
+    for number, matcher in list(enumerate(_matchers(config)))[progress.rounds : rounds]:
+        if progress.settled:
+            break
+        after = _round(progress, number, matcher, config, clock)
+        if after is None:
+            return None
+        progress = after
+    return progress
+
+
+def _round(
+    progress: Progress, number: int, matcher: Callable[..., tuple[Sightings, ...]], config: RefineConfig, clock: Clock
+) -> Progress | None:
+    """One more round: what is printed is looked for through the improved map, and all is fitted anew."""
+    scene, outline, displacement = progress.scene, progress.outline, progress.attempts[-1].displacement
+    looking = number < config.line_rounds
+    view = _view(scene, displacement)
+    layout, lines = find_layout(view, progress.layout, looking, config.grid, config.repeat)
+    found = _observe_print(view, layout, lines, matcher, outline, config)
+    clock.lap("grid")
+    evidence = tuple(e.lifted(displacement) for e in found)
+    if number == 0:
+        near = replace(config.outline, band=config.near_band)
+        outline = tuple(
+            displacement.lift(s) for s in find_outline(scene.photo, displacement.composed(scene.coarse), near)
+        )
+        clock.lap("outline")
+    evidence += tuple(Evidence(_as_uncertain(s, layout, config)) for s in outline)
+    if not evidence:
+        return None
+    fit = fit_displacement([e.sightings for e in evidence], config.spline)
+    layout = layout.adjusted(evidence, fit)
+    clock.lap("spline")
+    moved = float(np.abs(fit.displacement.values - displacement.values).max())
+    attempts = (*progress.attempts, _Attempt(fit.displacement, evidence, fit.stiffness))
+    settled = number >= 2 and (moved < config.settled_move or layout.is_enough)
+    return Progress(scene, outline, attempts, layout, number + 1, settled)
+
+
+def ended(progress: Progress, config: RefineConfig, clock: Clock) -> Course:
+    """The best of what the rounds gave, and whether it is to be believed."""
+    chosen = _most_alike(progress.scene, progress.layout, list(progress.attempts), config)
+    course = _judged(progress.scene, progress.layout, chosen, config)
+    clock.lap("spline")
+    return course
+
+
+def agreement(progress: Progress, layout: Layout) -> float:
+    """How alike the cells of a layout look after the last round, in [0, 1]; 0 where the layout has no cells."""
+    columns, rows = layout.repeats
+    if columns is None or rows is None:
+        return 0.0
+    return cell_agreement(_view(_half(progress.scene), progress.attempts[-1].displacement), columns, rows)
+
+
+def contradiction(progress: Progress, config: RefineConfig) -> float:
+    """How badly the start itself explains what the last round saw, in stated deviations."""
+    attempt = progress.attempts[-1]
+    return held_out_residuals([e.sightings for e in attempt.evidence], _fixed(attempt, config))[0]
 
 
 # ---------------------------------------------------------------- steps
@@ -271,9 +318,7 @@ def _judged(scene: Scene, layout: Layout, attempt: _Attempt, config: RefineConfi
     if not attempt.evidence:
         verdict = "the cells look most alike through the coarse map"
         return Course(scene, still, layout, (), np.inf, np.inf, False, verdict)
-    stiffness = max(*attempt.stiffness, config.spline.stiffness[0])
-    same = replace(config.spline, stiffness=(stiffness, stiffness, 1))
-    before, after = held_out_residuals([e.sightings for e in attempt.evidence], same)
+    before, after = held_out_residuals([e.sightings for e in attempt.evidence], _fixed(attempt, config))
     move = float(np.linalg.norm(attempt.displacement.values, axis=1).max())
     moved, believed = attempt.displacement, False
     if after > config.max_residual:
@@ -289,6 +334,12 @@ def _judged(scene: Scene, layout: Layout, attempt: _Attempt, config: RefineConfi
         verdict = f"held-out residual {before:.1f} -> {after:.1f} sigma, moved by up to {100 * move:.1f} %"
         believed = True
     return Course(scene, moved if believed else still, layout, attempt.evidence, before, after, believed, verdict)
+
+
+def _fixed(attempt: _Attempt, config: RefineConfig) -> SplineConfig:
+    """The spline's options with the stiffness that the evidence chose."""
+    stiffness = max(*attempt.stiffness, config.spline.stiffness[0])
+    return replace(config.spline, stiffness=(stiffness, stiffness, 1))
 
 
 def held_out_residuals(sightings: Sequence[Sightings], config: SplineConfig, folds: int = 2) -> tuple[float, float]:
@@ -322,4 +373,17 @@ def _without_shared(sightings: Sightings) -> Float[np.ndarray, " n"]:
     return sightings.offsets() - sightings.shared @ best
 
 
-__all__ = ["Clock", "Course", "RefineConfig", "Scene", "agreement", "follow", "held_out_residuals", "working_scene"]
+__all__ = [
+    "Clock",
+    "Course",
+    "Progress",
+    "RefineConfig",
+    "Scene",
+    "agreement",
+    "begin",
+    "contradiction",
+    "ended",
+    "followed",
+    "held_out_residuals",
+    "working_scene",
+]

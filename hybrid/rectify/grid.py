@@ -29,6 +29,8 @@ class GridConfig:
     """Share of the strips that must see a line."""
     lone_share: float = 0.9
     """The same where there is only one line between the cells, so that no pitch bears it out."""
+    believed_share: float = 0.9
+    """The same for a comb that counts: what is weaker is often the ends of slices."""
     sure_share: float = 0.95
     """The same if nothing repeats at the lines' pitch."""
     slack_px: int = 3
@@ -43,7 +45,7 @@ class GridConfig:
     """Most cells along one side."""
     tolerance: float = 0.012
     """How far a line may lie from its place in the comb, in film units."""
-    margin: float = 0.08
+    margin: float = 0.16
     """Widest margin around the grid, in film units: the grid fills the film but for this."""
     edge: float = 0.012
     """Lines nearer to the film's edge than this are left to the outline."""
@@ -291,6 +293,11 @@ def _match_comb(
     while len(places) > 2 and not met[0] and places[0] > config.margin:
         index, places, nearest, met = index[1:], places[1:], nearest[1:], met[1:]
     while len(places) > 2 and not met[-1] and places[-1] < 1.0 - config.margin:
+        index, places, nearest, met = index[:-1], places[:-1], nearest[:-1], met[:-1]
+    # Where margins are wider than cells, a line may be missing before the first: the grid begins further in then.
+    while len(places) > 3 and not met[:2].any() and places[1] <= config.margin:
+        index, places, nearest, met = index[1:], places[1:], nearest[1:], met[1:]
+    while len(places) > 3 and not met[-2:].any() and places[-2] >= 1.0 - config.margin:
         index, places, nearest, met = index[:-1], places[:-1], nearest[:-1], met[:-1]
     # An end that was not seen may be the end of a margin; every line between the ends has to be there.
     if len(places) < 3 or not met[1:-1].all() or places[0] > config.margin or places[-1] < 1.0 - config.margin:

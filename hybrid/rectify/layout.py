@@ -105,14 +105,22 @@ def find_layout(
                 comb = found if comb is None or len(found.seen) > len(comb.seen) else comb
         followed.append(follow_comb(view, comb, grid) if comb is not None else None)
         combs[axis] = comb if followed[axis] is not None else None
+        repeats[axis] = _in_step(repeated, combs[axis])
     return Layout((combs[0], combs[1]), (repeats[0], repeats[1])), (followed[0], followed[1])
+
+
+def _in_step(repeat: Repeats | None, comb: Comb | None) -> Repeats | None:
+    """The cells that repeat, between the lines where there are lines: repetition does not tell where cells begin."""
+    if comb is None or repeat is None:
+        return repeat
+    return Repeats(comb.axis, comb.first, comb.pitch, comb.cells, repeat.correlation)
 
 
 def _plausible(comb: Comb, repeat: Repeats | None, config: GridConfig) -> bool:
     """True where the cells repeat at the comb's pitch or, if no repetition is seen, several lines are unbroken."""
     if repeat is None:
         return comb.cells > 2 and comb.strength >= config.sure_share
-    return abs(comb.pitch - repeat.pitch) < 0.04 * repeat.pitch
+    return comb.strength >= config.believed_share and abs(comb.pitch - repeat.pitch) < 0.04 * repeat.pitch
 
 
 __all__ = ["Evidence", "Layout", "find_layout"]

@@ -15,11 +15,27 @@ import numpy as np
 from jaxtyping import UInt8
 
 from hybrid.backward import BackwardMap
+from hybrid.coords import film_nodes
 from hybrid.records import SliceGrid, StageReport
-from hybrid.rectify.course import Clock, Course, RefineConfig, Scene, agreement, follow, working_scene
+from hybrid.rectify.course import (
+    Clock,
+    Course,
+    Progress,
+    RefineConfig,
+    Scene,
+    agreement,
+    begin,
+    contradiction,
+    ended,
+    followed,
+    working_scene,
+)
 from hybrid.rectify.outline import find_outline
 from hybrid.rectify.sheet import fit_sheet
 from hybrid.rectify.sightings import Sightings
+
+ALL = 99
+"""More rounds than there are."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,19 +62,17 @@ def refine(photo: UInt8[np.ndarray, "H W 3"], coarse: BackwardMap, config: Refin
     scene = working_scene(photo, coarse, config)
     outline = find_outline(scene.photo, scene.coarse, config.outline)
     clock.lap("outline")
-    bent = _from_sheet(scene, outline, config, clock)
-    if bent is None or not _borne_out(bent, config):
-        flat = follow(scene, outline, config, clock)
-        course = flat if bent is None or flat is None or _better(flat, bent, config) else bent
-    else:
-        course = bent
-    if course is None:
+    begun = _begun(scene, outline, config, clock)
+    progress = followed(begun, ALL, config, clock) if begun is not None else None
+    if progress is None:
         return _unchanged(coarse, "no edge, rule, gutter or repeated text was seen", clock)
+    course = ended(progress, config, clock)
+    is_bent = course.scene is not scene
     scale = (photo.shape[1] / scene.photo.shape[1], photo.shape[0] / scene.photo.shape[0])
-    changed = course.believed and (course is bent or course.moves)
+    changed = course.believed and (is_bent or course.moves)
     backward = coarse
     if changed:
-        start = course.scene.coarse.cropped((0.0, 0.0), scale) if course is bent else coarse
+        start = course.scene.coarse.cropped((0.0, 0.0), scale) if is_bent else coarse
         rows, columns = (max(33, n) for n in coarse.nodes.shape[:2])
         backward = course.displacement.composed(start, (rows, columns))
     stages = (
@@ -70,8 +84,29 @@ def refine(photo: UInt8[np.ndarray, "H W 3"], coarse: BackwardMap, config: Refin
     return Refinement(backward, course.layout.slice_grid(backward), stages, expected)
 
 
-def _from_sheet(scene: Scene, outline: Sequence[Sightings], config: RefineConfig, clock: Clock) -> Course | None:
-    """The rounds from the map of an unstretched sheet; None where too few edges are seen, or no sheet fits them."""
+def _begun(scene: Scene, outline: Sequence[Sightings], config: RefineConfig, clock: Clock) -> Progress | None:
+    """The first rounds from the map that what is printed bears out: the sheet's if there is one, or the scene's."""
+    bent = _from_sheet(scene, outline, config, clock)
+    near = bent is None or _distance(bent.scene.coarse, scene.coarse) < config.near_sheet
+    if bent is not None and near and contradiction(bent, config) < config.borne_out:
+        return bent
+    flat = followed(begin(scene, outline, config), config.trial_rounds, config, clock)
+    if bent is None or flat is None:
+        return flat or bent
+    alike = [max(agreement(one, layout) for layout in (flat.layout, bent.layout)) for one in (flat, bent)]
+    clock.lap("spline")
+    return bent if alike[1] >= config.as_alike[0 if near else 1] * alike[0] else flat
+
+
+def _distance(one: BackwardMap, other: BackwardMap) -> float:
+    """Mean distance between two maps, in parts of the film's longer side."""
+    points = film_nodes((9, 9))
+    apart = np.linalg.norm(one.photo_from_film(points) - other.photo_from_film(points), axis=-1).mean()
+    return float(apart / max(other.mean_film_pixels()))
+
+
+def _from_sheet(scene: Scene, outline: Sequence[Sightings], config: RefineConfig, clock: Clock) -> Progress | None:
+    """The first rounds from the map of an unstretched sheet; None where too few edges are seen, or none fits them."""
     if len(outline) < config.sheet.least_edges:
         return None
     found = fit_sheet(scene.coarse, (scene.photo.shape[0], scene.photo.shape[1]), outline, config.sheet)
@@ -81,20 +116,7 @@ def _from_sheet(scene: Scene, outline: Sequence[Sightings], config: RefineConfig
     bent = replace(scene, coarse=found.backward)
     outline = find_outline(scene.photo, bent.coarse, replace(config.outline, band=config.near_band))
     clock.lap("outline")
-    return follow(bent, outline, config, clock)
-
-
-def _borne_out(bent: Course, config: RefineConfig) -> bool:
-    """True where what is printed lies where the sheet has it: the sheet was fitted to nothing but its edges."""
-    return bent.believed and bent.before < config.borne_out
-
-
-def _better(flat: Course, bent: Course, config: RefineConfig) -> bool:
-    """True where the end of the course from the network's map is to be preferred."""
-    if not (flat.believed and bent.believed):
-        return flat.believed
-    alike = [max(agreement(course, layout) for layout in (flat.layout, bent.layout)) for course in (flat, bent)]
-    return alike[1] < config.as_alike * alike[0]
+    return followed(begin(bent, outline, config), config.trial_rounds, config, clock)
 
 
 def _expected_px(coarse: BackwardMap, refined: BackwardMap, course: Course) -> float:

@@ -46,7 +46,7 @@ class SheetConfig:
     network_px: float = 12.0
     """Standard deviation of the network's map in such a photo; smooth, so that all nodes tell as much as six."""
     strain: float = 1.5e-3
-    """Standard deviation of the strain at 40 places: what the splines cannot follow, as film itself strains far less."""
+    """Standard deviation of the strain at 40 places: what the splines cannot follow; film itself strains far less."""
     bending: tuple[float, float] = (250.0, 10.0)
     """Weight of the mean squared second derivatives, in units of the film's height: at first, and for films that this
     leaves unexplained because they are bent sharply."""
