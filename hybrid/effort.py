@@ -45,7 +45,7 @@ class RectifyConfig:
     fuse: FuseConfig = field(default_factory=FuseConfig)
 
     @staticmethod
-    def of(effort: Effort) -> RectifyConfig:
+    def of(effort: Effort | str) -> RectifyConfig:
         """The options of an effort.
 
         fast: the network's map of one side as it is, unless the film is flat, and the photo read bilinearly. default:
