@@ -37,7 +37,7 @@ class RectifyConfig:
     """Whether the network's map is made exact by what is seen of the film; else it is only searched for the grid."""
     again: bool = False
     """Whether refinement is started again: from its own result, or, where that is not believed, from what the network
-    saw of each side apart."""
+    saw of each side apart. The result of the second time is taken where it explains the photo better."""
     size: FilmSizeConfig = field(default_factory=FilmSizeConfig)
     resample: ResampleConfig = field(default_factory=ResampleConfig)
     upright: UprightConfig = field(default_factory=UprightConfig)
