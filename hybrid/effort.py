@@ -38,7 +38,7 @@ class RectifyConfig:
     """Whether the network's map is made exact by what is seen of the film; else it is only searched for the grid."""
     again: bool = False
     """Whether refinement is started again: from its own result, or, where that is not believed, from what the network
-    saw of each side apart."""
+    saw of each side apart. The result of the second time is taken where it explains the photo better."""
     size: FilmSizeConfig = field(default_factory=FilmSizeConfig)
     resample: ResampleConfig = field(default_factory=ResampleConfig)
     upright: UprightConfig = field(default_factory=UprightConfig)
@@ -47,7 +47,7 @@ class RectifyConfig:
     fuse: FuseConfig = field(default_factory=FuseConfig)
 
     @staticmethod
-    def of(effort: Effort) -> RectifyConfig:
+    def of(effort: Effort | str) -> RectifyConfig:
         """The options of an effort.
 
         fast: the network's map of one side as it is, unless the film is flat, and the photo read bilinearly. default:

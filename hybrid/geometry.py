@@ -129,19 +129,25 @@ def shape_of(
 def _exact(
     pyramid: Pyramid, coarse: BackwardMap, sides: Sequence[Inversion], config: RectifyConfig, clock: Clock
 ) -> Refinement:
-    """The network's map made exact by what is seen of the film, once or twice."""
-    exact, px = partial(refine, config=config.refine), config.refine.working_px
-    best = _on_copy(pyramid, coarse, px, exact)
-    clock.reports += best.stages
+    """The network's map made exact by what is seen of the film, and again where the effort says so."""
+
+    def exactly(start: BackwardMap) -> Refinement:
+        return _on_copy(pyramid, start, config.refine.working_px, partial(refine, config=config.refine))
+
+    first = exactly(coarse)
+    clock.reports += first.stages
     with clock.stage("again") as report:
         report.ran, report.reason = config.again, "one refinement is enough in this effort"
-        if config.again:
-            starts = [best] if _believed(best) else sides
-            further = [_on_copy(pyramid, start.backward, px, exact) for start in starts]
-            report.reason = f"from {'its own result' if _believed(best) else f'each of {len(sides)} sides'}"
-            further = [one for one in further if _believed(one)]
-            report.reason += f": {len(further)} of {len(starts)} believed"
-            best = min(further, key=lambda one: one.expected_px or 0.0, default=best)
+        if not config.again:
+            return first
+        if _believed(first):
+            report.reason = "from its own result"
+            second = exactly(first.backward)
+            best = second if _believed(second) else first
+        else:
+            report.reason = f"from each of {len(sides)} sides"
+            best = min([first, *(exactly(side.backward) for side in sides)], key=_doubt)
+        report.reason += ": no better" if best is first else ": better"
     return best
 
 
@@ -175,3 +181,8 @@ def _on_copy(
 def _believed(refinement: Refinement) -> bool:
     """Whether refinement took what it found for better than the map that it started from."""
     return refinement.expected_px is not None
+
+
+def _doubt(refinement: Refinement) -> float:
+    """The error (px) that is expected to be left; infinite where nothing was believed."""
+    return np.inf if refinement.expected_px is None else refinement.expected_px

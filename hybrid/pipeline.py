@@ -166,11 +166,11 @@ def _blas() -> ThreadpoolController:
 
 
 @lru_cache(maxsize=3)
-def _rectifier(effort: Effort) -> Rectifier:
+def _rectifier(effort: Effort | str) -> Rectifier:
     return Rectifier(RectifyConfig.of(effort))
 
 
-def rectify(photo: str | Path | np.ndarray, effort: Effort = "default") -> RectifyResult:
+def rectify(photo: str | Path | np.ndarray, effort: Effort | str = "default") -> RectifyResult:
     """Rectify one photo with the packaged network and an effort's options; see Rectifier.
 
     Raises:

@@ -11,9 +11,9 @@ from typing import Any
 
 
 class _CallableRoom(ModuleType):
-    def __call__(self, photo: Any) -> Any:
+    def __call__(self, photo: Any, *options: Any, **named: Any) -> Any:
         """Rectify one photo; see ``hybrid.pipeline.rectify``."""
-        return importlib.import_module("hybrid.pipeline").rectify(photo)
+        return importlib.import_module("hybrid.pipeline").rectify(photo, *options, **named)
 
 
 sys.modules[__name__].__class__ = _CallableRoom
