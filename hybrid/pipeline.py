@@ -24,12 +24,13 @@ from hybrid.learn.weights import load_weights, packaged_film_net, packaged_uprig
 from hybrid.records import CoarseMaps, RectifyResult, SliceGrid, StageReport, Status, StatusCode
 from hybrid.rectify.deilluminate import DeilluminateConfig, deilluminate
 from hybrid.rectify.film_size import FilmSizeConfig, film_size
+from hybrid.rectify.flat import already_flat
 from hybrid.rectify.fuse import FuseConfig, fuse
 from hybrid.rectify.invert import Inversion, InvertConfig, NotInverted, agreed, change, fit_backward
 from hybrid.rectify.refine import RefineConfig, Refinement, refine
 from hybrid.rectify.resample import Rectified, rectify_photo
-from hybrid.rectify.survey import SurveyConfig, Verdict, expected_error, survey_maps, survey_photo
-from hybrid.rectify.trust import TrustConfig, expected_error_px, film_verdict, signs_of
+from hybrid.rectify.survey import SurveyConfig, expected_error, survey_maps, survey_photo, survey_print
+from hybrid.rectify.trust import Signs, TrustConfig, expected_error_px, film_verdict, signs_of
 
 Photo = UInt8[np.ndarray, "H W 3"]
 
@@ -130,27 +131,32 @@ class Rectifier:
         with clock.stage("check") as report:
             verdict = survey_maps(maps, inversion, self.config.survey)
             report.reason = verdict.reason
+            if verdict.ok and not isinstance(inversion, NotInverted):
+                verdict = survey_print(photo, inversion.backward, self.config.survey)
+                report.reason = f"{verdict.reason}; {report.reason}"
         if not verdict.ok or isinstance(inversion, NotInverted):
             code = StatusCode.NO_FILM if verdict.ok else verdict.code
             return RectifyResult(Status(code), clock.reports)
         refinement = refine(photo, inversion.backward, self.config.refine)
         clock.reports += refinement.stages
+        with clock.stage("flat") as report:
+            flat, report.reason = already_flat(photo, inversion.backward, refinement, self.config.refine)
+            report.ran = flat is not None
         with clock.stage("verdict") as report:
-            verdict, expected = self._trusted(photo, maps, inversion.backward, refinement)
+            signs = self._signs(photo, maps, inversion.backward, flat or refinement)
+            signs = replace(signs, flat=flat is not None)
+            verdict, expected = film_verdict(signs, self.config.trust), expected_error_px(signs, self.config.trust)
             report.reason = verdict.reason
-        result = self._finish(photo, maps, refinement, clock)
+        result = self._finish(photo, maps, flat or refinement, clock)
         return replace(result, status=Status(verdict.code), expected_error_px=expected)
 
-    def _trusted(
-        self, photo: Photo, maps: CoarseMaps, coarse: BackwardMap, refinement: Refinement
-    ) -> tuple[Verdict, float]:
-        """Whether the refined map is as good as certain, and its expected error; the network looks once more for it."""
-        config = self.config
-        small, factor = reduced(photo, config.predict.least_px)
+    def _signs(self, photo: Photo, maps: CoarseMaps, coarse: BackwardMap, refinement: Refinement) -> Signs:
+        """What speaks for the refined map and against it; the network looks once more for that."""
+        config = self.config.predict
+        small, factor = reduced(photo, config.least_px)
         plane = plane_of(refinement.backward.cropped((0.0, 0.0), (1 / factor, 1 / factor)))
-        (again,) = look(self._network, small, [film_view(plane, config.predict.margin)])
-        signs = signs_of(photo, maps, coarse, refinement, again.enlarged(factor))
-        return film_verdict(signs, config.trust), expected_error_px(signs, config.trust)
+        (again,) = look(self._network, small, [film_view(plane, config.margin)])
+        return signs_of(photo, maps, coarse, refinement, again.enlarged(factor))
 
     def _see(self, photo: Photo, clock: _Clock) -> tuple[CoarseMaps, Inversion | NotInverted]:
         """What the network makes of the photo: of the whole, then of the film, flattened by the plane seen last."""

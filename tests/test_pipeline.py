@@ -49,7 +49,7 @@ def test_the_example_is_flattened(result, photo):
 
 def test_every_stage_reports(result):
     names = [stage.name for stage in result.stages]
-    seen = ["read", "survey", "network", "check", "outline", "grid", "spline", "verdict"]
+    seen = ["read", "survey", "network", "check", "outline", "grid", "spline", "flat", "verdict"]
     assert names == [*seen, "resample", "upright", "light"]
     assert all(stage.reason and stage.seconds >= 0 for stage in result.stages)
 
