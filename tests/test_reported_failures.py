@@ -223,10 +223,8 @@ def test_09_an_empty_film_and_one_slice_end_with_a_sentence(rectifier: Rectifier
     sheet = film_print(3)
     image = np.full_like(sheet.image, 0.08)
     if printed == "one slice":
-        h, w = image.shape
-        image[h // 3 : 2 * h // 3, w // 3 : 2 * w // 3] = sheet.image[: h // 3 + 1, : w // 3 + 1][: h // 3 + 1][
-            : 2 * h // 3 - h // 3, : 2 * w // 3 - w // 3
-        ]
+        h, w = image.shape[0] // sheet.rows, image.shape[1] // sheet.cols
+        image[h : 2 * h, w : 2 * w] = sheet.image[h : 2 * h, w : 2 * w]
     it = photographed(replace(sheet, image=image))
     found = rectifier(it.photo)
     if found.status.has_film:
