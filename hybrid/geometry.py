@@ -17,6 +17,7 @@ from hybrid.learn.predict import look, look_from_sides
 from hybrid.learn.views import film_view, plane_of, whole_view
 from hybrid.pyramid import Photo, Pyramid
 from hybrid.records import CoarseMaps, StageReport
+from hybrid.rectify.flat import already_flat
 from hybrid.rectify.glance import VIEW_PX, glance
 from hybrid.rectify.invert import Inversion, NotInverted, agreed, change, fit_backward
 from hybrid.rectify.plane import flat_film
@@ -130,10 +131,7 @@ def _exact(
     pyramid: Pyramid, coarse: BackwardMap, sides: Sequence[Inversion], config: RectifyConfig, clock: Clock
 ) -> Refinement:
     """The network's map made exact by what is seen of the film, and again where the effort says so."""
-
-    def exactly(start: BackwardMap) -> Refinement:
-        return _on_copy(pyramid, start, config.refine.working_px, partial(refine, config=config.refine))
-
+    exactly = partial(_exactly, pyramid, config)
     first = exactly(coarse)
     clock.reports += first.stages
     with clock.stage("again") as report:
@@ -151,19 +149,43 @@ def _exact(
     return best
 
 
+def flat_itself(
+    pyramid: Pyramid, coarse: BackwardMap, refined: Refinement, config: RectifyConfig, clock: Clock
+) -> Refinement | None:
+    """The photo's frame as the film's map, if the photo is a scan or a film that was flattened before."""
+    with clock.stage("flat") as report:
+        flat, report.reason = already_flat(pyramid, coarse, refined, partial(_exactly, pyramid, config))
+        report.ran = flat is not None
+    return flat
+
+
 def trusted(
-    network: FilmNet, pyramid: Pyramid, seen: Seen, refinement: Refinement, config: RectifyConfig, clock: Clock
+    network: FilmNet,
+    pyramid: Pyramid,
+    seen: Seen,
+    refinement: Refinement,
+    flat: bool,
+    config: RectifyConfig,
+    clock: Clock,
 ) -> tuple[Verdict, float]:
-    """Whether the map is as good as certain, and the error to be expected in pixels; the network looks once more."""
+    """Whether the map is as good as certain, and the error to be expected in pixels; the network looks once more.
+
+    flat: whether the photo was found to be the flat film itself.
+    """
     coarse = seen.inversion
     assert isinstance(coarse, Inversion)  # else there is nothing to trust
     with clock.stage("verdict") as report:
         plane = plane_of(refinement.backward.cropped((0.0, 0.0), (1 / seen.factor, 1 / seen.factor)))
         (again,) = look(network, seen.photo, [film_view(plane, config.predict.margin)])
-        signs = signs_of(pyramid, seen.maps, coarse.backward, refinement, again.enlarged(seen.factor))
+        signs = signs_of(pyramid, seen.maps, coarse.backward, refinement, again.enlarged(seen.factor), flat)
         verdict = film_verdict(signs, config.trust)
         report.reason = verdict.reason
     return verdict, expected_error_px(signs, config.trust)
+
+
+def _exactly(pyramid: Pyramid, config: RectifyConfig, start: BackwardMap) -> Refinement:
+    """A map made exact, on a copy of the photo that is large enough for that."""
+    return _on_copy(pyramid, start, config.refine.working_px, partial(refine, config=config.refine))
 
 
 def _on_copy(

@@ -13,7 +13,7 @@ from threadpoolctl import ThreadpoolController
 from hybrid.backward import BackwardMap, Orientation
 from hybrid.effort import Effort, RectifyConfig
 from hybrid.errors import FusionError, describe
-from hybrid.geometry import Clock, Report, see, see_from_sides, shape_of, trusted
+from hybrid.geometry import Clock, Report, flat_itself, see, see_from_sides, shape_of, trusted
 from hybrid.image_io import as_photo
 from hybrid.learn.network import FilmNet, FilmNetConfig, fused
 from hybrid.learn.upright import UprightNet, orientation_chances, upright_way
@@ -26,7 +26,7 @@ from hybrid.rectify.fuse import fuse
 from hybrid.rectify.invert import Inversion, NotInverted, agreed
 from hybrid.rectify.refine import Refinement
 from hybrid.rectify.resample import Rectified, rectify_photo
-from hybrid.rectify.survey import survey_maps, survey_photo
+from hybrid.rectify.survey import survey_maps, survey_photo, survey_print
 
 
 class Rectifier:
@@ -111,12 +111,17 @@ class Rectifier:
         with clock.stage("check") as report:
             verdict = survey_maps(maps, inversion, self.config.survey)
             report.reason = verdict.reason
+            if verdict.ok and not isinstance(inversion, NotInverted):
+                verdict = survey_print(pyramid, inversion.backward, self.config.survey)
+                report.reason = f"{verdict.reason}; {report.reason}"
         if not verdict.ok or isinstance(inversion, NotInverted):
             code = StatusCode.NO_FILM if verdict.ok else verdict.code
             return RectifyResult(Status(code), clock.reports)
         sides = partial(see_from_sides, self._network, seen, self.config, clock)
         refinement = shape_of(pyramid, inversion.backward, sides, self.config, clock)
-        verdict, expected = trusted(self._network, pyramid, seen, refinement, self.config, clock)
+        flat = flat_itself(pyramid, inversion.backward, refinement, self.config, clock)
+        refinement = flat or refinement
+        verdict, expected = trusted(self._network, pyramid, seen, refinement, flat is not None, self.config, clock)
         result = self._finish(pyramid, maps, refinement, clock)
         return replace(result, status=Status(verdict.code), expected_error_px=expected)
 

@@ -14,7 +14,7 @@ from hybrid.coords import film_nodes, pixel_centres
 from hybrid.records import CoarseMaps, SliceGrid, StatusCode
 from hybrid.rectify.film_size import FilmSizeConfig, film_aspect, film_size, snap_aspect
 from hybrid.rectify.invert import fit_backward, project
-from hybrid.rectify.survey import mask_overlap, survey_light, survey_maps, survey_photo, survey_plane
+from hybrid.rectify.survey import mask_overlap, survey_light, survey_maps, survey_photo, survey_plane, survey_print
 
 
 def verdict(maps: CoarseMaps):
@@ -140,3 +140,18 @@ def test_size_holds_the_photo_and_stays_bounded():
 def test_survey_takes_a_photo_of_any_shape():
     wide = cv2.resize(np.arange(256, dtype=np.uint8)[None].repeat(3, 0).T[None], (2000, 70))
     assert survey_photo(np.ascontiguousarray(wide.reshape(70, 2000, 3))).ok
+
+
+@pytest.mark.parametrize(("paper", "okay"), [(False, True), (True, False)])
+def test_bright_print_on_dark_is_film_and_dark_type_on_bright_is_paper(paper: bool, okay: bool):
+    rng = np.random.default_rng(6)
+    photo = np.full((400, 400, 3), 12, np.uint8)
+    for y in range(30, 390, 18):
+        cv2.putText(
+            photo, "".join(rng.choice(list("ABCDEF 123"), 24)), (20, y), cv2.FONT_HERSHEY_SIMPLEX, 0.5, (230,) * 3
+        )
+    whole = BackwardMap(film_nodes((4, 4)) * 400.0)
+    found = survey_print(255 - photo if paper else photo, whole)
+    assert found.ok is okay
+    assert ("paper" in found.reason) is paper
+    assert survey_print(np.full((400, 400, 3), 90, np.uint8), whole).ok

@@ -26,6 +26,9 @@ from hybrid.rectify.survey import Verdict, mask_overlap
 REFERENCE_PX = 1080
 """Longer side of the photos that limits in pixels are stated for."""
 
+FLAT_ERROR = 0.0005
+"""Error of a photo that is the flat film itself, in parts of the film's size: cells that agree pin it so closely."""
+
 NO_GRID_OBLONG = 0.7
 """Stands for the cells' shape where no cells were found: as a factor of two in their sides."""
 
@@ -69,6 +72,7 @@ class Signs:
     grid: whether the grid is known along both axes. corrected: whether the correction was believed.
     edges: number of the sheet's edges that were seen.
     film_px, photo_px: side of a square of the film's area in the photo, and the photo's longer side.
+    flat: whether the photo was found to be the flat film itself; nothing else counts then.
     stated: the error that refinement itself expects, in parts of the film's size; 0 if it says nothing.
     """
 
@@ -83,11 +87,17 @@ class Signs:
     edges: int
     film_px: float
     photo_px: int
+    flat: bool = False
     stated: float = 0.0
 
 
 def signs_of(
-    pyramid: Pyramid, seen: CoarseMaps, coarse: BackwardMap, refinement: Refinement, again: CoarseMaps
+    pyramid: Pyramid,
+    seen: CoarseMaps,
+    coarse: BackwardMap,
+    refinement: Refinement,
+    again: CoarseMaps,
+    flat: bool = False,
 ) -> Signs:
     """What speaks for a refined map.
 
@@ -109,12 +119,15 @@ def signs_of(
         edges=edges,
         film_px=film_px,
         photo_px=max(pyramid.photo.shape[:2]),
+        flat=flat,
     )
 
 
 def expected_error_px(signs: Signs, config: TrustConfig | None = None) -> float:
     """Mean distance, in pixels of the photo, by which the points of the film are expected to be off."""
     config = config or TrustConfig()
+    if signs.flat:
+        return FLAT_ERROR * signs.film_px
     terms = (
         config.constant,
         config.overlap_before * _miss(signs.overlap_before),
@@ -130,6 +143,8 @@ def expected_error_px(signs: Signs, config: TrustConfig | None = None) -> float:
 def film_verdict(signs: Signs, config: TrustConfig | None = None) -> Verdict:
     """OK where the film is as good as certain to lie where the map says, UNSURE else, with the evidence."""
     config = config or TrustConfig()
+    if signs.flat:
+        return Verdict(StatusCode.OK, f"the photo is the flat film itself: cells are alike to {signs.alike:.0%}")
     limit = max(config.limit_px / REFERENCE_PX * signs.photo_px, 1.0)
     expected = expected_error_px(signs, config)
     doubts = [

@@ -1,0 +1,51 @@
+"""A photo that is the flat film already: a scan, or what was flattened before. It has to come back as it is.
+
+The network's map is off by a percent of the film there, as everywhere, and without a table around the sheet no edge
+tells. Cells do: through the photo's own frame they are alike as they never are through a map that is wrong.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from hybrid.backward import BackwardMap
+from hybrid.coords import film_nodes
+from hybrid.pyramid import Pyramid
+from hybrid.rectify.refine import Refinement
+from hybrid.rectify.trust import cells_alike
+
+NEAR_FRAME = 0.05
+"""Largest distance between the film as the network sees it and the photo's frame, in parts of the frame's diagonal."""
+
+
+def frame_of(size: tuple[int, int]) -> BackwardMap:
+    """The map of a film that fills a photo of ``size`` (h, w)."""
+    return BackwardMap(film_nodes((33, 33)) * np.array(size[::-1], dtype=np.float64))
+
+
+def already_flat(
+    pyramid: Pyramid, coarse: BackwardMap, refined: Refinement, exactly: Callable[[BackwardMap], Refinement]
+) -> tuple[Refinement | None, str]:
+    """The photo's frame as the film's map if the photo is the flat film itself, else None; with the evidence.
+
+    coarse, refined: the network's map, and what became of it. exactly: refines a map into the photo.
+    """
+    size = (pyramid.photo.shape[0], pyramid.photo.shape[1])
+    frame = frame_of(size)
+    off = float(np.linalg.norm(coarse.photo_from_film(film_nodes((33, 33))) - frame.nodes, axis=-1).max())
+    if off > NEAR_FRAME * float(np.hypot(*size)):
+        return None, "the film does not fill the photo"
+    framed = exactly(frame)
+    if framed.grid is None:
+        return None, "no grid tells whether the photo is the flat film itself"
+    if framed.expected_px is not None:
+        return None, "the film fills the photo but is not flat"
+    straight = cells_alike(pyramid, frame, framed.grid)
+    crooked = cells_alike(pyramid, refined.backward, refined.grid or framed.grid)
+    reason = f"cells are alike to {straight:.0%} as the photo is, to {crooked:.0%} through the refined map"
+    return framed if straight >= crooked else None, reason
+
+
+__all__ = ["already_flat", "frame_of"]

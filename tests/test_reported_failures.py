@@ -1,0 +1,360 @@
+"""The failures that users of other systems report, by their numbers in the project's list; each is a test here.
+
+Numbers that other files test at length: 7 (test_deilluminate), 9 (test_pipeline), 13 (test_pipeline), 15 and 18
+(test_metrics), 16 (test_shards, test_views), 20 (test_deilluminate), 26 to 33 (the trainer's, the solver's and the
+generator's tests).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from film_photos import GUTTERS, PHOTO_PX, RULES, Photographed, Shot, film_print, photographed, table
+
+import hybrid
+from benchmarks.cases import read_alike
+from benchmarks.soak import MEMORY_BOUND, digest, soak
+from data_gen.prints import FilmPrint
+from data_gen.rooms import procedural_room
+from hybrid.backward import BackwardMap
+from hybrid.coords import film_nodes, pixel_centres
+from hybrid.draw import resized
+from hybrid.pipeline import Rectifier
+from hybrid.records import RectifyResult, Status, StatusCode
+from hybrid.rectify.film_size import FilmSizeConfig
+
+OK_PX = 5.0
+"""Largest mean error of a film that is called flattened, in pixels of a photo of 1080."""
+
+
+@pytest.fixture(scope="module")
+def rectifier() -> Rectifier:
+    return Rectifier()
+
+
+@lru_cache(maxsize=16)
+def shot(seed: int = 3, style: tuple[float, float, float] = RULES, text: float = 1.0, **how: object) -> Photographed:
+    return photographed(film_print(seed, style, text), Shot(**how))  # pyright: ignore[reportArgumentType]
+
+
+@pytest.fixture(scope="module")
+def plain(rectifier: Rectifier) -> tuple[Photographed, RectifyResult]:
+    """An easy photo of a film with rules, and what is made of it."""
+    return shot(), rectifier(shot().photo)
+
+
+def flat_picture(sheet: FilmPrint, scale: float = 0.8) -> np.ndarray:
+    """The print itself as a picture, RGB."""
+    small = cv2.resize(sheet.image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    return np.repeat(np.rint(255 * small).astype(np.uint8)[..., None], 3, axis=2)
+
+
+def over(it: Photographed, ellipse: tuple, colour: tuple[int, int, int], soft_px: float = 1.5) -> Photographed:
+    """The photo with a blob of one colour over it: (centre x, y), (half axes), degrees."""
+    blob = np.zeros(it.photo.shape[:2], np.float32)
+    centre, axes, degrees = ellipse
+    cv2.ellipse(blob, tuple(map(round, centre)), tuple(map(round, axes)), degrees, 0, 360, 1.0, -1)
+    blob = cv2.GaussianBlur(blob, (0, 0), soft_px)[..., None]
+    mixed = it.photo * (1 - blob) + blob * np.array(colour, np.float32)
+    return replace(it, photo=np.clip(np.rint(mixed), 0, 255).astype(np.uint8))
+
+
+def at_film(it: Photographed, u: float, v: float) -> np.ndarray:
+    return it.truth.photo_from_film(np.array([[u, v]]))[0]
+
+
+def assert_truthful(it: Photographed, result: RectifyResult) -> float:
+    """A film is given, and called flattened only if it is; its error, px of 1080."""
+    assert result.status.has_film, str(result.status)
+    assert result.backward is not None
+    error = it.error_px(result.backward)
+    assert not result.status.ok or error <= OK_PX, f"called flattened, but {error:.1f} px off"
+    return error
+
+
+# ---------------------------------------------------------------- geometry
+
+
+@pytest.mark.parametrize(("seed", "style", "text"), [(1, RULES, 1.0), (2, RULES, 1.0), (1, GUTTERS, 1.0)])
+def test_01_a_flat_film_is_left_as_it_is(rectifier: Rectifier, seed: int, style: tuple, text: float) -> None:
+    picture = flat_picture(film_print(seed, style, text))
+    found = rectifier(picture)
+    nodes = film_nodes((33, 33))
+    assert found.status.ok
+    assert found.backward is not None
+    off = found.backward.photo_from_film(nodes) - nodes * np.array(picture.shape[1::-1])
+    assert np.linalg.norm(off, axis=-1).max() < 1.0
+    assert any(stage.name == "flat" and stage.ran for stage in found.stages)
+
+
+def test_01_what_was_flattened_is_left_as_it_is(rectifier: Rectifier, plain) -> None:
+    picture = plain[1].rectified
+    found = rectifier(picture)
+    nodes = film_nodes((33, 33))
+    off = found.backward.photo_from_film(nodes) - nodes * np.array(picture.shape[1::-1])
+    assert np.linalg.norm(off, axis=-1).max() < 1.0
+
+
+@pytest.mark.parametrize("at", [(0.61, 0.5), (0.62, 0.6)])
+def test_02_an_edge_or_a_corner_outside_stretches_nothing(rectifier: Rectifier, at: tuple[float, float]) -> None:
+    it = shot(fill=0.85, at=at)
+    found = rectifier(it.photo)
+    assert assert_truthful(it, found) < 10
+    nodes = film_nodes((33, 33))
+    seen, way = read_alike(found.backward, it.truth)
+    assert way.index == 0
+    true = it.truth.photo_from_film(nodes)
+    outside = (true > PHOTO_PX + 15).any(axis=-1)
+    assert outside.any()
+    confidence = cv2.resize(found.confidence, (33, 33), interpolation=cv2.INTER_NEAREST)
+    assert confidence[outside].max() == 0, "what is outside of the photo is not known"
+    inside = (true < PHOTO_PX - 15).all(axis=-1)
+    areas = [abs(np.linalg.det(m.jacobian(nodes)))[inside] for m in (seen, it.truth)]
+    assert np.median(areas[0] / areas[1]) == pytest.approx(1, abs=0.06)
+
+
+@pytest.mark.parametrize(("colour", "axes"), [((225, 170, 140), (70, 28)), ((20, 20, 24), (45, 40))])
+def test_03_a_finger_or_a_clip_over_a_corner_crops_nothing(rectifier: Rectifier, colour, axes) -> None:
+    plain = shot()
+    it = over(plain, (at_film(plain, 0.97, 0.97), axes, 40.0), colour)
+    found = rectifier(it.photo)
+    assert assert_truthful(it, found) < 10
+    seen, _ = read_alike(found.backward, it.truth)
+    corner = seen.photo_from_film(np.array([[1.0, 1.0]]))[0]
+    assert np.linalg.norm(corner - at_film(plain, 1.0, 1.0)) < 0.02 * PHOTO_PX
+
+
+def test_04_a_film_that_touches_all_borders_of_the_photo(rectifier: Rectifier) -> None:
+    sheet = film_print(3)
+    it = photographed(sheet, Shot(fill=1.0, angle=0.0, bend=(0.0, 0.006)))
+    height = round(PHOTO_PX * sheet.size_mm[0] / sheet.size_mm[1])  # the sheet is wider than high
+    top = (PHOTO_PX - height) // 2
+    it = Photographed(it.photo[top : top + height], it.truth.cropped((0.0, float(top))), it.on_film, it.uv)
+    found = rectifier(np.ascontiguousarray(it.photo))
+    error = assert_truthful(it, found)
+    assert error < 12
+
+
+@pytest.mark.parametrize("kind", ["dark", "busy"])
+def test_05_dark_on_dark_and_on_a_busy_table(rectifier: Rectifier, kind: str) -> None:
+    if kind == "dark":
+        background = table(24)
+    else:
+        rng = np.random.default_rng(8)
+        background = cv2.resize(
+            rng.integers(0, 256, (45, 45, 3)).astype(np.float32), (PHOTO_PX, PHOTO_PX), interpolation=cv2.INTER_NEAREST
+        )
+    it = photographed(film_print(3), Shot(background=background.astype(np.float64)))
+    assert assert_truthful(it, rectifier(it.photo)) < 15
+
+
+def test_06_glare_at_the_edge_does_not_move_the_outline(rectifier: Rectifier) -> None:
+    plain = shot()
+    it = over(plain, (at_film(plain, 1.0, 0.5), (60, 40), 20.0), (255, 255, 252), soft_px=6)
+    found = rectifier(it.photo)
+    assert assert_truthful(it, found) < OK_PX
+    seen, _ = read_alike(found.backward, it.truth)
+    edge = np.stack([np.ones(21), np.linspace(0, 1, 21)], axis=-1)
+    off = np.linalg.norm(seen.photo_from_film(edge) - it.truth.photo_from_film(edge), axis=-1)
+    assert off.max() < 0.02 * PHOTO_PX
+
+
+def test_08_a_film_without_any_text(rectifier: Rectifier) -> None:
+    it = shot(1, RULES, 0.0)
+    assert assert_truthful(it, rectifier(it.photo)) < OK_PX
+
+
+def test_12_vertical_lines_come_out_vertical(plain) -> None:
+    """The affine map nearest to true film -> found film has neither shear nor unequal scale beyond half a percent."""
+    it, found = plain
+    seen, _ = read_alike(found.backward, it.truth)
+    true_uv = film_nodes((15, 15))[1:-1, 1:-1].reshape(-1, 2)
+    found_uv = seen.film_from_photo(it.truth.photo_from_film(true_uv))
+    ones = np.column_stack([true_uv, np.ones(len(true_uv))])
+    affine, *_ = np.linalg.lstsq(ones, found_uv, rcond=None)
+    assert affine[:2] == pytest.approx(np.eye(2), abs=0.005)
+
+
+# ---------------------------------------------------------------- which side is up
+
+
+@pytest.mark.parametrize("turns", [1, 2, 3])
+def test_13_a_turned_photo_gives_an_upright_film(rectifier: Rectifier, plain, turns: int) -> None:
+    found = rectifier(np.ascontiguousarray(np.rot90(plain[0].photo, turns)))
+    assert found.orientation is not None
+    assert (found.orientation.turns, found.orientation.mirrored) == (turns, False)
+
+
+def test_14_a_mirrored_film_is_detected(rectifier: Rectifier) -> None:
+    """On the example photo, as texts have to be read for it: seen from behind they look like others."""
+    photo = cv2.imread(str(Path(hybrid.__file__).parent / "examples" / "film.jpg"))[..., ::-1]
+    found = rectifier(np.ascontiguousarray(photo[:, ::-1]))
+    assert found.orientation is not None
+    assert (found.orientation.turns, found.orientation.mirrored) == (0, True)
+    assert found.upright_probability > 0.98
+
+
+# ---------------------------------------------------------------- what comes out
+
+
+def test_07_clipped_glare_is_marked_and_not_invented(rectifier: Rectifier) -> None:
+    plain = shot()
+    it = over(plain, (at_film(plain, 0.4, 0.45), (50, 35), 10.0), (255, 255, 255))
+    found = rectifier(it.photo)
+    assert_truthful(it, found)
+    height, width = found.glare.shape
+    points = found.backward.photo_from_film(film_nodes((height, width)))
+    x, y = (np.clip(points[..., k].astype(int), 0, PHOTO_PX - 1) for k in range(2))
+    clipped = it.photo.min(axis=-1)[y, x] >= 254
+    core = cv2.erode(clipped.astype(np.uint8), np.ones((9, 9))) > 0
+    assert core.sum() > 500
+    assert found.glare[core].mean() > 0.95
+    assert found.confidence[core & found.glare].max() == 0
+    assert found.glare[~cv2.dilate(clipped.astype(np.uint8), np.ones((61, 61))).astype(bool)].mean() < 0.02
+
+
+@pytest.mark.parametrize("printed", ["nothing", "one slice"])
+def test_09_an_empty_film_and_one_slice_end_with_a_sentence(rectifier: Rectifier, printed: str) -> None:
+    sheet = film_print(3)
+    image = np.full_like(sheet.image, 0.08)
+    if printed == "one slice":
+        h, w = image.shape[0] // sheet.rows, image.shape[1] // sheet.cols
+        image[h : 2 * h, w : 2 * w] = sheet.image[h : 2 * h, w : 2 * w]
+    it = photographed(replace(sheet, image=image))
+    found = rectifier(it.photo)
+    if found.status.has_film:
+        assert_truthful(it, found)
+    else:
+        assert found.status.code in (StatusCode.NO_FILM, StatusCode.FOLDED)
+    assert str(found.status).endswith(".")
+
+
+@pytest.mark.parametrize("size", [(64, 64), (120, 2400), (3000, 3000)])
+def test_10_sizes_are_bounded_and_numbers_are_numbers(rectifier: Rectifier, size: tuple[int, int]) -> None:
+    found = rectifier(resized(shot().photo, size))
+    if not found.status.has_film:
+        assert found.film is None
+        return
+    assert max(found.film.shape) <= FilmSizeConfig().max_side_px
+    assert min(found.film.shape) >= 1
+    for numbers in (found.film, found.confidence, found.backward.nodes, np.array(found.expected_error_px)):
+        assert np.isfinite(numbers).all()
+
+
+def test_11_nothing_is_cut_and_no_resolution_is_lost(plain) -> None:
+    it, found = plain
+    seen, _ = read_alike(found.backward, it.truth)
+    rim = np.concatenate([film_nodes((33, 33))[0], film_nodes((33, 33))[-1]])
+    beside = seen.film_from_photo(it.truth.photo_from_film(0.5 + 0.98 * (rim - 0.5)))
+    assert np.isfinite(beside).all(), "all but a hundredth of the true film is on the found one"
+    down, across = it.truth.mean_film_pixels()
+    assert found.film.shape[0] >= 0.97 * down
+    assert found.film.shape[1] >= 0.97 * across
+
+
+def test_17_there_and_back_is_less_than_half_a_pixel(plain) -> None:
+    """Warping the flat film back into the photo gives the photo, as far as the film reaches."""
+    it, found = plain
+    size = found.rectified.shape[:2]
+    uv = found.backward.film_from_photo(pixel_centres((PHOTO_PX, PHOTO_PX))[::9, ::9].reshape(-1, 2))
+    on = np.isfinite(uv).all(axis=1)
+    points = found.backward.dense(size)
+    at = np.clip((uv[on] * np.array(size[::-1])).astype(int), 0, np.array(size[::-1]) - 1)
+    photo_points = pixel_centres((PHOTO_PX, PHOTO_PX))[::9, ::9].reshape(-1, 2)[on]
+    step = np.sqrt(np.prod(it.truth.mean_film_pixels()) / np.prod(size))  # photo pixels per film pixel
+    assert on.sum() > 1000
+    assert np.linalg.norm(points[at[:, 1], at[:, 0]] - photo_points, axis=1).max() < 0.5 * np.sqrt(2) * step * 1.2
+    again = found.backward.photo_from_film(uv[on])
+    assert np.linalg.norm(again - photo_points, axis=1).max() < 0.01
+
+
+def test_19_dark_film_is_not_inverted_and_black_stays_black(plain) -> None:
+    found = plain[1]
+    sheet = film_print(3).image
+    print_at = cv2.resize(sheet, found.film.shape[::-1], interpolation=cv2.INTER_AREA)
+    assert np.corrcoef(found.film.ravel(), print_at.ravel())[0, 1] > 0.7
+    black = cv2.erode((print_at < 0.1).astype(np.uint8), np.ones((9, 9))) > 0
+    assert np.median(found.film[black]) < 0.12
+    assert np.quantile(found.film[black], 0.9) < 0.25
+
+
+def test_20_coloured_light_leaves_no_trace_and_grey_stays_in_order(rectifier: Rectifier, plain) -> None:
+    """Under a warm lamp the film is the same grey film, and what is brighter in the print is brighter in the film."""
+    warm = shot(light=(1.0, 0.82, 0.6))
+    found = rectifier(warm.photo)
+    assert_truthful(warm, found)
+    size = plain[1].film.shape[::-1]
+    assert np.corrcoef(cv2.resize(found.film, size).ravel(), plain[1].film.ravel())[0, 1] > 0.9
+    print_at = cv2.GaussianBlur(cv2.resize(film_print(3).image, size, interpolation=cv2.INTER_AREA), (0, 0), 4)
+    film = cv2.GaussianBlur(plain[1].film, (0, 0), 4)
+    steps = [np.median(film[(print_at >= low) & (print_at < low + 0.1)]) for low in (0.0, 0.1, 0.2, 0.3, 0.4)]
+    assert all(np.diff(steps) > 0), steps
+
+
+def document() -> np.ndarray:
+    """Black lines of type on white paper on a table."""
+    rng = np.random.default_rng(2)
+    photo = table(110).astype(np.uint8)[:540, :420].copy()
+    photo[60:480, 60:360] = 235
+    for y in range(85, 460, 14):
+        for x in range(80, 330, 9):
+            if rng.random() < 0.8:
+                cv2.putText(photo, chr(97 + int(rng.integers(26))), (x, y), cv2.FONT_HERSHEY_PLAIN, 0.8, (40,) * 3, 1)
+    return photo
+
+
+def room() -> np.ndarray:
+    """A window of the generator's own room."""
+    radiance = procedural_room(np.random.default_rng(4)).radiance[60:190, 100:300]
+    return np.clip(255 * (radiance / np.quantile(radiance, 0.97)) ** 0.45, 0, 255).astype(np.uint8)
+
+
+@pytest.mark.parametrize("make", [document, room])
+def test_21_what_is_no_film_is_refused_with_a_reason(rectifier: Rectifier, make) -> None:
+    found = rectifier(resized(make(), (540, 540)))
+    assert not found.status.has_film
+    assert found.film is None
+    assert "film" in str(found.status)
+
+
+def test_23_points_of_the_film_lead_back_to_the_photo(plain) -> None:
+    """Less than a pixel, for what the result says of itself; and rules of the print are where the photo shows them."""
+    it, found = plain
+    inner = found.grid.vertices[1:-1, 1:-1]
+    assert np.abs(found.backward.photo_from_film(inner) - found.grid.vertices_photo[1:-1, 1:-1]).max() < 1e-6
+    uv = np.random.default_rng(0).uniform(0.02, 0.98, (200, 2))
+    assert np.abs(found.backward.film_from_photo(found.backward.photo_from_film(uv)) - uv).max() * PHOTO_PX < 1
+    sheet = film_print(3)
+    assert (found.grid.rows, found.grid.cols) == (sheet.rows, sheet.cols)
+    true = it.truth.photo_from_film(sheet.vertices[1:-1, 1:-1])
+    assert np.linalg.norm(found.grid.vertices_photo[1:-1, 1:-1] - true, axis=-1).mean() < 1
+
+
+# ---------------------------------------------------------------- many times
+
+
+def test_24_many_films_in_flat_memory(rectifier: Rectifier) -> None:
+    """The thousand of the list are ``python -m benchmarks.soak``; leaks of a film each show in thirty as well."""
+    photos = [resized(shot().photo, (160, 160)), resized(shot(1, RULES, 0.0).photo, (160, 160))]
+    soak(rectifier, photos, 6)
+    memory, _, different = soak(rectifier, photos, 30)
+    assert different == 0
+    assert memory[-1] / memory[0] - 1 < MEMORY_BOUND
+
+
+def test_25_another_rectifier_gives_the_same_bits(plain) -> None:
+    assert digest(Rectifier()(plain[0].photo)) == digest(plain[1])
+
+
+def test_a_status_that_is_not_sure_still_gives_the_film(rectifier: Rectifier) -> None:
+    it = shot(fill=0.85, at=(0.62, 0.6))
+    found = rectifier(it.photo)
+    assert found.status == Status(StatusCode.UNSURE)
+    assert found.film is not None
+    assert found.expected_error_px > 0
+    assert isinstance(found.backward, BackwardMap)

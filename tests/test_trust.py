@@ -1,0 +1,115 @@
+"""When a film is called flattened: never on a contradiction, never without the musts, and never for a better reason."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from synthetic_film import FilmDrawing, disturbed, make_photo
+
+from hybrid.backward import BackwardMap
+from hybrid.coords import film_nodes
+from hybrid.records import SliceGrid, StageReport, StatusCode
+from hybrid.rectify.flat import already_flat, frame_of
+from hybrid.rectify.refine import RefineConfig, Refinement, refine
+from hybrid.rectify.trust import Signs, TrustConfig, _reported, cells_alike, expected_error_px, film_verdict
+
+SURE = Signs(
+    overlap_before=0.99, overlap_after=0.995, shift=0.001, held_out=0.9, alike=0.7, oblong=0.02, grid=True,
+    corrected=True, edges=4, film_px=700.0, photo_px=1080,
+)  # fmt: skip
+
+
+def test_a_film_that_all_signs_speak_for_is_flattened() -> None:
+    found = film_verdict(SURE)
+    assert found.ok
+    assert "px of error expected" in found.reason
+
+
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        ({"grid": False}, "no grid seen"),
+        ({"edges": 2}, "2 of 4 edges seen"),
+        ({"corrected": False}, "not corrected"),
+        ({"overlap_before": 0.9, "overlap_after": 0.9}, "more than 2.5 px"),
+        ({"held_out": 6.0, "alike": 0.1}, "more than 2.5 px"),
+        ({"shift": float("inf"), "overlap_after": 0.0}, "more than 2.5 px"),
+        ({"stated": 0.02}, "more than 2.5 px"),
+    ],
+)
+def test_each_doubt_is_told(change: dict, text: str) -> None:
+    found = film_verdict(replace(SURE, **change))
+    assert found.code is StatusCode.UNSURE
+    assert text in found.reason
+
+
+@pytest.mark.parametrize(
+    ("name", "worse"),
+    [("overlap_before", 0.9), ("overlap_after", 0.9), ("shift", 0.01), ("held_out", 3.0), ("alike", 0.2),
+     ("oblong", 0.6), ("stated", 0.1)],
+)  # fmt: skip
+def test_every_worse_sign_raises_the_expected_error(name: str, worse: float) -> None:
+    assert expected_error_px(replace(SURE, **{name: worse})) > expected_error_px(SURE)
+
+
+def test_the_expected_error_scales_with_the_photo_and_the_verdict_does_not_change() -> None:
+    twice = replace(SURE, film_px=1400.0, photo_px=2160)
+    assert expected_error_px(twice) == pytest.approx(2 * expected_error_px(SURE))
+    for overlap in np.linspace(0.85, 1.0, 16):
+        one, two = (film_verdict(replace(s, overlap_before=overlap, overlap_after=overlap)) for s in (SURE, twice))
+        assert one.code is two.code
+
+
+def test_in_a_tiny_photo_one_pixel_is_allowed() -> None:
+    tiny = replace(SURE, film_px=70.0, photo_px=108)
+    limit = 1.0 * TrustConfig().safety
+    assert expected_error_px(replace(tiny, stated=0.0071)) + 0.01 > 5.0 / 1080 * 108
+    assert film_verdict(replace(tiny, stated=0.99 * limit / 70)).ok
+    assert not film_verdict(replace(tiny, stated=1.01 * limit / 70)).ok
+
+
+def test_the_reports_of_refinement_are_understood() -> None:
+    """Were their wording to change, this would tell before every film is unsure."""
+    photo, true = make_photo(FilmDrawing(), np.random.default_rng(0), 150)
+    held_out, edges, corrected = _reported(
+        refine(photo, disturbed(true, 5.0, np.random.default_rng(1)), RefineConfig())
+    )
+    assert 0 < held_out < 3
+    assert edges == 4
+    assert corrected
+
+
+def test_a_refinement_that_saw_nothing_is_as_bad_as_a_contradiction() -> None:
+    stages = tuple(StageReport(name, False, "no edge was seen", 0.0) for name in ("outline", "grid", "spline"))
+    assert _reported(Refinement(frame_of((64, 64)), None, stages)) == (3.0, 0, False)
+
+
+def grid_over(true: BackwardMap, rows: int, cols: int) -> SliceGrid:
+    vertices = film_nodes((rows + 1, cols + 1))
+    return SliceGrid(rows, cols, vertices, true.photo_from_film(vertices), 1.0)
+
+
+def test_cells_are_most_alike_through_the_true_map() -> None:
+    photo, true = make_photo(FilmDrawing(rules=False), np.random.default_rng(2), 150)
+    grid = grid_over(true, 4, 3)
+    alike = cells_alike(photo, true, grid)
+    for seed in range(3):
+        assert cells_alike(photo, disturbed(true, 6.0, np.random.default_rng(seed)), grid) < alike
+    assert 0 <= alike <= 1
+    assert cells_alike(photo, true, grid_over(true, 1, 1)) == 0
+
+
+def test_only_a_film_that_fills_the_photo_can_be_flat_already() -> None:
+    photo, true = make_photo(FilmDrawing(), np.random.default_rng(3), 150)
+    nothing = Refinement(true, None, ())
+    found, reason = already_flat(photo, true, nothing, RefineConfig())
+    assert found is None
+    assert reason == "the film does not fill the photo"
+
+
+def test_the_frame_of_a_photo_is_the_map_of_what_fills_it() -> None:
+    frame = frame_of((40, 60))
+    uv = np.array([[0.0, 0.0], [1.0, 1.0], [0.5, 0.25]])
+    assert frame.photo_from_film(uv) == pytest.approx(uv * np.array([60.0, 40.0]))
