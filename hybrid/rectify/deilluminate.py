@@ -18,7 +18,7 @@ from jaxtyping import Bool, Float, Float32, UInt8
 
 from hybrid.coords import linear_from_srgb, srgb_from_linear
 from hybrid.records import SliceGrid
-from hybrid.rectify.light import Light, LightConfig, find_light
+from hybrid.rectify.light import Light, LightConfig, find_light, share_seen
 from hybrid.rectify.reflections import ReflectionConfig, find_reflections
 from hybrid.rectify.survey import survey_light
 
@@ -112,11 +112,13 @@ def deilluminate(
     tone = _find_tone(_corrected(grey, light) / white, small_valid, config)
     film = _apply(rectified, table, light, white, tone)
     # Glare wider than a stroke shows on the small copy; most films have none.
-    clipped = find_clipped(rectified) if small.max() >= CLIPPED else np.zeros(film.shape, bool)
-    glare = (clipped | _veiled(light, white - light.pedestal, film.shape)) & valid
+    glare = find_clipped(rectified) if small.max() >= CLIPPED else np.zeros(film.shape, bool)
+    clipped = np.count_nonzero(glare)
+    _add_veiled(glare, light, white - light.pedestal)
     if not valid.all():
         film[~valid] = 0.0
-    note = f"{decision.reason}; {clipped.mean():.1%} clipped, {glare.mean():.1%} lost in all"
+        glare &= valid
+    note = f"{decision.reason}; {clipped / glare.size:.1%} clipped, {np.count_nonzero(glare) / glare.size:.1%} lost in all"
     return Deillumination(film, glare, _confidence(light, white - light.pedestal, glare, valid), not decision.yes, note)
 
 
@@ -150,10 +152,7 @@ def _small_copy(
     height, width = (max(n // shrink, 1) for n in rectified.shape[:2])
     kept = (slice(0, height * shrink), slice(0, width * shrink))
     small = cv2.resize(rectified[kept], (width, height), interpolation=cv2.INTER_AREA)
-    if valid.all():
-        return small, np.ones(small.shape[:2], bool)
-    share = cv2.resize(valid[kept].astype(np.float32), (width, height), interpolation=cv2.INTER_AREA)
-    return small, share > 0.999
+    return small, share_seen(valid[kept], (width, height)) > 0.999
 
 
 def _grey_table(small: UInt8[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "256 3"]:
@@ -190,7 +189,7 @@ def _with_reflections(
     shrink = max(grey.shape) / config.side_px
     size = (max(round(grey.shape[1] / shrink), 1), max(round(grey.shape[0] / shrink), 1))
     coarse = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
-    seen = cv2.resize(valid.astype(np.float32), size, interpolation=cv2.INTER_AREA) > 0.99
+    seen = share_seen(valid, size) > 0.99
     white = _white(_corrected(coarse, light), seen)
     found = find_reflections((_corrected(coarse, light) - light.pedestal) / white, seen, grid, config)
     if not found.any():
@@ -243,8 +242,9 @@ def _apply(
     return film
 
 
-def _veiled(light: Light, signal: float, size: tuple[int, ...]) -> Bool[np.ndarray, "h w"]:
-    """Where the photo's black and white come out less than ``LEAST_CONTRAST`` apart, as far as the light is known.
+def _add_veiled(lost: Bool[np.ndarray, "h w"], light: Light, signal: float) -> None:
+    """Mark in ``lost`` where the photo's black and white come out less than ``LEAST_CONTRAST`` apart, as far as the
+    light is known.
 
     signal: light of the print's white less that of its black, at a gain of 1.
     """
@@ -252,9 +252,10 @@ def _veiled(light: Light, signal: float, size: tuple[int, ...]) -> Bool[np.ndarr
     gain = cv2.resize(light.gain, veil.shape[::-1], interpolation=cv2.INTER_LINEAR)
     worst = float(veil.max())  # contrast falls as the veil grows: where even this leaves enough, nothing is lost
     if np.diff(srgb_from_linear(np.array([worst, worst + float(gain.min()) * signal])))[0] >= LEAST_CONTRAST:
-        return np.zeros(size, bool)
-    contrast = srgb_from_linear(veil + gain * signal) - srgb_from_linear(veil)
-    return cv2.resize(contrast.astype(np.float32), size[::-1], interpolation=cv2.INTER_LINEAR) < LEAST_CONTRAST
+        return
+    contrast = (srgb_from_linear(veil + gain * signal) - srgb_from_linear(veil)).astype(np.float32)
+    if contrast.min() < LEAST_CONTRAST:
+        lost |= cv2.resize(contrast, lost.shape[::-1], interpolation=cv2.INTER_LINEAR) < LEAST_CONTRAST
 
 
 def _confidence(
@@ -267,8 +268,8 @@ def _confidence(
     gain = cv2.resize(light.gain, light.veil.shape[::-1], interpolation=cv2.INTER_LINEAR)
     signal = gain * np.float32(contrast)
     lit = np.minimum(gain / max(float(np.median(gain)), 1e-9), 1.0)
-    share = signal / np.maximum(signal + np.maximum(light.veil, 0.0), 1e-9) * lit
+    share = np.clip(signal / np.maximum(signal + np.maximum(light.veil, 0.0), 1e-9) * lit, 0.0, 1.0)
     trust = cv2.resize(share.astype(np.float32), glare.shape[::-1], interpolation=cv2.INTER_LINEAR)
     if glare.any() or not valid.all():
         trust[glare | ~valid] = 0.0
-    return np.clip(trust, 0.0, 1.0, out=trust)
+    return trust

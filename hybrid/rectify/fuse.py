@@ -38,6 +38,9 @@ MIN_SLICES = 6
 MIN_SIGMA = 4.0
 """Standard errors by which films must agree more in place than out of place."""
 
+MAX_SHIFT = 0.15
+"""Film units: two flat films of one sheet never lie farther beside each other, patches matched by chance do."""
+
 MIN_PATCHES = 12
 """Fewer patches with anything on them say nothing about a displacement."""
 
@@ -99,7 +102,8 @@ def register(first: RectifyResult, other: RectifyResult, config: FuseConfig, nam
         way = Orientation.from_index(index)
         moving = _details(other, way, _film_of(first).shape, config)
         shift = _registered(fixed, moving, config)
-        found = _agreement(fixed[0], _moved_by(moving[0], shift), first.grid)
+        believed = np.linalg.norm(shift, axis=-1).max() <= MAX_SHIFT
+        found = _agreement(fixed[0], _moved_by(moving[0], shift), first.grid) if believed else 0.0
         if found > agreement:
             best, agreement = (way, shift), found
         if agreement >= config.same:

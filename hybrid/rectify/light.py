@@ -100,8 +100,14 @@ def _tile_quantile(
     order = fitted.reshape(rows, height, cols, width).swapaxes(1, 2).reshape(rows, cols, -1)
     rank = min(int(quantile * order.shape[2]), order.shape[2] - 1)
     value = np.partition(order, rank, axis=2)[..., rank].astype(np.float64)
-    share = cv2.resize(valid.astype(np.float32), (cols, rows), interpolation=cv2.INTER_AREA)
-    return value, np.where(share > 0.99, 1.0, 0.0)
+    return value, np.where(share_seen(valid, (cols, rows)) > 0.99, 1.0, 0.0)
+
+
+def share_seen(valid: Bool[np.ndarray, "h w"], size: tuple[int, int]) -> Float32[np.ndarray, "sh sw"]:
+    """Share of each pixel of a picture of ``size`` (width, height) that is valid; mostly all is, which is quick."""
+    if valid.all():
+        return np.ones(size[::-1], np.float32)
+    return cv2.resize(valid.astype(np.float32), size, interpolation=cv2.INTER_AREA)
 
 
 @cache
@@ -135,6 +141,8 @@ def _envelope(
     side = np.ones_like(base)
     for _ in range(6):
         fit = NormalEquations.of(rows, base * side, data / unit, intervals).solve(smoothing)
-        side = np.where((data / unit - rows @ fit)[:, 0] > 0, above, 1.0 - above)
+        last, side = side, np.where((data / unit - rows @ fit)[:, 0] > 0, above, 1.0 - above)
+        if np.array_equal(last, side):
+            break
     along = _field_weights(intervals)
     return (along @ fit.reshape(intervals + 3, intervals + 3) @ along.T * unit).astype(np.float32)
