@@ -141,7 +141,8 @@ def _exact(
         if _believed(first):
             report.reason = "from its own result"
             second = exactly(first.backward)
-            best = second if _believed(second) else first
+            lost = first.grid is not None and second.grid is None
+            best = second if _believed(second) and not lost else first
         else:
             report.reason = f"from each of {len(sides)} sides"
             best = min([first, *(exactly(side.backward) for side in sides)], key=_doubt)
