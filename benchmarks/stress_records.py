@@ -85,8 +85,8 @@ class StabilityReport:
         for kind in kinds:
             ends = Counter(photo.outcome for photo in self.photos if kind in photo.damage)
             total = sum(ends.values())
-            good = [ends[outcome] for outcome in GOOD]
-            rows.append(DamageCount(kind, total, *good, total - sum(good)))
+            ok, unsure, refused = (ends[outcome] for outcome in GOOD)
+            rows.append(DamageCount(kind, total, ok, unsure, refused, total - ok - unsure - refused))
         return rows
 
     @property

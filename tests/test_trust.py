@@ -10,6 +10,7 @@ from synthetic_film import FilmDrawing, disturbed, make_photo
 
 from hybrid.backward import BackwardMap
 from hybrid.coords import film_nodes
+from hybrid.pyramid import Pyramid
 from hybrid.records import SliceGrid, StageReport, StatusCode
 from hybrid.rectify.flat import already_flat, frame_of
 from hybrid.rectify.refine import RefineConfig, Refinement, refine
@@ -94,17 +95,17 @@ def grid_over(true: BackwardMap, rows: int, cols: int) -> SliceGrid:
 def test_cells_are_most_alike_through_the_true_map() -> None:
     photo, true = make_photo(FilmDrawing(rules=False), np.random.default_rng(2), 150)
     grid = grid_over(true, 4, 3)
-    alike = cells_alike(photo, true, grid)
+    alike = cells_alike(Pyramid(photo), true, grid)
     for seed in range(3):
-        assert cells_alike(photo, disturbed(true, 6.0, np.random.default_rng(seed)), grid) < alike
+        assert cells_alike(Pyramid(photo), disturbed(true, 6.0, np.random.default_rng(seed)), grid) < alike
     assert 0 <= alike <= 1
-    assert cells_alike(photo, true, grid_over(true, 1, 1)) == 0
+    assert cells_alike(Pyramid(photo), true, grid_over(true, 1, 1)) == 0
 
 
 def test_only_a_film_that_fills_the_photo_can_be_flat_already() -> None:
     photo, true = make_photo(FilmDrawing(), np.random.default_rng(3), 150)
     nothing = Refinement(true, None, ())
-    found, reason = already_flat(photo, true, nothing, RefineConfig())
+    found, reason = already_flat(Pyramid(photo), true, nothing, lambda start: nothing)
     assert found is None
     assert reason == "the film does not fill the photo"
 
