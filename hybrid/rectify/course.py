@@ -76,10 +76,14 @@ class RefineConfig:
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """The photo, its grey, and the map to start from. film_size: (height, width) of a view of the film."""
+    """A photo, what the film is looked at in, and the map to start from.
+
+    grey: the photo without colour; reduced where the exactness of small pixels is not needed, and the map with it.
+    film_size: (height, width) of a view of the film.
+    """
 
     photo: UInt8[np.ndarray, "H W 3"]
-    grey: UInt8[np.ndarray, "H W"]
+    grey: UInt8[np.ndarray, "h w"]
     coarse: BackwardMap
     film_size: tuple[int, int]
 

@@ -15,6 +15,9 @@ from hybrid.rectify.grid import Comb, GridConfig, find_comb
 from hybrid.rectify.repeat import RepeatConfig, Repeats, find_repeats
 from hybrid.rectify.sightings import Displacement, DisplacementFit, Sightings
 
+GOOD_SHARE = 0.0025
+"""Expected error of the map, in parts of the film, from which on a grid is trusted less: about 2 px of a photo."""
+
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
@@ -73,16 +76,26 @@ class Layout:
             found.append(f"{best.cells} {name} by {how}" if best is not None else f"no {name} seen")
         return ", ".join(found)
 
-    def slice_grid(self, backward: BackwardMap) -> SliceGrid | None:
-        """The grid of slices; None where an axis shows neither lines nor repetition."""
+    def slice_grid(self, backward: BackwardMap, expected: float) -> SliceGrid | None:
+        """The grid of slices; None where an axis shows neither lines nor repetition.
+
+        expected: error of the map, in parts of the film: vertices lie no better than that.
+        """
         columns, rows = (self.along(axis) for axis in (0, 1))
         if columns is None or rows is None:
             return None
         u, v = np.meshgrid(np.clip(columns.lines(), 0.0, 1.0), np.clip(rows.lines(), 0.0, 1.0))
         vertices = np.stack([u, v], axis=-1)
-        trust = [a.strength if isinstance(a, Comb) else a.correlation for a in (columns, rows)]
-        confidence = float(np.clip(min(trust), 0.0, 1.0))
-        return SliceGrid(rows.cells, columns.cells, vertices, backward.photo_from_film(vertices), confidence)
+        trust = min(_trust(columns), _trust(rows)) * min(1.0, GOOD_SHARE / expected)
+        return SliceGrid(rows.cells, columns.cells, vertices, backward.photo_from_film(vertices), trust)
+
+
+def _trust(best: Comb | Repeats) -> float:
+    """How sure the cells along one axis are, in [0, 1]: lines of which one is missing say less, and repetition tells
+    where cells begin only where they fill the film."""
+    if isinstance(best, Comb):
+        return best.strength if len(best.seen) > best.cells else 0.7 * best.strength
+    return 0.75 if best.cells * best.pitch > 0.998 else 0.4
 
 
 def find_layout(

@@ -7,7 +7,8 @@ how the film's length is spread along the edges and over the inside (compare Per
 computational model of bounded developable surfaces"). Fitted at once are the surface in space, a cubic B-spline of
 film uv; the focal length; the sheet's ratio of sides; and the lens's first radial distortion. Minimised are the
 distances of the edges from where they were seen, strain, bending, and, weakly, the distance from the network's map:
-Gauss-Newton steps with Levenberg's damping, about a dozen unknown splines of 49 to 81 values.
+Gauss-Newton steps with Levenberg's damping. Edges alone do not always tell: a sheet rolled about a slanting axis may be
+mistaken for another. So what is printed has the last word (refine.py).
 """
 
 from __future__ import annotations
@@ -47,10 +48,10 @@ class SheetConfig:
     """Standard deviation of the network's map in such a photo; smooth, so that all nodes tell as much as six."""
     strain: float = 1.5e-3
     """Standard deviation of the strain at 40 places: what the splines cannot follow; film itself strains far less."""
-    bending: tuple[float, float] = (250.0, 10.0)
+    bending: tuple[float, float] = (250.0, 25.0)
     """Weight of the mean squared second derivatives, in units of the film's height: at first, and for films that this
     leaves unexplained because they are bent sharply."""
-    unexplained: float = 40.0
+    unexplained: float = 15.0
     """Cost beyond which a film counts as such a one."""
     focal: tuple[float, float] = (1.1, 0.5)
     """Focal length of phones, in sides of the photo, and its relative deviation."""
