@@ -144,7 +144,7 @@ def visible_error_px(found: BackwardMap, true: BackwardMap, size: tuple[int, int
 def _inside(backward: BackwardMap, size: tuple[int, int]) -> Bool[np.ndarray, "n n"]:
     """Which points of a lattice over the film lie within a photo of ``size``."""
     points = backward.photo_from_film(film_nodes(LATTICE))
-    return ((points >= 0) & (points <= np.array(size[::-1]))).all(axis=-1)
+    return np.asarray(((points >= 0) & (points <= np.array(size[::-1]))).all(axis=-1))
 
 
 __all__ = ["CUT_OFF", "DAMAGES", "Damaged", "cut_file", "damaged", "visible_error_px"]

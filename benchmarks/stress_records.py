@@ -85,8 +85,8 @@ class StabilityReport:
         for kind in kinds:
             ends = Counter(photo.outcome for photo in self.photos if kind in photo.damage)
             total = sum(ends.values())
-            good = [ends[outcome] for outcome in GOOD]
-            rows.append(DamageCount(kind, total, *good, total - sum(good)))
+            failed = total - sum(ends[outcome] for outcome in GOOD)
+            rows.append(DamageCount(kind, total, ends["ok"], ends["unsure"], ends["refused"], failed))
         return rows
 
     @property
