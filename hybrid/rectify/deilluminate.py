@@ -118,7 +118,9 @@ def deilluminate(
     if not valid.all():
         film[~valid] = 0.0
         glare &= valid
-    note = f"{decision.reason}; {clipped / glare.size:.1%} clipped, {np.count_nonzero(glare) / glare.size:.1%} lost in all"
+    note = (
+        f"{decision.reason}; {clipped / glare.size:.1%} clipped, {np.count_nonzero(glare) / glare.size:.1%} lost in all"
+    )
     return Deillumination(film, glare, _confidence(light, white - light.pedestal, glare, valid), not decision.yes, note)
 
 
