@@ -25,6 +25,9 @@ from hybrid.rectify.refine import Refinement, refine
 from hybrid.rectify.survey import Verdict, expected_error
 from hybrid.rectify.trust import expected_error_px, film_verdict, signs_of
 
+NETWORK_ERROR = 0.008
+"""Median error of the network's map, in parts of the film's size."""
+
 
 @dataclass
 class Report:
@@ -121,7 +124,9 @@ def shape_of(
     assert isinstance(mean, Inversion)  # the last of the sides is
     if config.exact:
         return _exact(pyramid, mean.backward, every, config, clock)
-    look_at = partial(glance, config=config.refine, why="the network's map is kept in this effort")
+    look_at = partial(
+        glance, expected=NETWORK_ERROR, config=config.refine, why="the network's map is kept in this effort"
+    )
     found = _on_copy(pyramid, mean.backward, VIEW_PX, look_at)
     clock.reports += found.stages
     return found

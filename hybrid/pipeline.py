@@ -59,8 +59,9 @@ class Rectifier:
     def fuse(self, sources: Sequence[str | Path | np.ndarray]) -> RectifyResult:
         """One film of several photos of it, between which phone or lamps moved, so that glare vanishes.
 
-        film, glare and confidence are made of all photos; the rest is the first photo's, to which the others are
-        registered: its status if no film is found in it. Others without a film are left out, which the last stage says.
+        film, glare and confidence are made of all photos; the rest is the first photo's, its map moved to where all
+        say that the print lies: its status if no film is found in it. Others without a film are left out, which the
+        last stage says.
 
         Args:
             sources: as for a single photo, two or more.

@@ -18,7 +18,7 @@ from hybrid.errors import FusionError
 from hybrid.metrics import psnr_after_gain_offset
 from hybrid.records import RectifyResult, SliceGrid, Status, StatusCode
 from hybrid.rectify.deilluminate import deilluminate
-from hybrid.rectify.fuse import FuseConfig, fuse, register
+from hybrid.rectify.fuse import FuseConfig, fuse, phase_shift, register
 from hybrid.rectify.merge import MergeConfig, merge
 from hybrid.rectify.resample import rectify_photo
 
@@ -120,6 +120,46 @@ def test_registration_finds_the_true_map():
     assert second.backward is not None
     before = np.linalg.norm(second.backward.photo_from_film(uv) - first.backward.photo_from_film(uv), axis=-1)
     assert before.mean() > 1.5
+
+
+def map_error_px(result: RectifyResult) -> float:
+    """Mean distance of a film's map from the true one, in pixels of the photo, off the outermost cells."""
+    assert result.backward is not None
+    uv = film_nodes((9, 9))[1:-1, 1:-1]
+    return float(
+        np.linalg.norm(result.backward.photo_from_film(uv) - MARGIN - pixel_from_film(uv, SIZE), axis=-1).mean()
+    )
+
+
+def test_the_maps_of_several_photos_together_err_less_than_one():
+    shown = [seen(spot, k) for k, spot in enumerate(SPOTS)]
+    assert map_error_px(fused(*shown)) < 0.8 * np.mean([map_error_px(one) for _, one in shown])
+
+
+def test_one_map_of_three_that_is_far_off_does_not_move_the_film_much():
+    first, second = seen(SPOTS[0], 0, error_px=0.5), seen(SPOTS[1], 1, error_px=0.5)
+    for third in (0.5, 8.0):
+        assert map_error_px(fused(first, second, seen(SPOTS[2], 2, error_px=third))) < 1.5
+    assert map_error_px(fused(seen(SPOTS[2], 2, error_px=8.0), first, second)) < 1.5
+
+
+def test_the_picture_of_a_fused_film_is_what_its_map_reads():
+    shown = [seen(spot, k) for k, spot in enumerate(SPOTS[:2])]
+    result = fused(*shown)
+    assert result.backward is not None
+    np.testing.assert_array_equal(result.rectified, rectify_photo(shown[0][0], result.backward, SIZE).image)
+
+
+@pytest.mark.parametrize("size", [(64, 64), (75, 80), (80, 74), (74, 77)])
+def test_a_known_shift_is_found_and_the_pictures_stay_as_they_were(size: tuple[int, int]):
+    """64 suits OpenCV's Fourier transform, which then works in place; 74 is transformed as 75, which is odd."""
+    noise = np.random.default_rng(0).normal(size=(size[0] + 8, size[1] + 8)).astype(np.float32)
+    fixed, moving = noise[4:-4, 4:-4].copy(), noise[1:-7, 6:-2].copy()
+    copies = fixed.copy(), moving.copy()
+    x, y, _ = phase_shift(fixed, moving)
+    assert (x, y) == pytest.approx((-2, 3), abs=0.15)
+    np.testing.assert_array_equal(fixed, copies[0])
+    np.testing.assert_array_equal(moving, copies[1])
 
 
 @pytest.mark.parametrize("way", [1, 2, 4])

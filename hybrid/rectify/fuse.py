@@ -1,8 +1,9 @@
 """Several photos of one film made into one: registered on the flat film, merged by how far each can be trusted.
 
 A reflection moves when the phone or the lamp does, the print does not. Each photo is flattened on its own; where its
-film still lies beside that of the first, patches of both tell by how much, and a smooth displacement through them goes
-into the photo's map, so that its pixels are still read only once. What differs from the others is then left out.
+film still lies beside that of the first, patches of both tell by how much. Their maps err apart, so all of them are
+moved, smoothly, to the middle of where they place the print; the photos are read anew through the moved maps, once.
+What differs from the others is then left out.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from hybrid.errors import FusionError, describe
 from hybrid.records import RectifyResult, SliceGrid, StageReport
 from hybrid.rectify import bspline
 from hybrid.rectify.bspline import NormalEquations
+from hybrid.rectify.consensus import read_beside, to_common
 from hybrid.rectify.deilluminate import DeilluminateConfig, deilluminate
 from hybrid.rectify.merge import Film, MergeConfig, detail_of, merge, reduced
 from hybrid.rectify.reflections import seen_slices
@@ -79,7 +81,7 @@ class Registration:
     @property
     def backward(self) -> BackwardMap:
         """From the first film's uv to the other photo."""
-        return _read_beside(self.turned, self.shift)
+        return read_beside(self.turned, self.shift)
 
     @property
     def largest(self) -> float:
@@ -156,18 +158,20 @@ def _untrusted(result: RectifyResult) -> Bool[np.ndarray, "h w"]:
 
 def _whole_shift(fixed: Film, moving: Film) -> Float[np.ndarray, "2"]:
     """Film units by which ``moving`` as a whole lies to the right of and below ``fixed``."""
-    window = cv2.createHanningWindow(fixed.shape[::-1], cv2.CV_32F)
-    x, y, _ = _phase_shift(fixed, moving, window)
+    x, y, _ = phase_shift(fixed, moving)
     return film_from_pixel(np.array([x, y]), (fixed.shape[0], fixed.shape[1]))
 
 
-def _phase_shift(fixed: Film, moving: Film, window: Film) -> tuple[float, float, float]:
-    """Pixels by which ``moving`` lies to the right of and below ``fixed``, and how clearly.
+def phase_shift(fixed: Film, moving: Film) -> tuple[float, float, float]:
+    """Pixels by which ``moving`` lies to the right of and below ``fixed``, and how clearly (0 to about 1).
 
-    OpenCV multiplies pictures whose sizes suit its Fourier transform by the window in place: it is given copies.
+    OpenCV 5.0 multiplies pictures whose sizes suit its Fourier transform by the window in place, so it is given
+    copies; and where the transform has an odd size it takes the middle for half a pixel less than it is.
     """
+    window = cv2.createHanningWindow(fixed.shape[::-1], cv2.CV_32F)
     (x, y), response = cv2.phaseCorrelate(fixed.copy(), moving.copy(), window)
-    return x, y, response
+    odd_y, odd_x = (cv2.getOptimalDFTSize(n) % 2 for n in fixed.shape)
+    return x - odd_x / 2, y - odd_y / 2, response
 
 
 def _moved_by(moving: Film, shift: Float[np.ndarray, "gh gw 2"]) -> Film:
@@ -189,14 +193,13 @@ def _match(
     """Film uv of patches, their displacement in film units, and their weights; None of too few."""
     size = (fixed.shape[0], fixed.shape[1])
     side = min(config.patch_px, min(size) // 3)
-    window = cv2.createHanningWindow((side, side), cv2.CV_32F)
     whole = (float(fixed.std()), float(moving.std()))
     at, moved, weight = [], [], []
     for part in _patches(size, side):
         a, b = fixed[part], moving[part]
         if a.std() < config.least_contrast * whole[0] or b.std() < config.least_contrast * whole[1]:
             continue
-        x, y, response = _phase_shift(a, b, window)
+        x, y, response = phase_shift(a, b)
         if max(abs(x), abs(y)) > side / 3:
             continue
         at.append((part[1].start + side / 2, part[0].start + side / 2))
@@ -287,7 +290,7 @@ def fuse(
         used.append(photo)
         maps.append(found.turned)
         shifts.append(found.shift)
-    maps = [_read_beside(own, shift) for own, shift in zip(maps, _to_common(shifts), strict=True)]
+    maps = [read_beside(own, shift) for own, shift in zip(maps, to_common(shifts), strict=True)]
     flats = [rectify_photo(photo, backward, size) for photo, backward in zip(used, maps, strict=True)]
     grid = base.grid and replace(base.grid, vertices_photo=maps[0].photo_from_film(base.grid.vertices))
     lights = [deilluminate(flat.image, flat.valid, grid, light) for flat in flats]
@@ -312,41 +315,4 @@ def fuse(
     )
 
 
-def _read_beside(backward: BackwardMap, shift: Float[np.ndarray, "gh gw 2"]) -> BackwardMap:
-    """The map that reads each film point ``shift`` (film units, on film nodes) beside it."""
-    return BackwardMap(backward.photo_from_film(film_nodes(shift.shape[:2]) + shift))
-
-
-def _to_common(shifts: Sequence[Float[np.ndarray, "gh gw 2"]]) -> list[Float[np.ndarray, "gh gw 2"]]:
-    """Where the points of the film on which all photos agree lie on each photo's own film, as shifts.
-
-    shifts: where points of the first film lie on each. The maps of several photos err independently, so the middle of
-    where they place a point of the print errs less than each of them. It is the geometric median of the fields: of
-    three photos one may be far off.
-    """
-    middle = _geometric_median(np.stack(shifts))
-    nodes = film_nodes(middle.shape[:2])
-    back = -middle
-    for _ in range(3):  # the first film's point that lies in the middle at a node; the fields are smooth and small
-        back = -_between(middle, nodes + back)
-    return [back + _between(shift, nodes + back) for shift in shifts]
-
-
-def _geometric_median(fields: Float[np.ndarray, "n gh gw 2"]) -> Float[np.ndarray, "gh gw 2"]:
-    """The field with the least sum of distances (root mean square) to all (Weiszfeld 1937); of two, their mean."""
-    middle = fields.mean(axis=0)
-    if len(fields) == 2:
-        return middle
-    for _ in range(30):
-        distance = np.sqrt(np.square(fields - middle).mean(axis=(1, 2, 3)))
-        weight = 1.0 / np.maximum(distance, max(1e-3 * float(distance.max()), 1e-12))
-        middle = np.tensordot(weight / weight.sum(), fields, axes=1)
-    return middle
-
-
-def _between(field: Float[np.ndarray, "gh gw 2"], uv: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n 2"]:
-    """A smooth field on film nodes at film points."""
-    return BackwardMap(field).photo_from_film(uv)
-
-
-__all__ = ["FuseConfig", "Registration", "fuse", "register"]
+__all__ = ["FuseConfig", "Registration", "fuse", "phase_shift", "register"]

@@ -19,8 +19,13 @@ VIEW_PX = 500
 """Longer side of the film in this look: half of what refinement looks at, as a rough map shows texts no better."""
 
 
-def glance(photo: UInt8[np.ndarray, "H W 3"], backward: BackwardMap, config: RefineConfig, why: str) -> Refinement:
-    """The map as it is, with the grid that shows through it. why: it needs no spline, for the reports."""
+def glance(
+    photo: UInt8[np.ndarray, "H W 3"], backward: BackwardMap, expected: float, config: RefineConfig, why: str
+) -> Refinement:
+    """The map as it is, with the grid that shows through it.
+
+    expected: its error, in parts of the film's size. why: it needs no spline, for the reports.
+    """
     start = perf_counter()
     down, across = backward.mean_film_pixels()
     scale = VIEW_PX / max(down, across)
@@ -28,7 +33,7 @@ def glance(photo: UInt8[np.ndarray, "H W 3"], backward: BackwardMap, config: Ref
     grey = cv2.cvtColor(photo, cv2.COLOR_RGB2GRAY)
     view = view_film(grey, backward, film_centres_1d(size[1]), film_centres_1d(size[0]))
     layout, _ = find_layout(view, Layout(), True, config.grid, config.repeat)
-    grid = layout.slice_grid(backward)
+    grid = layout.slice_grid(backward, expected)
     seconds = perf_counter() - start
     stages = (
         StageReport("outline", False, why, 0.0),

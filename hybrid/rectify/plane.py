@@ -72,7 +72,7 @@ def flat_film(
     report = StageReport("plane", decision.yes, evidence, perf_counter() - start)
     if found is None:
         return Refinement(coarse, None, (report,))
-    flat = glance(photo, found, refine, "the film is flat")
+    flat = glance(photo, found, EXPECTED_ERROR, refine, "the film is flat")
     left = EXPECTED_ERROR * max(found.mean_film_pixels())
     return replace(flat, stages=(report, *flat.stages), expected_px=left)
 

@@ -1,0 +1,51 @@
+"""Where several photos of one film together say that its print lies, better than each of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from hybrid.backward import BackwardMap
+from hybrid.coords import film_nodes
+
+
+def read_beside(backward: BackwardMap, shift: Float[np.ndarray, "gh gw 2"]) -> BackwardMap:
+    """The map that reads each film point ``shift`` (film units, on film nodes) beside it."""
+    return BackwardMap(backward.photo_from_film(film_nodes(shift.shape[:2]) + shift))
+
+
+def to_common(shifts: Sequence[Float[np.ndarray, "gh gw 2"]]) -> list[Float[np.ndarray, "gh gw 2"]]:
+    """Where the points of the film on which all photos agree lie on each photo's own film, as shifts.
+
+    shifts: where points of the first film lie on each. The maps of several photos err independently, so the middle of
+    where they place a point of the print errs less than each of them. It is the geometric median of the fields: of
+    three photos one may be far off.
+    """
+    middle = _geometric_median(np.stack(shifts))
+    nodes = film_nodes(middle.shape[:2])
+    back = -middle
+    for _ in range(3):  # the first film's point that lies in the middle at a node; the fields are smooth and small
+        back = -_between(middle, nodes + back)
+    return [back + _between(shift, nodes + back) for shift in shifts]
+
+
+def _geometric_median(fields: Float[np.ndarray, "n gh gw 2"]) -> Float[np.ndarray, "gh gw 2"]:
+    """The field with the least sum of distances (root mean square) to all (Weiszfeld 1937); of two, their mean."""
+    middle = fields.mean(axis=0)
+    if len(fields) == 2:
+        return middle
+    for _ in range(30):
+        distance = np.sqrt(np.square(fields - middle).mean(axis=(1, 2, 3)))
+        weight = 1.0 / np.maximum(distance, max(1e-3 * float(distance.max()), 1e-12))
+        middle = np.tensordot(weight / weight.sum(), fields, axes=1)
+    return middle
+
+
+def _between(field: Float[np.ndarray, "gh gw 2"], uv: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n 2"]:
+    """A smooth field on film nodes at film points."""
+    return BackwardMap(field).photo_from_film(uv)
+
+
+__all__ = ["read_beside", "to_common"]
