@@ -77,7 +77,7 @@ def test_where_the_map_is_far_from_a_plane_no_edge_is_looked_for():
 def test_edges_give_back_the_homography_that_they_were_seen_through():
     """Through a plane that is off by 1 %, the edges are seen 1 % beside where they should be."""
     true = plane_map()
-    found, reason = plane_by_edges(edges(shift=0.01), true, CONFIG)
+    found, reason = plane_by_edges([edge_line(edge) for edge in edges(shift=0.01)], true, CONFIG)
     assert found is not None, reason
     np.testing.assert_allclose(found.nodes, true.photo_from_film(film_nodes((33, 33)) + 0.01), atol=0.2)
 
@@ -92,7 +92,7 @@ def test_edges_give_back_the_homography_that_they_were_seen_through():
     ],
 )
 def test_what_is_not_surely_flat_says_why(seen: list[Sightings], why: str):
-    found, reason = plane_by_edges(seen, plane_map(), CONFIG)
+    found, reason = plane_by_edges([edge_line(edge) for edge in seen], plane_map(), CONFIG)
     assert found is None
     assert why in reason
 

@@ -11,10 +11,10 @@ from synthetic_film import FilmDrawing, disturbed, make_photo
 from hybrid.backward import BackwardMap
 from hybrid.coords import film_nodes
 from hybrid.pyramid import Pyramid
-from hybrid.records import SliceGrid, StageReport, StatusCode
+from hybrid.records import SliceGrid, StatusCode
 from hybrid.rectify.flat import already_flat, frame_of
-from hybrid.rectify.refine import RefineConfig, Refinement, refine
-from hybrid.rectify.trust import Signs, TrustConfig, _reported, cells_alike, expected_error_px, film_verdict
+from hybrid.rectify.refine import Refinement
+from hybrid.rectify.trust import Signs, TrustConfig, cells_alike, expected_error_px, film_verdict
 
 SURE = Signs(
     overlap_before=0.99, overlap_after=0.995, shift=0.001, held_out=0.9, alike=0.7, oblong=0.02, grid=True,
@@ -69,22 +69,6 @@ def test_in_a_tiny_photo_one_pixel_is_allowed() -> None:
     assert expected_error_px(replace(tiny, stated=0.0071)) + 0.01 > 5.0 / 1080 * 108
     assert film_verdict(replace(tiny, stated=0.99 * limit / 70)).ok
     assert not film_verdict(replace(tiny, stated=1.01 * limit / 70)).ok
-
-
-def test_the_reports_of_refinement_are_understood() -> None:
-    """Were their wording to change, this would tell before every film is unsure."""
-    photo, true = make_photo(FilmDrawing(), np.random.default_rng(0), 150)
-    held_out, edges, corrected = _reported(
-        refine(photo, disturbed(true, 5.0, np.random.default_rng(1)), RefineConfig())
-    )
-    assert 0 < held_out < 3
-    assert edges == 4
-    assert corrected
-
-
-def test_a_refinement_that_saw_nothing_is_as_bad_as_a_contradiction() -> None:
-    stages = tuple(StageReport(name, False, "no edge was seen", 0.0) for name in ("outline", "grid", "spline"))
-    assert _reported(Refinement(frame_of((64, 64)), None, stages)) == (3.0, 0, False)
 
 
 def grid_over(true: BackwardMap, rows: int, cols: int) -> SliceGrid:

@@ -23,6 +23,9 @@ from hybrid.rectify.tps import MAD_TO_SIGMA, tukey_weights
 PARTS = 8
 """Parts of an edge that must each lie on its line: an arc, a wave or a curled corner shows in some of them."""
 
+CLIP = 20.0
+"""Largest residual of a sighting that counts, in stated deviations, as in refinement."""
+
 EXPECTED_ERROR = 5e-4
 """Median error of the map of a flat film, in parts of its size; 0.1 to 1 on flat films of the generator."""
 
@@ -45,13 +48,15 @@ class PlaneConfig:
 class EdgeLine:
     """An edge as a line, ``across = at + slope * along`` in film coordinates.
 
-    bend: largest distance of a part of the edge from it. parts: of PARTS, how many are seen.
+    bend: largest distance of a part of the edge from it. parts: of PARTS, how many are seen. residual: mean distance of
+    what was seen from it, in stated deviations.
     """
 
     at: float
     slope: float
     bend: float
     parts: int
+    residual: float
 
 
 def flat_film(
@@ -66,24 +71,25 @@ def flat_film(
     """
     start = perf_counter()
     decision, plane = survey_plane(coarse, config.max_off)
-    found, evidence = None, decision.reason
+    found, evidence, lines = None, decision.reason, []
     if decision.yes:  # straight edges are straight as the nearest plane sheet shows them
-        found, evidence = plane_by_edges(find_outline(photo, plane, refine.outline), plane, config)
+        lines = [edge_line(edge) for edge in find_outline(photo, plane, refine.outline)]
+        found, evidence = plane_by_edges(lines, plane, config)
     report = StageReport("plane", decision.yes, evidence, perf_counter() - start)
     if found is None:
         return Refinement(coarse, None, (report,))
     flat = glance(photo, found, EXPECTED_ERROR, refine, "the film is flat")
     left = EXPECTED_ERROR * max(found.mean_film_pixels())
-    return replace(flat, stages=(report, *flat.stages), expected_px=left)
+    residual = float(np.mean([line.residual for line in lines]))
+    return replace(flat, stages=(report, *flat.stages), expected_px=left, edges=len(lines), held_out=residual)
 
 
 def plane_by_edges(
-    edges: Sequence[Sightings], plane: BackwardMap, config: PlaneConfig
+    lines: Sequence[EdgeLine], plane: BackwardMap, config: PlaneConfig
 ) -> tuple[BackwardMap | None, str]:
     """The homography by the edges' lines, seen through ``plane``; None where the film is not surely flat; evidence."""
-    if len(edges) < len(SIDES):
-        return None, f"{len(edges)} of 4 edges seen"
-    lines = [edge_line(edge) for edge in edges]
+    if len(lines) < len(SIDES):
+        return None, f"{len(lines)} of 4 edges seen"
     bend, parts = max(line.bend for line in lines), min(line.parts for line in lines)
     evidence = f"edges straight to {bend:.2%} of the film"
     if bend > config.max_bend or parts < config.min_parts:
@@ -109,7 +115,8 @@ def edge_line(side: Sightings) -> EdgeLine:
         weight = np.sqrt(tukey_weights(residual / scale))
     part = np.clip((along * PARTS).astype(int), 0, PARTS - 1)
     middles = [abs(float(np.median(residual[part == k]))) for k in range(PARTS) if np.count_nonzero(part == k) >= 3]
-    return EdgeLine(float(fit[0]), float(fit[1]), max(middles, default=np.inf), len(middles))
+    off = float(np.minimum(np.abs(residual) / side.sigma, CLIP).mean())
+    return EdgeLine(float(fit[0]), float(fit[1]), max(middles, default=np.inf), len(middles), off)
 
 
 def film_corners(lines: Sequence[EdgeLine]) -> Float[np.ndarray, "4 2"]:

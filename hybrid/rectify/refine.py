@@ -67,12 +67,16 @@ class Refinement:
 
     expected_px: mean end-point error that is left, in pixels of the photo, as such evidence goes (EXPECTED); None where
         the coarse map was kept.
+    edges: number of the sheet's edges that were seen.
+    held_out: residual of sightings that the correction was not fitted to, in stated deviations; None without any.
     """
 
     backward: BackwardMap
     grid: SliceGrid | None
     stages: tuple[StageReport, ...]
     expected_px: float | None = None
+    edges: int = 0
+    held_out: float | None = None
 
 
 def refine(photo: UInt8[np.ndarray, "H W 3"], coarse: BackwardMap, config: RefineConfig) -> Refinement:
@@ -107,7 +111,7 @@ def refine(photo: UInt8[np.ndarray, "H W 3"], coarse: BackwardMap, config: Refin
     share = _expected_share(_distance(backward, coarse), course)
     expected = share * max(backward.mean_film_pixels()) if changed else None
     trust = share if course.believed else np.inf
-    return Refinement(backward, course.layout.slice_grid(backward, trust), stages, expected)
+    return Refinement(backward, course.layout.slice_grid(backward, trust), stages, expected, course.edges, course.after)
 
 
 def _begun(scene: Scene, outline: Sequence[Sightings], config: RefineConfig, clock: Clock) -> Progress | None:

@@ -8,7 +8,6 @@ Three signs are musts: without them, photos exist on which all the others speak 
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
 
 import cv2
@@ -105,7 +104,7 @@ def signs_of(
     as the refined map flattens it (as a plane sheet).
     """
     backward, grid = refinement.backward, refinement.grid
-    held_out, edges, corrected = _reported(refinement)
+    held_out = UNKNOWN_HELD_OUT if refinement.held_out is None else refinement.held_out
     film_px = float(np.sqrt(np.prod(backward.mean_film_pixels())))
     return Signs(
         overlap_before=mask_overlap(seen, coarse),
@@ -115,11 +114,12 @@ def signs_of(
         alike=0.0 if grid is None else cells_alike(pyramid, backward, grid),
         oblong=NO_GRID_OBLONG if grid is None else _oblong(backward, grid),
         grid=grid is not None,
-        corrected=corrected,
-        edges=edges,
+        corrected=refinement.expected_px is not None,
+        edges=refinement.edges,
         film_px=film_px,
         photo_px=max(pyramid.photo.shape[:2]),
         flat=flat,
+        stated=0.0 if refinement.expected_px is None else refinement.expected_px / max(film_px, 1e-9),
     )
 
 
@@ -208,16 +208,6 @@ def _oblong(backward: BackwardMap, grid: SliceGrid) -> float:
     """How far the cells are from being as wide as high in the photo."""
     down, across = backward.mean_film_pixels()
     return float(abs(np.log((across / grid.cols) / (down / grid.rows))))
-
-
-def _reported(refinement: Refinement) -> tuple[float, int, bool]:
-    """Held-out residual, number of edges seen, and whether the correction counts, from the reports of refinement."""
-    reports = {stage.name: stage for stage in refinement.stages}
-    edges = re.match(r"(\d) of 4 edges", reports["outline"].reason)
-    spline = reports["spline"]
-    after = re.search(r"-> ([\d.]+) sigma", spline.reason) or re.search(r"residual ([\d.]+) sigma", spline.reason)
-    held_out = float(after[1]) if after else UNKNOWN_HELD_OUT
-    return held_out, int(edges[1]) if edges else 0, spline.ran
 
 
 __all__ = ["Signs", "TrustConfig", "cells_alike", "expected_error_px", "film_verdict", "signs_of"]
