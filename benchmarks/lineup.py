@@ -36,12 +36,14 @@ MAIN = "hybrid"
 """The pipeline as it comes."""
 
 EFFORTS: dict[str, tuple[str, RectifyConfig]] = {
-    MAIN: ("hybrid", RectifyConfig()),
+    "hybrid_fast": ("hybrid, fast", RectifyConfig.of("fast")),
+    MAIN: ("hybrid", RectifyConfig.of("default")),
+    "hybrid_thorough": ("hybrid, thorough", RectifyConfig.of("thorough")),
 }
 """The pipeline at its efforts, by name: label and options. One line each; all run at every size."""
 
 CONFIGURATIONS: dict[str, tuple[str, RectifyConfig]] = {
-    "hybrid_four_sides": ("hybrid, looks from four sides", RectifyConfig(predict=PredictConfig(sides=(0, 2, 5, 7)))),
+    "hybrid_one_side": ("hybrid, looks from one side", RectifyConfig(predict=PredictConfig(sides=(0,)))),
     "hybrid_two_looks": ("hybrid, two looks", RectifyConfig(predict=PredictConfig(looks=2))),
     "hybrid_no_lines": ("hybrid, no rules or gutters", RectifyConfig(refine=RefineConfig(line_rounds=0))),
     "hybrid_no_repeats": (

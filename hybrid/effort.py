@@ -50,8 +50,9 @@ class RectifyConfig:
     def of(effort: Effort | str) -> RectifyConfig:
         """The options of an effort.
 
-        fast: the network's map of one side as it is, unless the film is flat, and the photo read bilinearly. default:
-        the options' own values. thorough: more looks where they move the film, and refinement started again.
+        fast: the network's map of one side as it is, unless the film is flat, and the photo read bilinearly; a film
+        counts as flattened if it is right to 20 pixels of a photo of 1080. default: the options' own values. thorough:
+        more looks where they move the film, and refinement started again.
 
         Raises:
             ConfigError: there is no such effort.
@@ -61,6 +62,7 @@ class RectifyConfig:
                 predict=PredictConfig(sides=(0,)),
                 exact=False,
                 resample=ResampleConfig(cubic_below=0.0),
+                trust=TrustConfig(limit_px=20.0, exact=False),
             ),
             "default": RectifyConfig(),
             "thorough": RectifyConfig(predict=PredictConfig(looks=5, settled=0.003), again=True),

@@ -3,7 +3,7 @@
 Nothing here was used to make the map. The network looks once more, at the film as a plane sheet would be flattened by
 the finished map: what it now sees as film must fill the sheet. Cells must be alike, about as wide as they are high,
 and what was seen of edges and print must agree. A regression over photos with truth turns these signs into an error.
-Three signs are musts: without them, photos exist on which all the others speak for a map that is wrong.
+Two signs are musts: without them, photos exist on which all the others speak for a map that is wrong.
 """
 
 from __future__ import annotations
@@ -34,6 +34,9 @@ NO_GRID_OBLONG = 0.7
 UNKNOWN_HELD_OUT = 3.0
 """Stands for the residual of held-out sightings where there were none, in stated deviations: as of a contradiction."""
 
+UNKNOWN_STATED = 0.01
+"""Stands for the error that refinement expects where it left the map as it was: the network's, in parts of the film."""
+
 
 @dataclass(frozen=True)
 class TrustConfig:
@@ -45,17 +48,20 @@ class TrustConfig:
 
     limit_px: float = 5.0
     """Largest error of a film that is called flattened, in pixels of a photo of 1080; at least one of its own."""
-    safety: float = 0.5
+    safety: float = 0.4
     """The expected error must be below this part of the limit: single errors are up to several times as large."""
+    exact: bool = True
+    """Whether a map counts only if it was corrected by what is seen on the film."""
     min_edges: int = 3
     """Least number of the sheet's edges that are seen: what only repeats tells neither place nor size."""
-    constant: float = -2.0
-    overlap_before: float = 0.46
-    overlap_after: float = 0.29
-    shift: float = 0.18
-    held_out: float = 0.46
-    unlike: float = 0.90
-    oblong: float = 0.30
+    constant: float = 1.54
+    overlap_before: float = 0.53
+    overlap_after: float = 0.33
+    shift: float = 0.29
+    held_out: float = 0.34
+    unlike: float = 0.74
+    oblong: float = 0.22
+    stated: float = 0.48
 
 
 @dataclass(frozen=True)
@@ -68,11 +74,10 @@ class Signs:
     held_out: residual of sightings that the correction was not fitted to, in stated deviations.
     alike: share of the detail that the cells have in common beyond what chance gives, 0 without a grid.
     oblong: absolute logarithm of the ratio of a cell's sides as they are seen.
-    grid: whether the grid is known along both axes. corrected: whether the correction was believed.
-    edges: number of the sheet's edges that were seen.
+    corrected: whether the correction was believed. edges: number of the sheet's edges that were seen.
     film_px, photo_px: side of a square of the film's area in the photo, and the photo's longer side.
     flat: whether the photo was found to be the flat film itself; nothing else counts then.
-    stated: the error that refinement itself expects, in parts of the film's size; 0 if it says nothing.
+    stated: the error that refinement itself expects, in parts of the film's size.
     """
 
     overlap_before: float
@@ -81,13 +86,12 @@ class Signs:
     held_out: float
     alike: float
     oblong: float
-    grid: bool
     corrected: bool
     edges: int
     film_px: float
     photo_px: int
     flat: bool = False
-    stated: float = 0.0
+    stated: float = UNKNOWN_STATED
 
 
 def signs_of(
@@ -113,13 +117,12 @@ def signs_of(
         held_out=held_out,
         alike=0.0 if grid is None else cells_alike(pyramid, backward, grid),
         oblong=NO_GRID_OBLONG if grid is None else _oblong(backward, grid),
-        grid=grid is not None,
         corrected=refinement.expected_px is not None,
         edges=refinement.edges,
         film_px=film_px,
         photo_px=max(pyramid.photo.shape[:2]),
         flat=flat,
-        stated=0.0 if refinement.expected_px is None else refinement.expected_px / max(film_px, 1e-9),
+        stated=UNKNOWN_STATED if refinement.expected_px is None else refinement.expected_px / max(film_px, 1e-9),
     )
 
 
@@ -136,8 +139,9 @@ def expected_error_px(signs: Signs, config: TrustConfig | None = None) -> float:
         config.held_out * float(np.log(np.clip(signs.held_out, 0.5, 8.0))),
         config.unlike * (1.0 - signs.alike),
         config.oblong * signs.oblong,
+        config.stated * float(np.log(np.clip(signs.stated, 3e-4, 0.05))),
     )
-    return max(float(np.exp(sum(terms))), signs.stated) * signs.film_px
+    return float(np.exp(sum(terms))) * signs.film_px
 
 
 def film_verdict(signs: Signs, config: TrustConfig | None = None) -> Verdict:
@@ -150,9 +154,8 @@ def film_verdict(signs: Signs, config: TrustConfig | None = None) -> Verdict:
     doubts = [
         text
         for text, doubtful in (
-            (f"{signs.edges} of 4 edges seen", signs.edges < config.min_edges),
-            ("no grid seen", not signs.grid),
-            ("not corrected by what is seen on the film", not signs.corrected),
+            (f"{signs.edges} of 4 edges seen", config.exact and signs.edges < config.min_edges),
+            ("not corrected by what is seen on the film", config.exact and not signs.corrected),
             (f"more than {config.safety * limit:.1f} px", expected > config.safety * limit),
         )
         if doubtful
