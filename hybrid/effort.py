@@ -62,7 +62,7 @@ class RectifyConfig:
                 predict=PredictConfig(sides=(0,)),
                 exact=False,
                 resample=ResampleConfig(cubic_below=0.0),
-                trust=TrustConfig(limit_px=20.0, exact=False),
+                trust=TrustConfig(limit_px=20.0, safety=0.8, exact=False),
             ),
             "default": RectifyConfig(),
             "thorough": RectifyConfig(predict=PredictConfig(looks=5, settled=0.003), again=True),

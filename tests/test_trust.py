@@ -17,8 +17,8 @@ from hybrid.rectify.refine import Refinement
 from hybrid.rectify.trust import Signs, TrustConfig, cells_alike, expected_error_px, film_verdict
 
 SURE = Signs(
-    overlap_before=0.99, overlap_after=0.995, shift=0.001, held_out=0.9, alike=0.7, oblong=0.02, corrected=True,
-    edges=4, film_px=700.0, photo_px=1080, stated=0.0008,
+    overlap_before=0.99, overlap_after=0.995, shift=0.001, held_out=0.9, alike=0.7, oblong=0.02, grid=True,
+    corrected=True, edges=4, film_px=700.0, photo_px=1080, stated=0.0008,
 )  # fmt: skip
 
 
@@ -31,10 +31,11 @@ def test_a_film_that_all_signs_speak_for_is_flattened() -> None:
 @pytest.mark.parametrize(
     ("change", "text"),
     [
+        ({"grid": False}, "no grid seen"),
         ({"edges": 2}, "2 of 4 edges seen"),
         ({"corrected": False}, "not corrected"),
         ({"overlap_before": 0.8, "overlap_after": 0.8, "alike": 0.3}, "more than 2.0 px"),
-        ({"held_out": 6.0, "alike": 0.1}, "more than 2.0 px"),
+        ({"held_out": 6.0, "alike": 0.1, "stated": 0.01}, "more than 2.0 px"),
         ({"shift": float("inf"), "overlap_after": 0.0}, "more than 2.0 px"),
         ({"stated": 0.05, "held_out": 3.0}, "more than 2.0 px"),
     ],

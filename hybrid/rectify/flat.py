@@ -42,8 +42,8 @@ def already_flat(
         return None, "no grid tells whether the photo is the flat film itself"
     if framed.expected_px is not None:
         return None, "the film fills the photo but is not flat"
-    straight = cells_alike(pyramid, frame, framed.grid)
-    crooked = cells_alike(pyramid, refined.backward, refined.grid or framed.grid)
+    grids = [grid for grid in (framed.grid, refined.grid) if grid is not None]
+    straight, crooked = (max(cells_alike(pyramid, m, grid) for grid in grids) for m in (frame, refined.backward))
     reason = f"cells are alike to {straight:.0%} as the photo is, to {crooked:.0%} through the refined map"
     return framed if straight >= crooked else None, reason
 

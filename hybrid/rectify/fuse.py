@@ -40,7 +40,7 @@ MIN_SLICES = 6
 MIN_SIGMA = 4.0
 """Standard errors by which films must agree more in place than out of place."""
 
-MAX_SHIFT = 0.15
+MAX_SHIFT = 0.1
 """Film units: two flat films of one sheet never lie farther beside each other, patches matched by chance do."""
 
 MIN_PATCHES = 12

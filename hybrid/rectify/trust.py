@@ -3,7 +3,7 @@
 Nothing here was used to make the map. The network looks once more, at the film as a plane sheet would be flattened by
 the finished map: what it now sees as film must fill the sheet. Cells must be alike, about as wide as they are high,
 and what was seen of edges and print must agree. A regression over photos with truth turns these signs into an error.
-Two signs are musts: without them, photos exist on which all the others speak for a map that is wrong.
+Three signs are musts: without them, photos exist on which all the others speak for a map that is wrong.
 """
 
 from __future__ import annotations
@@ -74,7 +74,8 @@ class Signs:
     held_out: residual of sightings that the correction was not fitted to, in stated deviations.
     alike: share of the detail that the cells have in common beyond what chance gives, 0 without a grid.
     oblong: absolute logarithm of the ratio of a cell's sides as they are seen.
-    corrected: whether the correction was believed. edges: number of the sheet's edges that were seen.
+    grid: whether the grid is known along both axes. corrected: whether the correction was believed.
+    edges: number of the sheet's edges that were seen.
     film_px, photo_px: side of a square of the film's area in the photo, and the photo's longer side.
     flat: whether the photo was found to be the flat film itself; nothing else counts then.
     stated: the error that refinement itself expects, in parts of the film's size.
@@ -86,6 +87,7 @@ class Signs:
     held_out: float
     alike: float
     oblong: float
+    grid: bool
     corrected: bool
     edges: int
     film_px: float
@@ -117,6 +119,7 @@ def signs_of(
         held_out=held_out,
         alike=0.0 if grid is None else cells_alike(pyramid, backward, grid),
         oblong=NO_GRID_OBLONG if grid is None else _oblong(backward, grid),
+        grid=grid is not None,
         corrected=refinement.expected_px is not None,
         edges=refinement.edges,
         film_px=film_px,
@@ -155,6 +158,7 @@ def film_verdict(signs: Signs, config: TrustConfig | None = None) -> Verdict:
         text
         for text, doubtful in (
             (f"{signs.edges} of 4 edges seen", config.exact and signs.edges < config.min_edges),
+            ("no grid seen", not signs.grid),
             ("not corrected by what is seen on the film", config.exact and not signs.corrected),
             (f"more than {config.safety * limit:.1f} px", expected > config.safety * limit),
         )
