@@ -22,7 +22,7 @@ from benchmarks.soak import MEMORY_BOUND, digest, soak
 from data_gen.prints import FilmPrint
 from data_gen.rooms import procedural_room
 from hybrid.backward import BackwardMap
-from hybrid.coords import film_nodes, pixel_centres
+from hybrid.coords import film_centres, film_nodes, pixel_centres
 from hybrid.draw import resized
 from hybrid.pipeline import Rectifier
 from hybrid.records import RectifyResult, Status, StatusCode
