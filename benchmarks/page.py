@@ -13,7 +13,7 @@ from pathlib import Path
 
 from benchmarks.command import run_command
 from benchmarks.lineup import CONFIGURATIONS, MAIN
-from benchmarks.page_tables import number, pair, table
+from benchmarks.page_tables import number, table
 from benchmarks.page_text import Results, page_text
 from benchmarks.results import Report
 from benchmarks.schema import read_record
@@ -52,18 +52,20 @@ def readme_table(report: Report) -> str:
     cells = [
         [
             r.method.label,
-            r.method.unscored or f"{number(r.error, 1)} px ({number(r.worst_px, 1)})",
-            pair(r.figures.get("psnr"), r.figures.get("ms_ssim"), 2) if r.error is not None else "-",
+            r.method.unscored or f"{number(r.error, 2)} px ({number(r.worst_px, 1)})",
+            f"{number(r.figures.get('psnr'), 1)} dB, {number(r.figures.get('ms_ssim'), 3)}"
+            if r.error is not None
+            else "-",
             f"{r.seconds[0]:.2g}",
         ]
         for r in rows
     ]
     kinds = split_rows(report, MAIN, size) if any(m.name == MAIN for m in report.methods) else []
-    styles = "; ".join(f"{kind} {number(row.error, 1)} px" for title, kind, row in kinds if title == "cell style")
+    styles = "; ".join(f"{kind} {number(row.error, 2)} px" for title, kind, row in kinds if title == "cell style")
     photos = max((r.photos for r in rows), default=0)
-    head = ("", "end-point error, median photo (worst)", "paper's protocol, raw: PSNR (MS-SSIM)", "seconds")
+    head = ("", "end-point error, median photo (worst)", "paper's protocol, raw: PSNR, MS-SSIM", "seconds")
     return (
-        f"{photos} photos of {size:g} megapixels with truth, threads: {report.settings.threads}, no GPU:\n\n"
+        f"{photos} photos of about {size:g} megapixel with truth, threads: {report.settings.threads}, no GPU:\n\n"
         + table(head, cells)
         + (f"\n\n`hybrid` by what separates the slices: {styles}." if styles else "")
         + f"\n\nMade by `{report.run['command']}`."

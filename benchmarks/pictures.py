@@ -67,7 +67,8 @@ def time_against_error(report: Report) -> Picture:
             for row in rows:
                 if row.method.name == name:
                     hollow = row.error is None
-                    label = f"{row.method.label} (no error)" if hollow else row.method.label
+                    short = row.method.label.partition(" (")[0]
+                    label = f"{short} (no error)" if hollow else short
                     at = (row.seconds[0], y.high / 1.6 ** (1 + len(points) % 3) if row.error is None else row.error)
                     points.append(Points(name, (at,), (label,), hollow))
         marks = {row.method.label: row.seconds[0] for row in rows if row.method.name == FLOOR}
@@ -85,7 +86,7 @@ def error_against_bend(report: Report) -> Picture:
             found = [m for m in report.measured if (m.method, m.megapixels) == (method.name, size)]
             xy = tuple((bend[m.case], m.score.end_point_px) for m in found if m.score and m.case in bend)
             if xy:
-                points.append(Points(method.label, xy))
+                points.append(Points(method.label.partition(" (")[0], xy))
     errors = [y for p in points for _, y in p.xy] or [1.0]
     farthest = 1.1 * max(bend.values(), default=1.0)
     return scatter(
