@@ -116,7 +116,7 @@ _DEWARPNET = Preset(
     fields=("mask", "xyz", "albedo", "backward"),
     weights={"backward": 10.0, "reconstruction": 0.5},
     nodes=dewarpnet_nodes,
-    ship_width=0.5,
+    ship_width=0.25,
     batch=50,
     learning_rate=1e-4,
 )
