@@ -12,7 +12,7 @@ from benchmarks.cases import Case, read_alike
 from benchmarks.charts import Axis, Chart, Picture, Points, page_of, scatter, stacked_bars
 from benchmarks.lineup import CONFIGURATIONS, MAIN
 from benchmarks.methods import path_in
-from benchmarks.results import Report
+from benchmarks.results import MethodNote, Report
 from benchmarks.summary import FLOOR, rows_of
 from hybrid.backward import end_point_error
 from hybrid.coords import film_nodes
@@ -67,13 +67,17 @@ def time_against_error(report: Report) -> Picture:
             for row in rows:
                 if row.method.name == name:
                     hollow = row.error is None
-                    short = row.method.label.partition(" (")[0]
-                    label = f"{short} (no error)" if hollow else short
+                    label = f"{_short(row.method)} (no error)" if hollow else _short(row.method)
                     at = (row.seconds[0], y.high / 1.6 ** (1 + len(points) % 3) if row.error is None else row.error)
                     points.append(Points(name, (at,), (label,), hollow))
         marks = {row.method.label: row.seconds[0] for row in rows if row.method.name == FLOOR}
         charts.append(scatter(Chart(f"{size:g} megapixels", x, y, tuple(points), marks)))
     return page_of(charts, min(2, len(charts)))
+
+
+def _short(method: MethodNote) -> str:
+    """A method's label without what stands in brackets: the page's tables say that."""
+    return method.label.partition(" (")[0]
 
 
 def error_against_bend(report: Report) -> Picture:
@@ -86,7 +90,7 @@ def error_against_bend(report: Report) -> Picture:
             found = [m for m in report.measured if (m.method, m.megapixels) == (method.name, size)]
             xy = tuple((bend[m.case], m.score.end_point_px) for m in found if m.score and m.case in bend)
             if xy:
-                points.append(Points(method.label.partition(" (")[0], xy))
+                points.append(Points(_short(method), xy))
     errors = [y for p in points for _, y in p.xy] or [1.0]
     farthest = 1.1 * max(bend.values(), default=1.0)
     return scatter(

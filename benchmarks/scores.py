@@ -16,12 +16,10 @@ from benchmarks.methods import Method
 from hybrid.backward import BackwardMap, Orientation, end_point_error
 from hybrid.coords import film_nodes, rescale_points
 from hybrid.metrics import PAPER_SIZE, ImageScores, PaperScores, image_scores, local_distortion, paper_protocol
+from hybrid.rectify.trust import REFERENCE_PX
 
 LATTICE = (33, 33)
 """Film points, edges included, over which the end-point error is taken."""
-
-REFERENCE_PX = 1080
-"""Longer side of the photos that pixels are quoted for; photos of other sizes are scaled to it."""
 
 MAP_RANGE = 255.0
 """Values of a backward map taken as an image: the photo's sides are this long (the paper's B rows)."""

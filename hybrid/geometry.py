@@ -117,7 +117,7 @@ def shape_of(
     by_edges = partial(flat_film, refine=config.refine, config=config.plane)
     flat = _on_copy(pyramid, coarse, config.refine.working_px, by_edges)
     clock.reports += flat.stages
-    if _believed(flat):
+    if flat.believed:
         return flat
     every = sides()
     mean = agreed(every)
@@ -143,11 +143,11 @@ def _exact(
         report.ran, report.reason = config.again, "one refinement is enough in this effort"
         if not config.again:
             return first
-        if _believed(first):
+        if first.believed:
             report.reason = "from its own result"
             second = exactly(first.backward)
             lost = first.grid is not None and second.grid is None
-            best = second if _believed(second) and not lost else first
+            best = second if second.believed and not lost else first
         else:
             report.reason = f"from each of {len(sides)} sides"
             best = min([first, *(exactly(side.backward) for side in sides)], key=_doubt)
@@ -204,11 +204,6 @@ def _on_copy(
     grid = found.grid and replace(found.grid, vertices_photo=found.grid.vertices_photo * np.array(up))
     left = None if found.expected_px is None else found.expected_px * up[0]
     return replace(found, backward=found.backward.cropped((0.0, 0.0), up), grid=grid, expected_px=left)
-
-
-def _believed(refinement: Refinement) -> bool:
-    """Whether refinement took what it found for better than the map that it started from."""
-    return refinement.expected_px is not None
 
 
 def _doubt(refinement: Refinement) -> float:

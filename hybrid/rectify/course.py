@@ -35,6 +35,9 @@ from hybrid.rectify.sightings import (
     no_displacement,
 )
 
+MOST_RESIDUAL = 20.0
+"""What a sighting that is further off counts as, in stated deviations."""
+
 
 @dataclass(frozen=True)
 class RefineConfig:
@@ -352,7 +355,6 @@ def held_out_residuals(sightings: Sequence[Sightings], config: SplineConfig, fol
     Runs of neighbouring sightings are held out together, because neighbours share their errors. The constants
     that a list shares are taken from the sightings that the spline did see.
     """
-    clip = 20.0
     before, after, count = 0.0, 0.0, 0
     for fold in range(folds):
         out = [np.arange(len(s)) // 8 % folds == fold for s in sightings]
@@ -363,8 +365,8 @@ def held_out_residuals(sightings: Sequence[Sightings], config: SplineConfig, fol
                 continue
             predicted = fit.displacement(held.places())[:, held.axis] - held.places()[:, held.axis]
             offsets = held.offsets() - held.shared @ constants
-            before += np.minimum(np.abs(_without_shared(held)) / held.sigma, clip).sum()
-            after += np.minimum(np.abs(offsets - predicted) / held.sigma, clip).sum()
+            before += np.minimum(np.abs(_without_shared(held)) / held.sigma, MOST_RESIDUAL).sum()
+            after += np.minimum(np.abs(offsets - predicted) / held.sigma, MOST_RESIDUAL).sum()
             count += len(held)
     return (before / count, after / count) if count else (0.0, 0.0)
 
@@ -378,6 +380,7 @@ def _without_shared(sightings: Sightings) -> Float[np.ndarray, " n"]:
 
 
 __all__ = [
+    "MOST_RESIDUAL",
     "Clock",
     "Course",
     "Progress",

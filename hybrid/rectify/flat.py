@@ -40,7 +40,7 @@ def already_flat(
     framed = exactly(frame)
     if framed.grid is None:
         return None, "no grid tells whether the photo is the flat film itself"
-    if framed.expected_px is not None:
+    if framed.believed:
         return None, "the film fills the photo but is not flat"
     grids = [grid for grid in (framed.grid, refined.grid) if grid is not None]
     straight, crooked = (max(cells_alike(pyramid, m, grid) for grid in grids) for m in (frame, refined.backward))

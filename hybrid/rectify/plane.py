@@ -12,6 +12,7 @@ from jaxtyping import Float, UInt8
 from hybrid.backward import BackwardMap
 from hybrid.coords import film_nodes
 from hybrid.records import StageReport
+from hybrid.rectify.course import MOST_RESIDUAL
 from hybrid.rectify.glance import glance
 from hybrid.rectify.invert import fit_homography, project
 from hybrid.rectify.outline import SIDES, find_outline
@@ -22,9 +23,6 @@ from hybrid.rectify.tps import MAD_TO_SIGMA, tukey_weights
 
 PARTS = 8
 """Parts of an edge that must each lie on its line: an arc, a wave or a curled corner shows in some of them."""
-
-CLIP = 20.0
-"""Largest residual of a sighting that counts, in stated deviations, as in refinement."""
 
 EXPECTED_ERROR = 5e-4
 """Median error of the map of a flat film, in parts of its size; 0.1 to 1 on flat films of the generator."""
@@ -115,7 +113,7 @@ def edge_line(side: Sightings) -> EdgeLine:
         weight = np.sqrt(tukey_weights(residual / scale))
     part = np.clip((along * PARTS).astype(int), 0, PARTS - 1)
     middles = [abs(float(np.median(residual[part == k]))) for k in range(PARTS) if np.count_nonzero(part == k) >= 3]
-    off = float(np.minimum(np.abs(residual) / side.sigma, CLIP).mean())
+    off = float(np.minimum(np.abs(residual) / side.sigma, MOST_RESIDUAL).mean())
     return EdgeLine(float(fit[0]), float(fit[1]), max(middles, default=np.inf), len(middles), off)
 
 

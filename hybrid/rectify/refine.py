@@ -78,6 +78,11 @@ class Refinement:
     edges: int = 0
     held_out: float | None = None
 
+    @property
+    def believed(self) -> bool:
+        """Whether what was found was taken for better than the map that it started from."""
+        return self.expected_px is not None
+
 
 def refine(photo: UInt8[np.ndarray, "H W 3"], coarse: BackwardMap, config: RefineConfig) -> Refinement:
     """The coarse map, corrected where the photo shows how.

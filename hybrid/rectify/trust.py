@@ -120,7 +120,7 @@ def signs_of(
         alike=0.0 if grid is None else cells_alike(pyramid, backward, grid),
         oblong=NO_GRID_OBLONG if grid is None else _oblong(backward, grid),
         grid=grid is not None,
-        corrected=refinement.expected_px is not None,
+        corrected=refinement.believed,
         edges=refinement.edges,
         film_px=film_px,
         photo_px=max(pyramid.photo.shape[:2]),
