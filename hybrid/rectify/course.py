@@ -26,7 +26,7 @@ from hybrid.rectify.layout import Evidence, Layout, find_layout
 from hybrid.rectify.match import match_cells, match_to_one_cell
 from hybrid.rectify.outline import OutlineConfig, find_outline
 from hybrid.rectify.repeat import RepeatConfig, cell_agreement
-from hybrid.rectify.sheet import SheetConfig
+from hybrid.rectify.sheet_fit import FittedSheet, SheetConfig, refit_sheet
 from hybrid.rectify.sightings import (
     Displacement,
     Sightings,
@@ -63,6 +63,7 @@ class RefineConfig:
     """Largest displacement believed, in film units."""
     min_gain: float = 0.9
     """The spline counts only if held-out sightings disagree with it by less than this fraction of before."""
+    bent_rounds: int = 0
     trial_rounds: int = 2
     """After so many rounds it is decided from which map to go on."""
     borne_out: float = 1.6
@@ -199,12 +200,39 @@ def _round(
     if not evidence:
         return None
     fit = fit_displacement([e.sightings for e in evidence], config.spline)
-    layout = layout.adjusted(evidence, fit)
+    layout = layout.adjusted(evidence, fit.constants)
     clock.lap("spline")
     moved = float(np.abs(fit.displacement.values - displacement.values).max())
     attempts = (*progress.attempts, _Attempt(fit.displacement, evidence, fit.stiffness))
     settled = number >= 2 and (moved < config.settled_move or layout.is_enough)
     return Progress(scene, outline, attempts, layout, number + 1, settled)
+
+
+def bent(
+    progress: Progress, fitted: FittedSheet, network: BackwardMap, rounds: int, config: RefineConfig, clock: Clock
+) -> Progress | None:
+    """The first rounds, each with a sheet that explains what it saw."""
+    size = (progress.scene.photo.shape[0], progress.scene.photo.shape[1])
+    near = replace(config.outline, band=config.near_band)
+    for number, matcher in list(enumerate(_matchers(config)))[:rounds]:
+        scene, outline = progress.scene, progress.outline
+        view = _view(scene, no_displacement(config.spline))
+        layout, lines = find_layout(view, progress.layout, number < config.line_rounds, config.grid, config.repeat)
+        evidence = tuple(_observe_print(view, layout, lines, matcher, outline, config))
+        clock.lap("grid")
+        evidence += tuple(Evidence(_as_uncertain(s, layout, config)) for s in outline)
+        after = refit_sheet(fitted, network, size, [e.sightings for e in evidence], config.sheet)
+        if after is None or after.backward.folds((33, 33)):
+            return progress
+        fitted = after
+        layout = layout.adjusted(evidence, fitted.constants)
+        scene = replace(scene, coarse=fitted.backward)
+        outline = find_outline(scene.photo, scene.coarse, near)
+        clock.lap("outline")
+        evidence = tuple(Evidence(s) for s in outline)
+        attempt = _Attempt(no_displacement(config.spline), evidence)
+        progress = Progress(scene, tuple(outline), (attempt,), layout, number + 1)
+    return progress
 
 
 def ended(progress: Progress, config: RefineConfig, clock: Clock) -> Course:
@@ -286,8 +314,9 @@ def _observe_print(
         if comb is None or sightings is None:
             continue
         pinned = sum(edge.axis == comb.axis for edge in outline) == 2
-        if pinned and not (comb.sign > 0 and comb.fills_film(config.grid)):
-            sightings = replace(sightings, shared_sigma=np.full(2, config.congeal.shared_sigma))
+        if pinned and not comb.fills_film(config.grid):
+            wide = np.array([config.congeal.shared_sigma, config.congeal.shared_sigma, config.grid.inset_sigma])
+            sightings = replace(sightings, shared_sigma=wide)
         evidence.append(Evidence(sightings, comb))
     columns, rows = layout.repeats
     if columns is not None and rows is not None:
@@ -388,6 +417,7 @@ __all__ = [
     "Scene",
     "agreement",
     "begin",
+    "bent",
     "contradiction",
     "ended",
     "followed",

@@ -17,7 +17,8 @@ def follow_comb(view: FilmView, comb: Comb, config: GridConfig) -> Sightings | N
     """Each line that was seen, observed at many places along its length; None where too little is left.
 
     Straightness and equal spacing are in the constants shared by all: where the comb's middle lies from the film's,
-    and by how much its pitch differs.
+    by how much its pitch differs, and how far further in the outermost lines are: of cells with frames of their own
+    the lines between are those of two cells.
     """
     image = narrowed(view.image[..., 0], comb.axis)
     response = comb.sign * line_response(image, comb.width_px)
@@ -48,10 +49,12 @@ def follow_comb(view: FilmView, comb: Comb, config: GridConfig) -> Sightings | N
     sigma = np.full(len(across), config.sigma_px / h * np.sqrt(max(1.0, n / config.stations)))
     from_centre = inner[index] - 0.5 * comb.cells
     if comb.fills_film(config):
-        pitch, shared_sigma = 1.0 / comb.cells, config.snug_sigma * np.array([1.0, 1.0 / comb.cells])
+        pitch, shared_sigma = 1.0 / comb.cells, config.snug_sigma * np.array([1.0, 1.0 / comb.cells, 1.0])
     else:
-        pitch, shared_sigma = comb.pitch, np.array([config.centre_sigma[comb.axis], config.pitch_sigma])
-    shared = np.column_stack([np.ones(len(across)), from_centre])
+        pitch = comb.pitch
+        shared_sigma = np.array([config.centre_sigma[comb.axis], config.pitch_sigma, config.inset_sigma])
+    outermost = 1.0 * (inner == 0) - 1.0 * (inner == comb.cells)
+    shared = np.column_stack([np.ones(len(across)), from_centre, outermost[index]])
     return Sightings(comb.axis, uv, 0.5 + from_centre * pitch, sigma, shared, shared_sigma)
 
 

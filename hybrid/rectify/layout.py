@@ -13,7 +13,7 @@ from hybrid.rectify.film_view import FilmView
 from hybrid.rectify.follow import follow_comb
 from hybrid.rectify.grid import Comb, GridConfig, find_comb
 from hybrid.rectify.repeat import RepeatConfig, Repeats, find_repeats
-from hybrid.rectify.sightings import Displacement, DisplacementFit, Sightings
+from hybrid.rectify.sightings import Displacement, Sightings
 
 GOOD_SHARE = 0.0025
 """Expected error of the map, in parts of the film, from which on a grid is trusted less: about 2 px of a photo."""
@@ -57,10 +57,11 @@ class Layout:
         """What is best known along one axis."""
         return self.combs[axis] if self.combs[axis] is not None else self.repeats[axis]
 
-    def adjusted(self, evidence: Sequence[Evidence], fit: DisplacementFit) -> Layout:
-        """With the places and pitches that the fit found; lines are straight through the map that it gives."""
+    def adjusted(self, evidence: Sequence[Evidence], found: Sequence[np.ndarray]) -> Layout:
+        """With the places and pitches that a fit found, the constants that each of the sightings share; lines are straight
+        through the map that it gives."""
         combs, repeats = list(self.combs), list(self.repeats)
-        for e, constants in zip(evidence, fit.constants, strict=True):
+        for e, constants in zip(evidence, found, strict=True):
             if isinstance(e.source, Comb):
                 combs[e.source.axis] = e.source.adjusted(e.sightings, constants).straight()
             elif isinstance(e.source, Repeats):

@@ -25,13 +25,14 @@ from hybrid.rectify.course import (
     Scene,
     agreement,
     begin,
+    bent as bent_,
     contradiction,
     ended,
     followed,
     working_scene,
 )
 from hybrid.rectify.outline import find_outline
-from hybrid.rectify.sheet import fit_sheet
+from hybrid.rectify.sheet_fit import fit_sheet
 from hybrid.rectify.sightings import Sightings
 
 ALL = 99
@@ -151,7 +152,8 @@ def _from_sheet(scene: Scene, outline: Sequence[Sightings], config: RefineConfig
     bent = replace(scene, coarse=found.backward)
     outline = find_outline(scene.photo, bent.coarse, replace(config.outline, band=config.near_band))
     clock.lap("outline")
-    return followed(begin(bent, outline, config), config.trial_rounds, config, clock)
+    progress = bent_(begin(bent, outline, config), found, scene.coarse, config.bent_rounds, config, clock)
+    return followed(progress, config.trial_rounds, config, clock)
 
 
 def _expected_share(moved: float, course: Course) -> float:

@@ -246,7 +246,7 @@ def _solve_robust(system: _System, config: SplineConfig) -> tuple[np.ndarray, np
         solution, _ = _solve(system.posterior(data, stiffness, config), right)
         residual = system.rows @ solution - system.right
         if step >= 1:
-            sigma = _group_noise(system, residual)
+            sigma = group_noise(system.sigma, system.group, residual)
         residual = residual / sigma
         spread = MAD_TO_SIGMA * float(np.median(np.abs(residual)))
         noise = max(1.0, min(0.5 * noise, 1.5 * spread))
@@ -254,16 +254,19 @@ def _solve_robust(system: _System, config: SplineConfig) -> tuple[np.ndarray, np
     return solution, weights, stiffness
 
 
-def _group_noise(system: _System, residual: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+def group_noise(
+    stated: Float[np.ndarray, " n"], groups: Int[np.ndarray, " n"], residual: Float[np.ndarray, " n"]
+) -> Float[np.ndarray, " n"]:
     """Stated deviations, with those of each group multiplied by what its sightings' agreement says.
 
-    The spread of few residuals tells little: the stated deviations count as ``PRIOR_COUNT`` more of them.
+    groups: a number for each sighting, -1 for none. The spread of few residuals tells little: the stated deviations
+    count as ``PRIOR_COUNT`` more of them.
     """
-    grouped = system.group >= 0
-    group, size = system.group[grouped], np.bincount(system.group[grouped])
-    spread = MAD_TO_SIGMA * _group_medians(np.abs(residual[grouped] / system.sigma[grouped]), group, size)
+    grouped = groups >= 0
+    group, size = groups[grouped], np.bincount(groups[grouped])
+    spread = MAD_TO_SIGMA * _group_medians(np.abs(residual[grouped] / stated[grouped]), group, size)
     variance = (size * spread**2 + PRIOR_COUNT) / (size + PRIOR_COUNT)
-    sigma = system.sigma.copy()
+    sigma = stated.copy()
     sigma[grouped] *= np.where(size > 2, np.sqrt(variance), LONE_FACTOR)[group]
     return sigma
 
@@ -309,5 +312,6 @@ __all__ = [
     "Sightings",
     "SplineConfig",
     "fit_displacement",
+    "group_noise",
     "no_displacement",
 ]
