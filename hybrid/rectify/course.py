@@ -315,7 +315,7 @@ def _observe_print(
             continue
         pinned = sum(edge.axis == comb.axis for edge in outline) == 2
         if pinned and not comb.fills_film(config.grid):
-            wide = np.array([config.congeal.shared_sigma, config.congeal.shared_sigma, config.grid.inset_sigma])
+            wide = np.append(np.full(2, config.congeal.shared_sigma), sightings.shared_sigma[2:])
             sightings = replace(sightings, shared_sigma=wide)
         evidence.append(Evidence(sightings, comb))
     columns, rows = layout.repeats

@@ -62,8 +62,9 @@ class GridConfig:
     on both sides, but for a header or footer."""
     pitch_sigma: float = 0.004
     """Prior standard deviation of a comb's pitch, in film units."""
-    inset_sigma: float = 0.004
-    """Prior standard deviation of how much further in the outermost lines are, in film units: half of a gap."""
+    inset_sigma: float = 0.006
+    """Prior standard deviation of where the first and the last line lie beside their places, in film units: up to the
+    width of the gaps between cells that have frames of their own."""
     snug: float = 0.008
     """A grid whose ends lie this near to the film's edges is taken to fill the film."""
     snug_sigma: float = 0.001
@@ -98,7 +99,7 @@ class Comb:
         places = np.repeat(self.lines()[self.seen][:, None], self.tracks.shape[1], axis=1)
         return replace(self, tracks=places)
 
-    def adjusted(self, sightings: Sightings, constants: Float[np.ndarray, "3"]) -> Comb:
+    def adjusted(self, sightings: Sightings, constants: Float[np.ndarray, "4"]) -> Comb:
         """With the place and pitch that a fit of its sightings found."""
         step = np.ptp(sightings.known) / max(np.ptp(sightings.shared[:, 1]), 1.0)
         pitch = float(step if step > 0 else self.pitch) + float(constants[1])
