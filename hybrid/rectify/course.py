@@ -26,7 +26,7 @@ from hybrid.rectify.layout import Evidence, Layout, find_layout
 from hybrid.rectify.match import match_cells, match_to_one_cell
 from hybrid.rectify.outline import OutlineConfig, find_outline
 from hybrid.rectify.repeat import RepeatConfig, cell_agreement
-from hybrid.rectify.sheet_fit import FittedSheet, SheetConfig, refit_sheet
+from hybrid.rectify.sheet_fit import SheetConfig, sheet_of
 from hybrid.rectify.sightings import (
     Displacement,
     Sightings,
@@ -63,7 +63,10 @@ class RefineConfig:
     """Largest displacement believed, in film units."""
     min_gain: float = 0.9
     """The spline counts only if held-out sightings disagree with it by less than this fraction of before."""
-    bent_rounds: int = 0
+    counts: float = 0.3
+    """Sightings of this robust weight and more count for the sheet that is fitted at last."""
+    sheet_prior_px: float = 5.0
+    """As SplineConfig.prior_px, for the displacement of that sheet."""
     trial_rounds: int = 2
     """After so many rounds it is decided from which map to go on."""
     borne_out: float = 1.6
@@ -144,6 +147,7 @@ class _Attempt:
 
     displacement: Displacement
     evidence: tuple[Evidence, ...]
+    weights: tuple[Float[np.ndarray, " _"], ...] = ()
     stiffness: tuple[float, float] = (0.0, 0.0)
 
 
@@ -157,6 +161,7 @@ class Progress:
     layout: Layout = field(default_factory=Layout)
     rounds: int = 0
     settled: bool = False
+    sheet: bool = False
 
 
 def begin(scene: Scene, outline: Sequence[Sightings], config: RefineConfig) -> Progress:
@@ -203,42 +208,37 @@ def _round(
     layout = layout.adjusted(evidence, fit.constants)
     clock.lap("spline")
     moved = float(np.abs(fit.displacement.values - displacement.values).max())
-    attempts = (*progress.attempts, _Attempt(fit.displacement, evidence, fit.stiffness))
+    attempts = (*progress.attempts, _Attempt(fit.displacement, evidence, fit.weights, fit.stiffness))
     settled = number >= 2 and (moved < config.settled_move or layout.is_enough)
-    return Progress(scene, outline, attempts, layout, number + 1, settled)
+    return Progress(scene, outline, attempts, layout, number + 1, settled, progress.sheet)
 
 
-def bent(
-    progress: Progress, fitted: FittedSheet, network: BackwardMap, rounds: int, config: RefineConfig, clock: Clock
-) -> Progress | None:
-    """The first rounds, each with a sheet that explains what it saw."""
-    size = (progress.scene.photo.shape[0], progress.scene.photo.shape[1])
+def unstretched(progress: Progress, config: RefineConfig, clock: Clock) -> Progress | None:
+    """One more round, from the map of the unstretched sheet that explains best what the last round saw."""
+    attempt, scene = progress.attempts[-1], progress.scene
+    size = (scene.photo.shape[0], scene.photo.shape[1])
+    moved = attempt.displacement.composed(scene.coarse)
+    seen = [e.sightings.subset(w > config.counts) for e, w in zip(attempt.evidence, attempt.weights, strict=True)]
+    found = sheet_of(moved, scene.coarse, size, seen, config.sheet)
+    if found is None or found.backward.folds((33, 33)):
+        return None
+    layout = progress.layout.adjusted(attempt.evidence, found.constants)
+    scene = replace(scene, coarse=found.backward)
     near = replace(config.outline, band=config.near_band)
-    for number, matcher in list(enumerate(_matchers(config)))[:rounds]:
-        scene, outline = progress.scene, progress.outline
-        view = _view(scene, no_displacement(config.spline))
-        layout, lines = find_layout(view, progress.layout, number < config.line_rounds, config.grid, config.repeat)
-        evidence = tuple(_observe_print(view, layout, lines, matcher, outline, config))
-        clock.lap("grid")
-        evidence += tuple(Evidence(_as_uncertain(s, layout, config)) for s in outline)
-        after = refit_sheet(fitted, network, size, [e.sightings for e in evidence], config.sheet)
-        if after is None or after.backward.folds((33, 33)):
-            return progress
-        fitted = after
-        layout = layout.adjusted(evidence, fitted.constants)
-        scene = replace(scene, coarse=fitted.backward)
-        outline = find_outline(scene.photo, scene.coarse, near)
-        clock.lap("outline")
-        evidence = tuple(Evidence(s) for s in outline)
-        attempt = _Attempt(no_displacement(config.spline), evidence)
-        progress = Progress(scene, tuple(outline), (attempt,), layout, number + 1)
-    return progress
+    outline = find_outline(scene.photo, scene.coarse, near)
+    clock.lap("outline")
+    still = no_displacement(config.spline)
+    begun = Progress(scene, tuple(outline), (_Attempt(still, tuple(Evidence(s) for s in outline)),), layout, sheet=True)
+    tight = replace(config, spline=replace(config.spline, prior_px=config.sheet_prior_px))
+    matchers = _matchers(config)
+    return _round(begun, len(matchers) - 1, matchers[-1], tight, clock)
 
 
 def ended(progress: Progress, config: RefineConfig, clock: Clock) -> Course:
     """The best of what the rounds gave, and whether it is to be believed."""
-    chosen = _most_alike(progress.scene, progress.layout, list(progress.attempts), config)
-    course = _judged(progress.scene, progress.layout, chosen, config)
+    attempts = list(progress.attempts)
+    chosen = attempts[-1] if progress.sheet else _most_alike(progress.scene, progress.layout, attempts, config)
+    course = _judged(progress.scene, progress.layout, chosen, config, progress.sheet)
     clock.lap("spline")
     return course
 
@@ -348,7 +348,7 @@ def _most_alike(scene: Scene, layout: Layout, attempts: list[_Attempt], config: 
     return max(candidates, key=lambda a: cell_agreement(_view(small, a.displacement), columns, rows))
 
 
-def _judged(scene: Scene, layout: Layout, attempt: _Attempt, config: RefineConfig) -> Course:
+def _judged(scene: Scene, layout: Layout, attempt: _Attempt, config: RefineConfig, sheet: bool = False) -> Course:
     """Whether the end of the rounds is to be believed, and why or why not."""
     still = no_displacement(config.spline)
     if not attempt.evidence:
@@ -359,7 +359,7 @@ def _judged(scene: Scene, layout: Layout, attempt: _Attempt, config: RefineConfi
     moved, believed = attempt.displacement, False
     if after > config.max_residual:
         verdict = f"held-out residual {after:.1f} sigma: what is seen on the film contradicts itself"
-    elif after > config.min_gain * before:
+    elif not sheet and after > config.min_gain * before:
         verdict = f"held-out residual {after:.2f} sigma against {before:.2f} before: no better"
         moved, believed = still, True
     elif move > config.max_move:
@@ -417,10 +417,10 @@ __all__ = [
     "Scene",
     "agreement",
     "begin",
-    "bent",
     "contradiction",
     "ended",
     "followed",
     "held_out_residuals",
+    "unstretched",
     "working_scene",
 ]

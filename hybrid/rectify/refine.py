@@ -25,16 +25,17 @@ from hybrid.rectify.course import (
     Scene,
     agreement,
     begin,
-    bent as bent_,
     contradiction,
     ended,
     followed,
+    unstretched,
     working_scene,
 )
 from hybrid.rectify.outline import find_outline
 from hybrid.rectify.sheet_fit import fit_sheet
 from hybrid.rectify.sightings import Sightings
 
+SHEETS = []
 ALL = 99
 """More rounds than there are."""
 
@@ -97,10 +98,22 @@ def refine(photo: UInt8[np.ndarray, "H W 3"], coarse: BackwardMap, config: Refin
     outline = find_outline(scene.photo, scene.coarse, config.outline)
     clock.lap("outline")
     begun = _begun(scene, outline, config, clock)
-    progress = followed(begun, ALL, config, clock) if begun is not None else None
+    progress = followed(begun, int(__import__('os').environ.get('KR','99')), config, clock) if begun is not None else None
     if progress is None:
         return _unchanged(coarse, "no edge, rule, gutter or repeated text was seen", clock)
     course = ended(progress, config, clock)
+    import os
+    sheet = progress
+    for _ in range(int(os.environ.get("M", "1"))):
+        sheet = unstretched(sheet, config, clock)
+        if sheet is None:
+            break
+        SHEETS.append(sheet)
+    if sheet is not None:
+        other = ended(sheet, config, clock)
+        alike = [max(agreement(one, layout) for layout in (progress.layout, sheet.layout)) for one in (progress, sheet)]
+        if other.after <= 1.15 * course.after and alike[1] >= 0.92 * alike[0] or (other.believed and not course.believed):
+            course = other
     is_bent = course.scene is not scene
     scale = (photo.shape[1] / scene.photo.shape[1], photo.shape[0] / scene.photo.shape[0])
     changed = course.believed and (is_bent or course.moves)
@@ -152,8 +165,7 @@ def _from_sheet(scene: Scene, outline: Sequence[Sightings], config: RefineConfig
     bent = replace(scene, coarse=found.backward)
     outline = find_outline(scene.photo, bent.coarse, replace(config.outline, band=config.near_band))
     clock.lap("outline")
-    progress = bent_(begin(bent, outline, config), found, scene.coarse, config.bent_rounds, config, clock)
-    return followed(progress, config.trial_rounds, config, clock)
+    return followed(begin(bent, outline, config), config.trial_rounds, config, clock)
 
 
 def _expected_share(moved: float, course: Course) -> float:

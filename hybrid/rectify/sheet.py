@@ -121,7 +121,7 @@ def _axis_spline(intervals: int, derivative: int) -> BSpline:
 def basis(uv: Float[np.ndarray, "m 2"], intervals: int, by_u: int = 0, by_v: int = 0) -> Float[np.ndarray, "m n"]:
     """Weights of the coefficients, ordered row (v) first, in the surface's value or derivative at film points."""
     across, down = _axis_spline(intervals, by_u)(uv[:, 0]), _axis_spline(intervals, by_v)(uv[:, 1])
-    return (down[:, :, None] * across[:, None, :]).reshape(len(uv), -1)
+    return (down[:, :, None] * across[:, None, :]).reshape(len(uv), (intervals + 3) ** 2)
 
 
 @lru_cache(maxsize=4)
