@@ -26,7 +26,7 @@ from hybrid.rectify.layout import Evidence, Layout, find_layout
 from hybrid.rectify.match import match_cells, match_to_one_cell
 from hybrid.rectify.outline import OutlineConfig, find_outline
 from hybrid.rectify.repeat import RepeatConfig, cell_agreement
-from hybrid.rectify.sheet_fit import SheetConfig, sheet_of
+from hybrid.rectify.sheet_fit import FittedSheet, SheetConfig, refit_sheet
 from hybrid.rectify.sightings import (
     Displacement,
     Sightings,
@@ -67,15 +67,16 @@ class RefineConfig:
     """Sightings of this robust weight and more count for the sheet that is fitted at last."""
     sheet_prior_px: float = 5.0
     """As SplineConfig.prior_px, for the displacement of that sheet."""
-    trial_rounds: int = 2
-    """After so many rounds it is decided from which map to go on."""
-    borne_out: float = 1.6
-    """Where the print lies within so many deviations of where the bent sheet has it, no other map is tried."""
-    near_sheet: float = 0.015
-    """A bent sheet that lies further than this from the network's map, in film units, has more to prove."""
-    as_alike: tuple[float, float] = (0.92, 1.2)
-    """The bent sheet counts if its cells look at least so much as alike as those of the network's map: near it, and
-    beyond."""
+    sheet_rounds: int = 2
+    """Rounds from the unstretched sheet that explains best what the last round saw."""
+    as_good: tuple[float, float] = (1.15, 0.92)
+    """Their end counts if what is seen disagrees with it by less than this ratio, and its cells look at least so much
+    as alike."""
+    doubtful: float = 1.2
+    """Where held-out sightings disagree with the end by more than this, in their stated deviations, the sheet that the
+    edges alone tell is started from too."""
+    no_worse: tuple[float, float] = (1.0, 1.0)
+    """As ``as_good``, for what comes of that."""
     max_residual: float = 2.5
     """Where held-out sightings disagree with the spline by more than this, in their stated deviations, some of them are
     wrong together, as where cells were taken for their neighbours: the map is not believed."""
@@ -153,15 +154,18 @@ class _Attempt:
 
 @dataclass(frozen=True, eq=False)
 class Progress:
-    """What is known after some rounds. rounds: how many. outline, attempts: as seen through the scene's map."""
+    """What is known after some rounds.
+
+    outline, attempts: as seen through the scene's map. settled: whether the last round moved nothing. sheet: that the
+    scene's map is of, if it is of one that explains the print.
+    """
 
     scene: Scene
     outline: tuple[Sightings, ...]
     attempts: tuple[_Attempt, ...]
     layout: Layout = field(default_factory=Layout)
-    rounds: int = 0
     settled: bool = False
-    sheet: bool = False
+    sheet: FittedSheet | None = None
 
 
 def begin(scene: Scene, outline: Sequence[Sightings], config: RefineConfig) -> Progress:
@@ -172,14 +176,12 @@ def begin(scene: Scene, outline: Sequence[Sightings], config: RefineConfig) -> P
     return Progress(scene, tuple(outline), (_Attempt(displacement, tuple(Evidence(s) for s in outline)),))
 
 
-def followed(progress: Progress, rounds: int, config: RefineConfig, clock: Clock) -> Progress | None:
-    """After so many rounds in all, or fewer if they settle before. None where nothing is seen."""
-    for number, matcher in list(enumerate(_matchers(config)))[progress.rounds : rounds]:
-        if progress.settled:
-            break
+def followed(progress: Progress, config: RefineConfig, clock: Clock) -> Progress | None:
+    """After all rounds, or fewer if they settle before. None where nothing is seen."""
+    for number, matcher in enumerate(_matchers(config)):
         after = _round(progress, number, matcher, config, clock)
-        if after is None:
-            return None
+        if after is None or after.settled:
+            return after
         progress = after
     return progress
 
@@ -210,51 +212,46 @@ def _round(
     moved = float(np.abs(fit.displacement.values - displacement.values).max())
     attempts = (*progress.attempts, _Attempt(fit.displacement, evidence, fit.weights, fit.stiffness))
     settled = number >= 2 and (moved < config.settled_move or layout.is_enough)
-    return Progress(scene, outline, attempts, layout, number + 1, settled, progress.sheet)
+    return Progress(scene, outline, attempts, layout, settled, progress.sheet)
 
 
 def unstretched(progress: Progress, config: RefineConfig, clock: Clock) -> Progress | None:
-    """One more round, from the map of the unstretched sheet that explains best what the last round saw."""
+    """One more round, from the map of the unstretched sheet that explains best what the last round saw; None where
+    there is none."""
     attempt, scene = progress.attempts[-1], progress.scene
-    size = (scene.photo.shape[0], scene.photo.shape[1])
-    moved = attempt.displacement.composed(scene.coarse)
     seen = [e.sightings.subset(w > config.counts) for e, w in zip(attempt.evidence, attempt.weights, strict=True)]
-    found = sheet_of(moved, scene.coarse, size, seen, config.sheet)
-    if found is None or found.backward.folds((33, 33)):
+    if sum(e.source is None for e in attempt.evidence) < config.sheet.least_edges:
         return None
-    layout = progress.layout.adjusted(attempt.evidence, found.constants)
-    scene = replace(scene, coarse=found.backward)
-    near = replace(config.outline, band=config.near_band)
-    outline = find_outline(scene.photo, scene.coarse, near)
-    clock.lap("outline")
-    still = no_displacement(config.spline)
-    begun = Progress(scene, tuple(outline), (_Attempt(still, tuple(Evidence(s) for s in outline)),), layout, sheet=True)
+    near = attempt.displacement.composed(scene.coarse)
+    size = (scene.photo.shape[0], scene.photo.shape[1])
+    sheet = refit_sheet(near, scene.coarse, size, seen, config.sheet, progress.sheet)
+    if sheet is None or sheet.backward.folds((33, 33)):
+        return None
+    layout = progress.layout.adjusted(attempt.evidence, sheet.constants)
+    scene = replace(scene, coarse=sheet.backward)
+    outline = find_outline(scene.photo, scene.coarse, replace(config.outline, band=config.near_band))
+    clock.lap("sheet")
+    begun = replace(begin(scene, outline, config), layout=layout, sheet=sheet)
+    still = (_Attempt(no_displacement(config.spline), begun.attempts[0].evidence),)
     tight = replace(config, spline=replace(config.spline, prior_px=config.sheet_prior_px))
-    matchers = _matchers(config)
-    return _round(begun, len(matchers) - 1, matchers[-1], tight, clock)
+    return _round(replace(begun, attempts=still), config.line_rounds, _matchers(config)[-1], tight, clock)
 
 
 def ended(progress: Progress, config: RefineConfig, clock: Clock) -> Course:
     """The best of what the rounds gave, and whether it is to be believed."""
     attempts = list(progress.attempts)
-    chosen = attempts[-1] if progress.sheet else _most_alike(progress.scene, progress.layout, attempts, config)
-    course = _judged(progress.scene, progress.layout, chosen, config, progress.sheet)
+    chosen = attempts[-1] if progress.sheet is not None else _most_alike(progress.scene, progress.layout, attempts, config)
+    course = _judged(progress.scene, progress.layout, chosen, config, progress.sheet is not None)
     clock.lap("spline")
     return course
 
 
-def agreement(progress: Progress, layout: Layout) -> float:
-    """How alike the cells of a layout look after the last round, in [0, 1]; 0 where the layout has no cells."""
+def agreement(course: Course, layout: Layout) -> float:
+    """How alike the cells of a layout look through a course's map, in [0, 1]; 0 where the layout has no cells."""
     columns, rows = layout.repeats
     if columns is None or rows is None:
         return 0.0
-    return cell_agreement(_view(_half(progress.scene), progress.attempts[-1].displacement), columns, rows)
-
-
-def contradiction(progress: Progress, config: RefineConfig) -> float:
-    """How badly the start itself explains what the last round saw, in stated deviations."""
-    attempt = progress.attempts[-1]
-    return held_out_residuals([e.sightings for e in attempt.evidence], _fixed(attempt, config))[0]
+    return cell_agreement(_view(_half(course.scene), course.displacement), columns, rows)
 
 
 # ---------------------------------------------------------------- steps
@@ -417,7 +414,6 @@ __all__ = [
     "Scene",
     "agreement",
     "begin",
-    "contradiction",
     "ended",
     "followed",
     "held_out_residuals",

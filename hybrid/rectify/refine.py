@@ -25,7 +25,6 @@ from hybrid.rectify.course import (
     Scene,
     agreement,
     begin,
-    contradiction,
     ended,
     followed,
     unstretched,
@@ -34,11 +33,6 @@ from hybrid.rectify.course import (
 from hybrid.rectify.outline import find_outline
 from hybrid.rectify.sheet_fit import fit_sheet
 from hybrid.rectify.sightings import Sightings
-
-SHEETS = []
-ALL = 99
-"""More rounds than there are."""
-
 
 @dataclass(frozen=True)
 class _Trend:
@@ -97,23 +91,12 @@ def refine(photo: UInt8[np.ndarray, "H W 3"], coarse: BackwardMap, config: Refin
     scene = working_scene(photo, coarse, config)
     outline = find_outline(scene.photo, scene.coarse, config.outline)
     clock.lap("outline")
-    begun = _begun(scene, outline, config, clock)
-    progress = followed(begun, int(__import__('os').environ.get('KR','99')), config, clock) if begun is not None else None
-    if progress is None:
+    course = _course(begin(scene, outline, config), config, clock)
+    if course is None or not course.believed or course.after > config.doubtful:
+        bent = _from_sheet(scene, outline, config, clock)
+        course = _better(course, bent and _course(bent, config, clock), config.no_worse, clock)
+    if course is None:
         return _unchanged(coarse, "no edge, rule, gutter or repeated text was seen", clock)
-    course = ended(progress, config, clock)
-    import os
-    sheet = progress
-    for _ in range(int(os.environ.get("M", "1"))):
-        sheet = unstretched(sheet, config, clock)
-        if sheet is None:
-            break
-        SHEETS.append(sheet)
-    if sheet is not None:
-        other = ended(sheet, config, clock)
-        alike = [max(agreement(one, layout) for layout in (progress.layout, sheet.layout)) for one in (progress, sheet)]
-        if other.after <= 1.15 * course.after and alike[1] >= 0.92 * alike[0] or (other.believed and not course.believed):
-            course = other
     is_bent = course.scene is not scene
     scale = (photo.shape[1] / scene.photo.shape[1], photo.shape[0] / scene.photo.shape[0])
     changed = course.believed and (is_bent or course.moves)
@@ -133,18 +116,30 @@ def refine(photo: UInt8[np.ndarray, "H W 3"], coarse: BackwardMap, config: Refin
     return Refinement(backward, course.layout.slice_grid(backward, trust), stages, expected, course.edges, course.after)
 
 
-def _begun(scene: Scene, outline: Sequence[Sightings], config: RefineConfig, clock: Clock) -> Progress | None:
-    """The first rounds from the map that what is printed bears out: the sheet's if there is one, or the scene's."""
-    bent = _from_sheet(scene, outline, config, clock)
-    near = bent is None or _distance(bent.scene.coarse, scene.coarse) < config.near_sheet
-    if bent is not None and near and contradiction(bent, config) < config.borne_out:
-        return bent
-    flat = followed(begin(scene, outline, config), config.trial_rounds, config, clock)
-    if bent is None or flat is None:
-        return flat or bent
-    alike = [max(agreement(one, layout) for layout in (flat.layout, bent.layout)) for one in (flat, bent)]
+def _course(begun: Progress, config: RefineConfig, clock: Clock) -> Course | None:
+    """All rounds from one map to start from, and then from the unstretched sheets that explain what they saw, if that
+    explains it as well. None where nothing is seen."""
+    progress = followed(begun, config, clock)
+    if progress is None:
+        return None
+    sheet: Progress | None = progress
+    for _ in range(config.sheet_rounds):
+        sheet = sheet and unstretched(sheet, config, clock)
+    return _better(ended(progress, config, clock), sheet and ended(sheet, config, clock), config.as_good, clock)
+
+
+def _better(one: Course | None, other: Course | None, asked: tuple[float, float], clock: Clock) -> Course | None:
+    """The other of two courses if it explains what it saw so much better, and its cells look so much more alike.
+
+    asked: largest ratio of the held-out residuals and least ratio of the agreements. A course that is believed is
+    better than one that is not.
+    """
+    if one is None or other is None or one.believed != other.believed:
+        return other if one is None or (other is not None and other.believed) else one
+    layouts = (one.layout, other.layout)
+    alike = [max(agreement(course, layout) for layout in layouts) for course in (one, other)]
     clock.lap("spline")
-    return bent if alike[1] >= config.as_alike[0 if near else 1] * alike[0] else flat
+    return other if other.after <= asked[0] * one.after and alike[1] >= asked[1] * alike[0] else one
 
 
 def _distance(one: BackwardMap, other: BackwardMap) -> float:
@@ -155,17 +150,17 @@ def _distance(one: BackwardMap, other: BackwardMap) -> float:
 
 
 def _from_sheet(scene: Scene, outline: Sequence[Sightings], config: RefineConfig, clock: Clock) -> Progress | None:
-    """The first rounds from the map of an unstretched sheet; None where too few edges are seen, or none fits them."""
+    """The map of the unstretched sheet that the edges tell; None where too few are seen, or none fits them."""
     if len(outline) < config.sheet.least_edges:
         return None
     found = fit_sheet(scene.coarse, (scene.photo.shape[0], scene.photo.shape[1]), outline, config.sheet)
     if found is None or found.cost > config.sheet.most_cost or found.backward.folds((33, 33)):
-        clock.lap("outline")
+        clock.lap("sheet")
         return None
     bent = replace(scene, coarse=found.backward)
     outline = find_outline(scene.photo, bent.coarse, replace(config.outline, band=config.near_band))
-    clock.lap("outline")
-    return followed(begin(bent, outline, config), config.trial_rounds, config, clock)
+    clock.lap("sheet")
+    return begin(bent, outline, config)
 
 
 def _expected_share(moved: float, course: Course) -> float:

@@ -25,7 +25,7 @@ from scipy.linalg import LinAlgError, cho_factor, cho_solve
 from hybrid.backward import BackwardMap
 from hybrid.coords import film_nodes
 from hybrid.rectify.bspline import bending_energy
-from hybrid.rectify.sheet import CAMERA, Frame, Sheet, basis, flat_sheet, project, slopes
+from hybrid.rectify.sheet import CAMERA, Frame, Sheet, basis, flat_sheet, project, slopes, surface
 from hybrid.rectify.sightings import Sightings, group_noise
 from hybrid.rectify.tps import MAD_TO_SIGMA, tukey_weights
 
@@ -78,7 +78,7 @@ class FittedSheet:
     """A sheet and its map.
 
     cost: half the sum of squares, in deviations: how badly a sheet explains what was seen. constants: those that each
-    list of sightings shares.
+    list of sightings shares. bending: weight of bending that it was found with.
     """
 
     sheet: Sheet
@@ -107,36 +107,47 @@ def fit_sheet(
         state = _fitted(problem, replace(state, sheet=state.sheet.finer(last)), config.steps[1])
     except LinAlgError:
         return None
-    return _result(state, frame, outline, problem.bending)
+    return _result(state, frame, outline, problem)
 
 
-def sheet_of(
+def refit_sheet(
     near: BackwardMap,
     through: BackwardMap,
     size: tuple[int, int],
     sightings: Sequence[Sightings],
     config: SheetConfig,
+    before: FittedSheet | None = None,
 ) -> FittedSheet | None:
     """The unstretched sheet that explains best what is seen of its edges and its print; None where the fit fails.
 
-    near: a map that is near, to start from. through: the map through which the sightings were made.
+    near: a map that is near, to start from, and from ``before`` if that is its sheet. through: the map through which
+    the sightings were made.
     """
     frame = Frame.of(size)
-    seen, target = _seen(through, sightings, frame, config), _target(near, frame)
+    problem = _Problem(_seen(through, sightings, frame, config), _target(near, frame), config.bending[0], config)
+    try:
+        if before is not None:
+            problem = replace(problem, bending=before.bending)
+            return _result(_fitted(problem, problem.begun(before.sheet), config.steps[2]), frame, sightings, problem)
+        softer = replace(problem, bending=config.bending[1])
+        start = _near_map(softer, near, frame)
+        state = _fitted(problem, start, config.steps[2])
+        bent = _fitted(softer, start, config.steps[2])
+    except LinAlgError:
+        return None
+    if bent.cost < config.sharper * state.cost:
+        return _result(bent, frame, sightings, softer)
+    return _result(state, frame, sightings, problem)
+
+
+def _near_map(problem: _Problem, near: BackwardMap, frame: Frame) -> _State:
+    """The unstretched sheet that comes nearest to a map; of what is seen it knows nothing."""
+    config = problem.config
     first, last = config.intervals
-    best = None
-    for bending in config.bending:
-        start = _Problem(_seen(through, [], frame, config), target, bending, replace(config, network_px=1.0))
-        problem = _Problem(seen, target, bending, config)
-        try:
-            state = _fitted(start, start.begun(flat_sheet(near, frame, first, config.focal[1])), config.steps[0])
-            state = _fitted(start, replace(state, sheet=state.sheet.finer(last)), config.steps[1])
-            state = _fitted(problem, problem.begun(state.sheet), config.steps[2])
-        except LinAlgError:
-            continue
-        if best is None or state.cost < config.sharper * best[0].cost:
-            best = (state, bending)
-    return None if best is None else _result(best[0], frame, sightings, best[1])
+    blind = replace(problem, seen=_seen(near, [_NOTHING], frame, config), config=replace(config, network_px=1.0))
+    state = _fitted(blind, blind.begun(flat_sheet(near, frame, first, config.focal[1])), config.steps[0])
+    state = _fitted(blind, replace(state, sheet=state.sheet.finer(last)), config.steps[1])
+    return problem.begun(state.sheet)
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,12 +163,12 @@ class _State:
         return _State(self.sheet.moved(step), self.constants + step[len(step) - len(self.constants) :])
 
 
-def _result(state: _State, frame: Frame, sightings: Sequence[Sightings], bending: float) -> FittedSheet | None:
+def _result(state: _State, frame: Frame, sightings: Sequence[Sightings], problem: _Problem) -> FittedSheet | None:
     backward = state.sheet.backward(frame)
     if backward is None:
         return None
     ends = np.cumsum([s.shared.shape[1] for s in sightings])
-    return FittedSheet(state.sheet, backward, state.cost, tuple(np.split(state.constants, ends[:-1])), bending)
+    return FittedSheet(state.sheet, backward, state.cost, tuple(np.split(state.constants, ends[:-1])), problem.bending)
 
 
 # ---------------------------------------------------------------- what is seen
@@ -186,7 +197,6 @@ class _Seen:
 
 def _seen(through: BackwardMap, sightings: Sequence[Sightings], frame: Frame, config: SheetConfig) -> _Seen:
     """Sightings that were made through a map, as points of the photo."""
-    sightings = sightings or [_NOTHING]
     thinned = [s if s.group is not None else s.subset(np.arange(0, len(s), config.every)) for s in sightings]
     number = np.repeat(np.arange(len(thinned)), [len(s) for s in thinned])
     widths = [s.shared.shape[1] for s in thinned]
@@ -242,10 +252,9 @@ def _slid(seen: _Seen, state: _State, along: Float[np.ndarray, " n"], near: bool
     place[rows, seen.across] = np.clip(known, 0.0, 1.0)
     place[rows, 1 - seen.across] = along
     for _ in range(2):
-        weights, by_u, by_v = (basis(place, sheet.intervals, *d) for d in ((0, 0), (1, 0), (0, 1)))
-        now = project(sheet, weights)
-        slope = np.stack([by_u @ sheet.control, by_v @ sheet.control], axis=-1)  # (n, 3, 2)
-        by_uv = now.by_point @ slope  # (n, 2, 2): of x, y by u, v
+        points, by_uv = surface(sheet, place)
+        now = project(sheet, points)
+        by_uv = now.by_point @ by_uv  # (n, 2, 2): of x, y by u, v
         tangent = by_uv[rows, :, 1 - seen.across]
         square = np.maximum(np.sum(tangent * tangent, axis=1), 1e-9)
         step = np.clip(np.sum((seen.point - now.point) * tangent, axis=1) / square, -0.05, 0.05)
@@ -254,7 +263,7 @@ def _slid(seen: _Seen, state: _State, along: Float[np.ndarray, " n"], near: bool
     pull = np.sum(by_uv[rows, :, seen.across] * normal, axis=1)
     sigma = np.hypot(seen.sigma * pull, seen.floor)
     weights = basis(place, sheet.intervals)
-    residual = np.sum((project(sheet, weights).point - seen.point) * normal, axis=1)
+    residual = np.sum((project(sheet, weights @ sheet.control).point - seen.point) * normal, axis=1)
     if near and (seen.group >= 0).any():
         sigma = group_noise(sigma, seen.group, residual)
     tolerance = np.ones(len(along))
@@ -292,12 +301,12 @@ class _Problem:
         sheet, config, n = state.sheet, self.config, len(state.sheet.control)
         total = _Sum(3 * n + CAMERA + len(state.constants), derivatives)
         nodes = basis(film_nodes((9, 9)).reshape(-1, 2), sheet.intervals)
-        shown = project(sheet, nodes)
+        shown = project(sheet, nodes @ sheet.control)
         sigma = 1e-3 * config.network_px * np.sqrt(len(nodes) / 6.0)
         for k in (0, 1):
             parts = (shown.by_point[:, k] / sigma, shown.point[:, k] / sigma, shown.by_lens[:, k] / sigma)
             total.add((shown.point[:, k] - self.target[:, k]) / sigma, _rows(nodes, *parts) if derivatives else None)
-        shown = project(sheet, curves.weights)
+        shown = project(sheet, curves.weights @ sheet.control)
         residual = np.sum((shown.point - self.seen.point) * curves.normal, axis=1)
         residual += curves.pull * (self.seen.shared @ (state.constants - curves.constants))
         rows = None
@@ -426,4 +435,4 @@ def _by(weights: Float[np.ndarray, "m n"], vector: Float[np.ndarray, "m 3"]) -> 
     return np.hstack([weights * vector[:, k : k + 1] for k in range(3)])
 
 
-__all__ = ["FittedSheet", "SheetConfig", "fit_sheet", "sheet_of"]
+__all__ = ["FittedSheet", "SheetConfig", "fit_sheet", "refit_sheet"]
