@@ -44,8 +44,8 @@ class SheetConfig:
     """Most Gauss-Newton steps on each, and with what is printed."""
     settled: float = 3e-3
     """Steps that lower the cost by less than this part are the last."""
-    every: int = 4
-    """Of the points of an edge or a line, one of so many counts: they are correlated."""
+    every: tuple[int, int] = (4, 2)
+    """Of the points of an edge or a line, and of the cells' windows, one of so many counts: they are correlated."""
     edge_px: float = 0.7
     """Standard deviation of an edge's place."""
     print_px: float = 0.7
@@ -57,8 +57,10 @@ class SheetConfig:
     bending: tuple[float, float] = (250.0, 25.0)
     """Weight of the mean squared second derivatives, in units of the film's height: at first, and for films that this
     leaves unexplained because they are bent sharply, or whose print is seen too."""
+    bent_share: float = 0.25
+    """With what is printed, the lower weight is tried where bending makes more than this part of the cost."""
     sharper: float = 0.6
-    """What is seen of the print must cost less than this part with the lower weight for that to count."""
+    """It counts if the cost is less than this part then."""
     unexplained: float = 15.0
     """Cost beyond which a film counts as bent sharply."""
     focal: tuple[float, float, float] = (0.65, 1.1, 3.5)
@@ -132,11 +134,12 @@ def refit_sheet(
         softer = replace(problem, bending=config.bending[1])
         start = _near_map(softer, near, frame)
         state = _fitted(problem, start, config.steps[2])
-        bent = _fitted(softer, start, config.steps[2])
+        if _bending(state.sheet, problem.bending) > config.bent_share * state.cost:
+            bent = _fitted(softer, start, config.steps[2])
+            if bent.cost < config.sharper * state.cost:
+                state, problem = bent, softer
     except LinAlgError:
         return None
-    if bent.cost < config.sharper * state.cost:
-        return _result(bent, frame, sightings, softer)
     return _result(state, frame, sightings, problem)
 
 
@@ -197,7 +200,7 @@ class _Seen:
 
 def _seen(through: BackwardMap, sightings: Sequence[Sightings], frame: Frame, config: SheetConfig) -> _Seen:
     """Sightings that were made through a map, as points of the photo."""
-    thinned = [s if s.group is not None else s.subset(np.arange(0, len(s), config.every)) for s in sightings]
+    thinned = [s.subset(np.arange(0, len(s), config.every[s.group is not None])) for s in sightings]
     number = np.repeat(np.arange(len(thinned)), [len(s) for s in thinned])
     widths = [s.shared.shape[1] for s in thinned]
     shared, first = np.zeros((len(number), sum(widths))), np.cumsum([0, *widths])
@@ -418,16 +421,20 @@ def _add_strain(total: _Sum, sheet: Sheet, config: SheetConfig) -> None:
     total.add(shear, rows_s)
 
 
+def _bending(sheet: Sheet, weight: float) -> float:
+    """Cost of bending: the mean squared second derivatives of the surface."""
+    return 0.5 * weight * float(np.sum(sheet.control * (bending_energy(sheet.intervals) @ sheet.control)))
+
+
 def _add_bending(total: _Sum, sheet: Sheet, weight: float) -> None:
-    """The mean squared second derivatives of the surface."""
-    energy, n = bending_energy(sheet.intervals), len(sheet.control)
-    for k in range(3):
-        pull = weight * (energy @ sheet.control[:, k])
-        total.cost += 0.5 * float(sheet.control[:, k] @ pull)
-        if total.derivatives:
+    """The same, with its derivatives."""
+    total.cost += _bending(sheet, weight)
+    if total.derivatives:
+        energy, n = weight * bending_energy(sheet.intervals), len(sheet.control)
+        for k in range(3):
             own = slice(k * n, (k + 1) * n)
-            total.matrix[own, own] += weight * energy
-            total.right[own] += pull
+            total.matrix[own, own] += energy
+            total.right[own] += energy @ sheet.control[:, k]
 
 
 def _by(weights: Float[np.ndarray, "m n"], vector: Float[np.ndarray, "m 3"]) -> Float[np.ndarray, "m k"]:
