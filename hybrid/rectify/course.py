@@ -119,7 +119,8 @@ class Course:
 
     displacement: of the start; zero where no better is believed. layout: of the grid. evidence: what was seen, through
     the start. before, after: held-out residual of the start and of the end, in stated deviations. believed: whether
-    what was seen bears the end out. verdict: why or why not.
+    what was seen bears the end out. of_sheet: whether it goes on from a sheet that explains the print. verdict: why
+    or why not.
     """
 
     scene: Scene
@@ -129,6 +130,7 @@ class Course:
     before: float
     after: float
     believed: bool
+    of_sheet: bool
     verdict: str
 
     @property
@@ -206,7 +208,7 @@ def _round(
     evidence += tuple(Evidence(_as_uncertain(s, layout, config)) for s in outline)
     if not evidence:
         return None
-    fit = fit_displacement([e.sightings for e in evidence], config.spline)
+    fit = fit_displacement([e.sightings for e in evidence], _spline(progress, config))
     layout = layout.adjusted(evidence, fit.constants)
     clock.lap("spline")
     moved = float(np.abs(fit.displacement.values - displacement.values).max())
@@ -231,17 +233,15 @@ def unstretched(progress: Progress, config: RefineConfig, clock: Clock) -> Progr
     scene = replace(scene, coarse=sheet.backward)
     outline = find_outline(scene.photo, scene.coarse, replace(config.outline, band=config.near_band))
     clock.lap("sheet")
-    begun = replace(begin(scene, outline, config), layout=layout, sheet=sheet)
-    still = (_Attempt(no_displacement(config.spline), begun.attempts[0].evidence),)
-    tight = replace(config, spline=replace(config.spline, prior_px=config.sheet_prior_px))
-    return _round(replace(begun, attempts=still), config.line_rounds, _matchers(config)[-1], tight, clock)
+    still = _Attempt(no_displacement(config.spline), tuple(Evidence(s) for s in outline))
+    begun = Progress(scene, outline, (still,), layout, sheet=sheet)
+    return _round(begun, config.line_rounds, _matchers(config)[-1], config, clock)
 
 
 def ended(progress: Progress, config: RefineConfig, clock: Clock) -> Course:
     """The best of what the rounds gave, and whether it is to be believed."""
-    attempts = list(progress.attempts)
-    chosen = attempts[-1] if progress.sheet is not None else _most_alike(progress.scene, progress.layout, attempts, config)
-    course = _judged(progress.scene, progress.layout, chosen, config, progress.sheet is not None)
+    chosen = _most_alike(progress, config) if progress.sheet is None else progress.attempts[-1]
+    course = _judged(progress, chosen, config)
     clock.lap("spline")
     return course
 
@@ -332,31 +332,38 @@ def _as_uncertain(edge: Sightings, layout: Layout, config: RefineConfig) -> Sigh
     return replace(edge, shared=np.ones((len(edge), 1)), shared_sigma=np.array([config.rule_width]))
 
 
-def _most_alike(scene: Scene, layout: Layout, attempts: list[_Attempt], config: RefineConfig) -> _Attempt:
+def _spline(progress: Progress, config: RefineConfig) -> SplineConfig:
+    """The displacement's options: the map of a sheet that explains the print is left by less."""
+    return config.spline if progress.sheet is None else replace(config.spline, prior_px=config.sheet_prior_px)
+
+
+def _most_alike(progress: Progress, config: RefineConfig) -> _Attempt:
     """Of no displacement, the outline's and the last two, that through which the cells look most alike.
 
     The last where cells were not matched.
     """
-    columns, rows = layout.repeats
+    attempts = progress.attempts
+    columns, rows = progress.layout.repeats
     if columns is None or rows is None:
         return attempts[-1]
     candidates = [_Attempt(no_displacement(config.spline), ()), attempts[0], *attempts[1:][-2:]]
-    small = _half(scene)  # which of them is best shows there too
+    small = _half(progress.scene)  # which of them is best shows there too
     return max(candidates, key=lambda a: cell_agreement(_view(small, a.displacement), columns, rows))
 
 
-def _judged(scene: Scene, layout: Layout, attempt: _Attempt, config: RefineConfig, sheet: bool = False) -> Course:
+def _judged(progress: Progress, attempt: _Attempt, config: RefineConfig) -> Course:
     """Whether the end of the rounds is to be believed, and why or why not."""
-    still = no_displacement(config.spline)
+    scene, still, of_sheet = progress.scene, no_displacement(config.spline), progress.sheet is not None
     if not attempt.evidence:
         verdict = "the cells look most alike through the coarse map"
-        return Course(scene, still, layout, (), np.inf, np.inf, False, verdict)
-    before, after = held_out_residuals([e.sightings for e in attempt.evidence], _fixed(attempt, config))
+        return Course(scene, still, progress.layout, (), np.inf, np.inf, False, of_sheet, verdict)
+    spline = replace(_spline(progress, config), stiffness=_fixed(attempt.stiffness, config))
+    before, after = held_out_residuals([e.sightings for e in attempt.evidence], spline)
     move = float(np.linalg.norm(attempt.displacement.values, axis=1).max())
     moved, believed = attempt.displacement, False
     if after > config.max_residual:
         verdict = f"held-out residual {after:.1f} sigma: what is seen on the film contradicts itself"
-    elif not sheet and after > config.min_gain * before:
+    elif not of_sheet and after > config.min_gain * before:
         verdict = f"held-out residual {after:.2f} sigma against {before:.2f} before: no better"
         moved, believed = still, True
     elif move > config.max_move:
@@ -366,13 +373,14 @@ def _judged(scene: Scene, layout: Layout, attempt: _Attempt, config: RefineConfi
     else:
         verdict = f"held-out residual {before:.1f} -> {after:.1f} sigma, moved by up to {100 * move:.1f} %"
         believed = True
-    return Course(scene, moved if believed else still, layout, attempt.evidence, before, after, believed, verdict)
+    shift = moved if believed else still
+    return Course(scene, shift, progress.layout, attempt.evidence, before, after, believed, of_sheet, verdict)
 
 
-def _fixed(attempt: _Attempt, config: RefineConfig) -> SplineConfig:
-    """The spline's options with the stiffness that the evidence chose."""
-    stiffness = max(*attempt.stiffness, config.spline.stiffness[0])
-    return replace(config.spline, stiffness=(stiffness, stiffness, 1))
+def _fixed(found: tuple[float, float], config: RefineConfig) -> tuple[float, float, int]:
+    """As SplineConfig.stiffness: the one that the evidence chose, and no other."""
+    stiffness = max(*found, config.spline.stiffness[0])
+    return stiffness, stiffness, 1
 
 
 def held_out_residuals(sightings: Sequence[Sightings], config: SplineConfig, folds: int = 2) -> tuple[float, float]:

@@ -34,6 +34,10 @@ from hybrid.rectify.outline import find_outline
 from hybrid.rectify.sheet_fit import fit_sheet
 from hybrid.rectify.sightings import Sightings
 
+UNSTRETCHED = ("no sheet that does not stretch explains what is seen", "edges and print are those of an unstretched sheet")
+"""What the report of stage ``sheet`` says where the end is not that of a sheet, and where it is."""
+
+
 @dataclass(frozen=True)
 class _Trend:
     """Logarithm of the error that is left, as a linear function of what is known: a constant and slopes.
@@ -108,6 +112,7 @@ def refine(photo: UInt8[np.ndarray, "H W 3"], coarse: BackwardMap, config: Refin
     stages = (
         StageReport("outline", course.edges > 0, f"{course.edges} of 4 edges", clock["outline"]),
         StageReport("grid", course.layout.any_found, course.layout.reason(), clock["grid"]),
+        StageReport("sheet", course.of_sheet, UNSTRETCHED[course.of_sheet], clock["sheet"]),
         StageReport("spline", changed, course.verdict, clock["spline"]),
     )
     share = _expected_share(_distance(backward, coarse), course)
@@ -186,7 +191,7 @@ def _expected_share(moved: float, course: Course) -> float:
 
 
 def _unchanged(coarse: BackwardMap, reason: str, clock: Clock) -> Refinement:
-    stages = tuple(StageReport(name, False, reason, clock[name]) for name in ("outline", "grid", "spline"))
+    stages = tuple(StageReport(name, False, reason, clock[name]) for name in ("outline", "grid", "sheet", "spline"))
     return Refinement(coarse, None, stages)
 
 
