@@ -47,6 +47,27 @@ def test_followed_rules_are_straight_to_a_third_of_a_pixel():
     assert np.std(sightings.offsets()) * 600 < 1.0
 
 
+def test_frames_around_each_cell_are_lines_whose_first_and_last_lie_elsewhere():
+    """Between cells with frames of their own a line is two rules, and the first and last are one."""
+    image = np.full((600, 480), 40, np.float32)
+    for i in range(4):
+        for j in range(3):
+            top, left = 30 + 135 * i, 24 + 144 * j
+            image[top : top + 131, left : left + 140] = 20
+            image[top : top + 131, [left, left + 139]] = image[[top, top + 130], left : left + 140] = 150
+    image += np.random.default_rng(0).normal(0, 1.0, image.shape).astype(np.float32)
+    view = FilmView(image[..., None], film_centres_1d(480), film_centres_1d(600), np.ones(image.shape, bool))
+    for axis, px in ((0, 480), (1, 600)):
+        comb = find_comb(image, axis, GRID)
+        assert comb is not None
+        sightings = follow_comb(view, comb, GRID)
+        assert sightings is not None
+        shared, offsets = sightings.shared, sightings.offsets()
+        left_over = offsets - shared @ np.linalg.lstsq(shared, offsets, rcond=None)[0]
+        evenly = offsets - shared[:, :2] @ np.linalg.lstsq(shared[:, :2], offsets, rcond=None)[0]
+        assert np.abs(left_over).mean() * px < 0.5 < np.abs(evenly).mean() * px
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_slices_alone_make_no_lines(seed):
     view = flat_view(FilmDrawing(4, 3, rules=False, texts=False), seed)

@@ -5,7 +5,7 @@ import pytest
 
 from hybrid.backward import BackwardMap, end_point_error
 from hybrid.coords import film_nodes
-from hybrid.rectify.sheet import SheetConfig, fit_sheet
+from hybrid.rectify.sheet_fit import SheetConfig, fit_sheet, refit_sheet
 from hybrid.rectify.sightings import Sightings
 
 CONFIG = SheetConfig()
@@ -45,6 +45,24 @@ def edges_seen(true: BackwardMap, coarse: BackwardMap, rng: np.random.Generator,
     return found
 
 
+def lines_seen(true: BackwardMap, coarse: BackwardMap, lines: dict[int, list[float]]) -> list[Sightings]:
+    """Equally spaced lines (film coordinates by axis) as seen through the coarse map: where they begin, and how far
+    they are apart, is known to a tenth of the film only."""
+    found = []
+    for axis, places in lines.items():
+        place = np.empty((len(places) * 60, 2))
+        place[:, axis] = np.repeat(places, 60)
+        place[:, 1 - axis] = np.tile((np.arange(60) + 0.5) / 60, len(places))
+        seen = coarse.film_from_photo(true.photo_from_film(place))
+        number = np.repeat(np.arange(len(places)), 60) - (len(places) - 1) / 2
+        guessed = 0.5 + number * (1.07 * (places[1] - places[0]))
+        good = np.isfinite(seen).all(axis=1)
+        shared = np.column_stack([np.ones(len(number)), number])[good]
+        sigma = np.full(len(shared), 5e-4)
+        found.append(Sightings(axis, seen[good], guessed[good], sigma, shared, np.array([0.1, 0.1])))
+    return found
+
+
 def larger(true: BackwardMap) -> BackwardMap:
     """A map that is wrong inside by a smooth displacement, and whose edges lie outside the true ones."""
     uv = film_nodes((33, 33))
@@ -77,6 +95,34 @@ def test_the_edges_of_a_bent_sheet_lower_the_error_inside(radius, turn, tilt):
     found = fit_sheet(coarse, PHOTO, edges_seen(true, coarse, np.random.default_rng(0), 0.1), CONFIG)
     assert found is not None
     assert error_px(found.backward, true) < BENT_SHARE * error_px(coarse, true)
+
+
+@pytest.mark.parametrize(
+    ("radius", "turn", "tilt", "share"),
+    [(1.2, 0, 10, 0.25), (1.5, 30, -12, 0.25), (1.0, 90, 8, 0.6)],  # the last is nearly a sheet that is tilted more
+)
+def test_lines_tell_what_the_edges_leave_open(radius, turn, tilt, share):
+    true = cylinder(radius, turn, tilt)
+    coarse = larger(true)
+    seen = edges_seen(true, coarse, np.random.default_rng(0), 0.1)
+    seen += lines_seen(true, coarse, {0: [0.2, 0.4, 0.6, 0.8], 1: [0.25, 0.5, 0.75]})
+    found = refit_sheet(coarse, coarse, PHOTO, seen, CONFIG)
+    assert found is not None
+    again = refit_sheet(found.backward, coarse, PHOTO, seen, CONFIG, found)
+    assert again is not None
+    assert error_px(again.backward, true) < share * error_px(coarse, true)
+
+
+def test_where_the_lines_lie_and_how_far_they_are_apart_is_found():
+    true = cylinder(1.2, 0, 10)
+    coarse = larger(true)
+    seen = edges_seen(true, coarse, np.random.default_rng(0), 0.1)
+    places = [0.22, 0.42, 0.62, 0.82]  # their middle lies at 0.52, not at 0.5
+    found = refit_sheet(coarse, coarse, PHOTO, seen + lines_seen(true, coarse, {0: places}), CONFIG)
+    assert found is not None
+    middle, pitch = found.constants[-1]
+    assert middle == pytest.approx(0.02, abs=0.004)
+    assert pitch == pytest.approx(0.2 - 1.07 * 0.2, abs=0.004)
 
 
 def test_a_third_of_the_points_of_an_edge_may_be_wrong():

@@ -119,8 +119,8 @@ class Course:
 
     displacement: of the start; zero where no better is believed. layout: of the grid. evidence: what was seen, through
     the start. before, after: held-out residual of the start and of the end, in stated deviations. believed: whether
-    what was seen bears the end out. of_sheet: whether it goes on from a sheet that explains the print. verdict: why
-    or why not.
+    what was seen bears the end out. sheet: that it goes on from, if that explains the print. verdict: why or why
+    not.
     """
 
     scene: Scene
@@ -130,7 +130,7 @@ class Course:
     before: float
     after: float
     believed: bool
-    of_sheet: bool
+    sheet: FittedSheet | None
     verdict: str
 
     @property
@@ -353,17 +353,17 @@ def _most_alike(progress: Progress, config: RefineConfig) -> _Attempt:
 
 def _judged(progress: Progress, attempt: _Attempt, config: RefineConfig) -> Course:
     """Whether the end of the rounds is to be believed, and why or why not."""
-    scene, still, of_sheet = progress.scene, no_displacement(config.spline), progress.sheet is not None
+    scene, sheet, still = progress.scene, progress.sheet, no_displacement(config.spline)
     if not attempt.evidence:
         verdict = "the cells look most alike through the coarse map"
-        return Course(scene, still, progress.layout, (), np.inf, np.inf, False, of_sheet, verdict)
+        return Course(scene, still, progress.layout, (), np.inf, np.inf, False, sheet, verdict)
     spline = replace(_spline(progress, config), stiffness=_fixed(attempt.stiffness, config))
     before, after = held_out_residuals([e.sightings for e in attempt.evidence], spline)
     move = float(np.linalg.norm(attempt.displacement.values, axis=1).max())
     moved, believed = attempt.displacement, False
     if after > config.max_residual:
         verdict = f"held-out residual {after:.1f} sigma: what is seen on the film contradicts itself"
-    elif not of_sheet and after > config.min_gain * before:
+    elif sheet is None and after > config.min_gain * before:
         verdict = f"held-out residual {after:.2f} sigma against {before:.2f} before: no better"
         moved, believed = still, True
     elif move > config.max_move:
@@ -374,7 +374,7 @@ def _judged(progress: Progress, attempt: _Attempt, config: RefineConfig) -> Cour
         verdict = f"held-out residual {before:.1f} -> {after:.1f} sigma, moved by up to {100 * move:.1f} %"
         believed = True
     shift = moved if believed else still
-    return Course(scene, shift, progress.layout, attempt.evidence, before, after, believed, of_sheet, verdict)
+    return Course(scene, shift, progress.layout, attempt.evidence, before, after, believed, sheet, verdict)
 
 
 def _fixed(found: tuple[float, float], config: RefineConfig) -> tuple[float, float, int]:

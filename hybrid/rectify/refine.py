@@ -69,6 +69,7 @@ class Refinement:
         the coarse map was kept.
     edges: number of the sheet's edges that were seen.
     held_out: residual of sightings that the correction was not fitted to, in stated deviations; None without any.
+    aspect: height over width of the unstretched sheet that explains what is seen; None where none does.
     """
 
     backward: BackwardMap
@@ -77,6 +78,7 @@ class Refinement:
     expected_px: float | None = None
     edges: int = 0
     held_out: float | None = None
+    aspect: float | None = None
 
     @property
     def believed(self) -> bool:
@@ -112,13 +114,19 @@ def refine(photo: UInt8[np.ndarray, "H W 3"], coarse: BackwardMap, config: Refin
     stages = (
         StageReport("outline", course.edges > 0, f"{course.edges} of 4 edges", clock["outline"]),
         StageReport("grid", course.layout.any_found, course.layout.reason(), clock["grid"]),
-        StageReport("sheet", course.of_sheet, UNSTRETCHED[course.of_sheet], clock["sheet"]),
+        StageReport("sheet", course.sheet is not None, UNSTRETCHED[course.sheet is not None], clock["sheet"]),
         StageReport("spline", changed, course.verdict, clock["spline"]),
     )
     share = _expected_share(_distance(backward, coarse), course)
-    expected = share * max(backward.mean_film_pixels()) if changed else None
-    trust = share if course.believed else np.inf
-    return Refinement(backward, course.layout.slice_grid(backward, trust), stages, expected, course.edges, course.after)
+    return Refinement(
+        backward,
+        course.layout.slice_grid(backward, share if course.believed else np.inf),
+        stages,
+        expected_px=share * max(backward.mean_film_pixels()) if changed else None,
+        edges=course.edges,
+        held_out=course.after,
+        aspect=float(np.exp(-course.sheet.sheet.log_aspect)) if changed and course.sheet is not None else None,
+    )
 
 
 def _course(begun: Progress, config: RefineConfig, clock: Clock) -> Course | None:

@@ -73,7 +73,7 @@ class Signs:
     shift: mean displacement between the finished map and what that look sees, in parts of the film's size.
     held_out: residual of sightings that the correction was not fitted to, in stated deviations.
     alike: share of the detail that the cells have in common beyond what chance gives, 0 without a grid.
-    oblong: absolute logarithm of the ratio of a cell's sides as they are seen.
+    oblong: absolute logarithm of the ratio of a cell's sides.
     grid: whether the grid is known along both axes. corrected: whether the correction was believed.
     edges: number of the sheet's edges that were seen.
     film_px, photo_px: side of a square of the film's area in the photo, and the photo's longer side.
@@ -118,7 +118,7 @@ def signs_of(
         shift=_shift(again, backward) / max(film_px, 1e-9),
         held_out=held_out,
         alike=0.0 if grid is None else cells_alike(pyramid, backward, grid),
-        oblong=NO_GRID_OBLONG if grid is None else _oblong(backward, grid),
+        oblong=NO_GRID_OBLONG if grid is None else _oblong(backward, grid, refinement.aspect),
         grid=grid is not None,
         corrected=refinement.believed,
         edges=refinement.edges,
@@ -211,10 +211,13 @@ def _shift(again: CoarseMaps, backward: BackwardMap) -> float:
     return float(np.linalg.norm((points - again.photo_points[film]).mean(axis=0)))
 
 
-def _oblong(backward: BackwardMap, grid: SliceGrid) -> float:
-    """How far the cells are from being as wide as high in the photo."""
-    down, across = backward.mean_film_pixels()
-    return float(abs(np.log((across / grid.cols) / (down / grid.rows))))
+def _oblong(backward: BackwardMap, grid: SliceGrid, aspect: float | None) -> float:
+    """How far the cells are from being as wide as high: on the sheet where its shape is known, else in the photo."""
+    down, across = backward.mean_film_pixels() if aspect is None else (aspect, 1.0)
+    pitch_u, pitch_v = (grid.vertices[-1, -1] - grid.vertices[0, 0]) / (grid.cols, grid.rows)
+    if min(pitch_u, pitch_v) <= 0:
+        return NO_GRID_OBLONG
+    return float(abs(np.log((across * pitch_u) / (down * pitch_v))))
 
 
 __all__ = ["Signs", "TrustConfig", "cells_alike", "expected_error_px", "film_verdict", "signs_of"]
