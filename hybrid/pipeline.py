@@ -131,7 +131,7 @@ class Rectifier:
         backward: BackwardMap = refinement.backward
         grid: SliceGrid | None = refinement.grid
         with clock.stage("resample") as report:
-            size = film_size(backward, maps, grid, self.config.size)
+            size = film_size(backward, maps, grid, self.config.size, refinement.aspect)
             flat = rectify_photo(pyramid, backward, size, self.config.resample)
             report.reason = f"to {size[1]} x {size[0]} pixels"
         with clock.stage("upright") as report:

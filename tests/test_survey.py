@@ -123,6 +123,18 @@ def test_aspect_snaps_to_square_cells_before_formats():
     assert snap_aspect(1.25, grid, config) == pytest.approx(1.25)
 
 
+def test_a_ratio_of_sides_that_is_known_exactly_is_hardly_changed():
+    config = FilmSizeConfig()
+    assert snap_aspect(1.235, None, config) == pytest.approx(43 / 35)
+    assert snap_aspect(1.20, None, config) == pytest.approx(1.2)
+    assert snap_aspect(1.18, None, config) == pytest.approx(1.2)
+    assert snap_aspect(1.18, None, config, exact=True) == 1.18
+    photo, xyz = bent_sheet(0.5)
+    true = BackwardMap.from_function(photo)
+    height, width = film_size(true, maps_of(true, xyz), None, aspect=1.37)
+    assert height / width == pytest.approx(1.37, rel=2e-3)
+
+
 def test_size_holds_the_photo_and_stays_bounded():
     photo, xyz = bent_sheet(0.5)
     true = BackwardMap.from_function(photo)

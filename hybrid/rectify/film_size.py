@@ -29,6 +29,8 @@ class FilmSizeConfig:
     """Largest relative difference of the measured aspect ratio from a film format that it is taken for."""
     snap_grid: float = 0.06
     """The same for square slice cells, which are better evidence than a format."""
+    snap_exact: float = 0.01
+    """Both, where the sheet's shape was fitted to its edges and print: its ratio of sides is right to half a percent."""
 
 
 def film_aspect(maps: CoarseMaps, backward: BackwardMap) -> float:
@@ -63,25 +65,35 @@ def _sheet_lengths(uv: Float[np.ndarray, "n 2"], xyz: Float[np.ndarray, "n 3"]) 
     return float(np.median(down)), float(np.median(across))
 
 
-def snap_aspect(aspect: float, grid: SliceGrid | None, config: FilmSizeConfig) -> float:
+def snap_aspect(aspect: float, grid: SliceGrid | None, config: FilmSizeConfig, exact: bool = False) -> float:
     """The aspect ratio (height over width) that square cells give, or else the film format nearest, if close."""
+    to_cells, to_format = 2 * [config.snap_exact] if exact else (config.snap_grid, config.snap)
     if grid is not None and grid.confidence > 0.5:
         span = grid.vertices[-1, -1] - grid.vertices[0, 0]
         square = float((grid.rows / grid.cols) * (span[0] / span[1])) if min(span) > 0 else 0.0
-        if square > 0 and abs(np.log(aspect / square)) <= config.snap_grid:
+        if square > 0 and abs(np.log(aspect / square)) <= to_cells:
             return square
     formats = np.array([long / short for short, long in FORMATS_CM])
     known = np.concatenate([formats, 1.0 / formats])
     nearest = float(known[np.argmin(np.abs(np.log(known / aspect)))])
-    return nearest if abs(np.log(aspect / nearest)) <= config.snap else aspect
+    return nearest if abs(np.log(aspect / nearest)) <= to_format else aspect
 
 
 def film_size(
-    backward: BackwardMap, maps: CoarseMaps, grid: SliceGrid | None, config: FilmSizeConfig | None = None
+    backward: BackwardMap,
+    maps: CoarseMaps,
+    grid: SliceGrid | None,
+    config: FilmSizeConfig | None = None,
+    aspect: float | None = None,
 ) -> tuple[int, int]:
-    """Size (h, w) in pixels of the flat film: nothing that the photo resolves is lost, within the bounds."""
+    """Size (h, w) in pixels of the flat film: nothing that the photo resolves is lost, within the bounds.
+
+    aspect: height over width, where it is known from the sheet that was fitted (refine.py); the network's 3D shape
+    tells it else.
+    """
     config = config or FilmSizeConfig()
-    aspect = snap_aspect(film_aspect(maps, backward), grid, config)
+    measured = film_aspect(maps, backward) if aspect is None else aspect
+    aspect = snap_aspect(measured, grid, config, exact=aspect is not None)
     aspect = float(np.clip(aspect, 1.0 / config.max_aspect, config.max_aspect))
     down, across = backward.mean_film_pixels()
     width = max(across, down / aspect)

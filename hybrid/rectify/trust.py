@@ -48,20 +48,20 @@ class TrustConfig:
 
     limit_px: float = 5.0
     """Largest error of a film that is called flattened, in pixels of a photo of 1080; at least one of its own."""
-    safety: float = 0.4
+    safety: float = 0.35
     """The expected error must be below this part of the limit: single errors are up to several times as large."""
     exact: bool = True
     """Whether a map counts only if it was corrected by what is seen on the film."""
     min_edges: int = 3
     """Least number of the sheet's edges that are seen: what only repeats tells neither place nor size."""
-    constant: float = 1.54
-    overlap_before: float = 0.53
-    overlap_after: float = 0.33
-    shift: float = 0.29
-    held_out: float = 0.34
-    unlike: float = 0.74
-    oblong: float = 0.22
-    stated: float = 0.48
+    constant: float = -0.07
+    overlap_before: float = 0.11
+    overlap_after: float = 0.41
+    shift: float = 0.26
+    held_out: float = 0.52
+    unlike: float = 0.75
+    oblong: float = 0.34
+    stated: float = 0.45
 
 
 @dataclass(frozen=True)
