@@ -43,11 +43,11 @@ class OutlineConfig:
     """Least score of an edge point: difference of the windows over their spread."""
     min_share: float = 0.35
     """Least share of a side's profiles that must see the edge."""
-    outer_ratio: float = 0.6
+    outer_ratio: float = 0.75
     """An edge further out replaces the best one if its score is at least this fraction of the best one's."""
     sigma_px: float = 0.35
     """Stated noise of one edge point, in pixels."""
-    prior: float = 0.03
+    prior: float = 0.02
     """Fraction of the film's size at which a path's distance from the prediction costs as much as half a score."""
 
 

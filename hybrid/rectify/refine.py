@@ -34,7 +34,10 @@ from hybrid.rectify.outline import find_outline
 from hybrid.rectify.sheet_fit import fit_sheet
 from hybrid.rectify.sightings import Sightings
 
-UNSTRETCHED = ("no sheet that does not stretch explains what is seen", "edges and print are those of an unstretched sheet")
+UNSTRETCHED = (
+    "no sheet that does not stretch explains what is seen",
+    "edges and print are those of an unstretched sheet",
+)
 """What the report of stage ``sheet`` says where the end is not that of a sheet, and where it is."""
 
 

@@ -123,9 +123,7 @@ def basis(uv: Float[np.ndarray, "m 2"], intervals: int, by_u: int = 0, by_v: int
     return (down[:, :, None] * across[:, None, :]).reshape(len(uv), (intervals + 3) ** 2)
 
 
-def surface(
-    sheet: Sheet, uv: Float[np.ndarray, "m 2"]
-) -> tuple[Float[np.ndarray, "m 3"], Float[np.ndarray, "m 3 2"]]:
+def surface(sheet: Sheet, uv: Float[np.ndarray, "m 2"]) -> tuple[Float[np.ndarray, "m 3"], Float[np.ndarray, "m 3 2"]]:
     """Points of a sheet, and their derivatives by u and v: quicker than with the weights of all coefficients."""
     n = sheet.intervals
     across, across_slope = (_axis_spline(n, k)(uv[:, 0])[:, :, None] for k in (0, 1))

@@ -29,7 +29,6 @@ from hybrid.rectify.sheet import CAMERA, Frame, Sheet, basis, flat_sheet, projec
 from hybrid.rectify.sightings import Sightings, group_noise
 from hybrid.rectify.tps import MAD_TO_SIGMA, tukey_weights
 
-
 _NOTHING = Sightings(0, np.zeros((0, 2)), np.zeros(0), np.zeros(0), np.zeros((0, 0)), np.zeros(0))
 """No sightings at all."""
 
@@ -314,9 +313,10 @@ class _Problem:
         residual += curves.pull * (self.seen.shared @ (state.constants - curves.constants))
         rows = None
         if derivatives:
-            parts = (np.einsum("nk,nkj->nj", curves.normal, shown.by_point), *(
-                np.sum(x * curves.normal, axis=1) for x in (shown.point, shown.by_lens)
-            ))
+            parts = (
+                np.einsum("nk,nkj->nj", curves.normal, shown.by_point),
+                *(np.sum(x * curves.normal, axis=1) for x in (shown.point, shown.by_lens)),
+            )
             rows = np.hstack([_rows(curves.weights, *parts), curves.pull[:, None] * self.seen.shared])
         total.add(residual, rows, tukey_weights(residual / curves.tolerance))
         _add_strain(total, sheet, config)
