@@ -5,7 +5,8 @@ import pytest
 
 from hybrid.backward import BackwardMap, end_point_error
 from hybrid.coords import film_nodes
-from hybrid.rectify.sheet_fit import SheetConfig, fit_sheet, refit_sheet
+from hybrid.rectify.sheet import SheetConfig
+from hybrid.rectify.sheet_fit import fit_sheet, refit_sheet
 from hybrid.rectify.sightings import Sightings
 
 CONFIG = SheetConfig()

@@ -13,20 +13,20 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from time import perf_counter
 
-import cv2
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Float
 
-from hybrid.backward import BackwardMap
-from hybrid.coords import film_centres_1d
 from hybrid.rectify.congeal import CongealConfig, register_cells
-from hybrid.rectify.film_view import FilmView, view_film
+from hybrid.rectify.film_view import FilmView
 from hybrid.rectify.grid import GridConfig
+from hybrid.rectify.held_out import held_out_residuals
 from hybrid.rectify.layout import Evidence, Layout, find_layout
 from hybrid.rectify.match import match_cells, match_to_one_cell
 from hybrid.rectify.outline import OutlineConfig, find_outline
 from hybrid.rectify.repeat import RepeatConfig, cell_agreement
-from hybrid.rectify.sheet_fit import FittedSheet, SheetConfig, refit_sheet
+from hybrid.rectify.scene import Scene, halved, view_of
+from hybrid.rectify.sheet import SheetConfig
+from hybrid.rectify.sheet_fit import FittedSheet, refit_sheet
 from hybrid.rectify.sightings import (
     Displacement,
     Sightings,
@@ -34,9 +34,6 @@ from hybrid.rectify.sightings import (
     fit_displacement,
     no_displacement,
 )
-
-MOST_RESIDUAL = 20.0
-"""What a sighting that is further off counts as, in stated deviations."""
 
 
 @dataclass(frozen=True)
@@ -80,20 +77,6 @@ class RefineConfig:
     max_residual: float = 2.5
     """Where held-out sightings disagree with the spline by more than this, in their stated deviations, some of them are
     wrong together, as where cells were taken for their neighbours: the map is not believed."""
-
-
-@dataclass(frozen=True, eq=False)
-class Scene:
-    """A photo, what the film is looked at in, and the map to start from.
-
-    grey: the photo without colour; reduced where the exactness of small pixels is not needed, and the map with it.
-    film_size: (height, width) of a view of the film.
-    """
-
-    photo: UInt8[np.ndarray, "H W 3"]
-    grey: UInt8[np.ndarray, "h w"]
-    coarse: BackwardMap
-    film_size: tuple[int, int]
 
 
 class Clock:
@@ -194,7 +177,7 @@ def _round(
     """One more round: what is printed is looked for through the improved map, and all is fitted anew."""
     scene, outline, displacement = progress.scene, progress.outline, progress.attempts[-1].displacement
     looking = number < config.line_rounds
-    view = _view(scene, displacement)
+    view = view_of(scene, displacement)
     layout, lines = find_layout(view, progress.layout, looking, config.grid, config.repeat)
     found = _observe_print(view, layout, lines, matcher, outline, config)
     clock.lap("grid")
@@ -251,7 +234,7 @@ def agreement(course: Course, layout: Layout) -> float:
     columns, rows = layout.repeats
     if columns is None or rows is None:
         return 0.0
-    return cell_agreement(_view(_half(course.scene), course.displacement), columns, rows)
+    return cell_agreement(view_of(halved(course.scene), course.displacement), columns, rows)
 
 
 # ---------------------------------------------------------------- steps
@@ -262,35 +245,6 @@ def _matchers(config: RefineConfig) -> list[Callable[..., tuple[Sightings, ...]]
     far = partial(match_to_one_cell, search=config.repeat.first, config=config.repeat)
     nearer = partial(match_cells, search=config.repeat.second, config=config.repeat)
     return [far, nearer, *(partial(register_cells, blur_px=b, config=config.congeal) for b in config.congeal.blurs_px)]
-
-
-def working_scene(photo: UInt8[np.ndarray, "H W 3"], coarse: BackwardMap, config: RefineConfig) -> Scene:
-    """The photo scaled down, if need be, until the film's longer side has ``working_px`` pixels."""
-    film_px = max(coarse.mean_film_pixels())
-    if film_px > 1.15 * config.working_px:
-        scale = config.working_px / film_px
-        height, width = photo.shape[:2]
-        size = (max(1, round(width * scale)), max(1, round(height * scale)))
-        photo = cv2.resize(photo, size, interpolation=cv2.INTER_AREA)
-        coarse = coarse.cropped((0.0, 0.0), (size[0] / width, size[1] / height))
-    down, across = coarse.mean_film_pixels()
-    film_size = (int(np.clip(round(down), 64, 4096)), int(np.clip(round(across), 64, 4096)))
-    return Scene(photo, cv2.cvtColor(photo, cv2.COLOR_RGB2GRAY), coarse, film_size)
-
-
-def _half(scene: Scene) -> Scene:
-    """The scene at half the size."""
-    height, width = scene.grey.shape
-    size = (max(1, width // 2), max(1, height // 2))
-    grey = cv2.resize(scene.grey, size, interpolation=cv2.INTER_AREA)
-    coarse = scene.coarse.cropped((0.0, 0.0), (size[0] / width, size[1] / height))
-    return Scene(scene.photo, grey, coarse, (scene.film_size[0] // 2, scene.film_size[1] // 2))
-
-
-def _view(scene: Scene, displacement: Displacement) -> FilmView:
-    """The flat grey film as the displaced map sees it."""
-    height, width = scene.film_size
-    return view_film(scene.grey, displacement.composed(scene.coarse), film_centres_1d(width), film_centres_1d(height))
 
 
 def _observe_print(
@@ -347,8 +301,8 @@ def _most_alike(progress: Progress, config: RefineConfig) -> _Attempt:
     if columns is None or rows is None:
         return attempts[-1]
     candidates = [_Attempt(no_displacement(config.spline), ()), attempts[0], *attempts[1:][-2:]]
-    small = _half(progress.scene)  # which of them is best shows there too
-    return max(candidates, key=lambda a: cell_agreement(_view(small, a.displacement), columns, rows))
+    small = halved(progress.scene)  # which of them is best shows there too
+    return max(candidates, key=lambda a: cell_agreement(view_of(small, a.displacement), columns, rows))
 
 
 def _judged(progress: Progress, attempt: _Attempt, config: RefineConfig) -> Course:
@@ -383,48 +337,14 @@ def _fixed(found: tuple[float, float], config: RefineConfig) -> tuple[float, flo
     return stiffness, stiffness, 1
 
 
-def held_out_residuals(sightings: Sequence[Sightings], config: SplineConfig, folds: int = 2) -> tuple[float, float]:
-    """Mean clipped residual in stated deviations, before and after, of sightings that the spline did not see.
-
-    Runs of neighbouring sightings are held out together, because neighbours share their errors. The constants
-    that a list shares are taken from the sightings that the spline did see.
-    """
-    before, after, count = 0.0, 0.0, 0
-    for fold in range(folds):
-        out = [np.arange(len(s)) // 8 % folds == fold for s in sightings]
-        fit = fit_displacement([s.subset(~o) for s, o in zip(sightings, out, strict=True)], config)
-        for s, o, constants in zip(sightings, out, fit.constants, strict=True):
-            held = s.subset(o)
-            if not len(held):
-                continue
-            predicted = fit.displacement(held.places())[:, held.axis] - held.places()[:, held.axis]
-            offsets = held.offsets() - held.shared @ constants
-            before += np.minimum(np.abs(_without_shared(held)) / held.sigma, MOST_RESIDUAL).sum()
-            after += np.minimum(np.abs(offsets - predicted) / held.sigma, MOST_RESIDUAL).sum()
-            count += len(held)
-    return (before / count, after / count) if count else (0.0, 0.0)
-
-
-def _without_shared(sightings: Sightings) -> Float[np.ndarray, " n"]:
-    """Offsets less what the shared constants alone can explain: what is left if nothing is displaced."""
-    if sightings.shared.shape[1] == 0:
-        return sightings.offsets()
-    best, *_ = np.linalg.lstsq(sightings.shared, sightings.offsets(), rcond=None)
-    return sightings.offsets() - sightings.shared @ best
-
-
 __all__ = [
-    "MOST_RESIDUAL",
     "Clock",
     "Course",
     "Progress",
     "RefineConfig",
-    "Scene",
     "agreement",
     "begin",
     "ended",
     "followed",
-    "held_out_residuals",
     "unstretched",
-    "working_scene",
 ]

@@ -30,7 +30,7 @@ class FilmSizeConfig:
     snap_grid: float = 0.06
     """The same for square slice cells, which are better evidence than a format."""
     snap_exact: float = 0.01
-    """Both, where the sheet's shape was fitted to its edges and print: its ratio of sides is right to half a percent."""
+    """Both, where the sheet's shape was fitted to its edges and print: its ratio of sides is exact to 0.5 %."""
 
 
 def film_aspect(maps: CoarseMaps, backward: BackwardMap) -> float:

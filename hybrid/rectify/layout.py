@@ -58,8 +58,8 @@ class Layout:
         return self.combs[axis] if self.combs[axis] is not None else self.repeats[axis]
 
     def adjusted(self, evidence: Sequence[Evidence], found: Sequence[np.ndarray]) -> Layout:
-        """With the places and pitches that a fit found, the constants that each of the sightings share; lines are straight
-        through the map that it gives."""
+        """With the places and pitches that a fit found: the constants that each of the sightings share. Lines are
+        straight through the map that it gives."""
         combs, repeats = list(self.combs), list(self.repeats)
         for e, constants in zip(evidence, found, strict=True):
             if isinstance(e.source, Comb):

@@ -12,8 +12,8 @@ from jaxtyping import Float, UInt8
 from hybrid.backward import BackwardMap
 from hybrid.coords import film_nodes
 from hybrid.records import StageReport
-from hybrid.rectify.course import MOST_RESIDUAL
 from hybrid.rectify.glance import glance
+from hybrid.rectify.held_out import MOST_RESIDUAL
 from hybrid.rectify.invert import fit_homography, project
 from hybrid.rectify.outline import SIDES, find_outline
 from hybrid.rectify.refine import RefineConfig, Refinement

@@ -1,9 +1,9 @@
 """A coarse backward map made exact to a fraction of a pixel by what the photo shows of the sheet and its print.
 
-Two maps are started from. One is that of a sheet that does not stretch, bent until its edges lie where they are seen
-in the photo (sheet.py); the other is the network's, corrected along the edges. From each, what is printed on the film
-is looked for and fitted (course.py). The sheet is tried first, and the network's map only where what is printed does
-not bear the sheet out; then that through which the cells look more alike counts.
+From the network's map the sheet's edges and what is printed on it are looked for, round for round, and fitted by a
+smooth displacement (course.py). Then one bent sheet that does not stretch is fitted to all that was seen
+(sheet_fit.py), and all is looked for again through its map: that counts if it explains what is seen as well. Where the
+end is in doubt, the same is tried from the sheet that the edges alone tell, and the better end counts.
 """
 
 from __future__ import annotations
@@ -22,15 +22,14 @@ from hybrid.rectify.course import (
     Course,
     Progress,
     RefineConfig,
-    Scene,
     agreement,
     begin,
     ended,
     followed,
     unstretched,
-    working_scene,
 )
 from hybrid.rectify.outline import find_outline
+from hybrid.rectify.scene import Scene, working_scene
 from hybrid.rectify.sheet_fit import fit_sheet
 from hybrid.rectify.sightings import Sightings
 
@@ -97,7 +96,7 @@ def refine(photo: UInt8[np.ndarray, "H W 3"], coarse: BackwardMap, config: Refin
     report of stage ``spline`` says which. Raises nothing on any photo.
     """
     clock = Clock()
-    scene = working_scene(photo, coarse, config)
+    scene = working_scene(photo, coarse, config.working_px)
     outline = find_outline(scene.photo, scene.coarse, config.outline)
     clock.lap("outline")
     course = _course(begin(scene, outline, config), config, clock)

@@ -22,6 +22,47 @@ CAMERA = 3
 
 
 @dataclass(frozen=True)
+class SheetConfig:
+    """Options of the fit of a sheet to what is seen of it. Pixels are those of a photo of 1000."""
+
+    intervals: tuple[int, int] = (4, 6)
+    """Knot intervals of the surface along each film axis: while it is far from its place, and at last."""
+    steps: tuple[int, int, int] = (12, 8, 15)
+    """Most Gauss-Newton steps on each, and with what is printed."""
+    settled: float = 3e-3
+    """Steps that lower the cost by less than this part are the last."""
+    every: tuple[int, int] = (4, 2)
+    """Of the points of an edge or a line, and of the cells' windows, one of so many counts: they are correlated."""
+    edge_px: float = 0.7
+    """Standard deviation of an edge's place."""
+    print_px: float = 0.7
+    """Standard deviation of the place of what is printed, beside what is stated for it."""
+    network_px: float = 12.0
+    """Standard deviation of the network's map; smooth, so that all nodes tell as much as six."""
+    strain: float = 1.5e-3
+    """Standard deviation of the strain at 40 places: what the splines cannot follow; film itself strains far less."""
+    bending: tuple[float, float] = (250.0, 25.0)
+    """Weight of the mean squared second derivatives, in units of the film's height: at first, and for films that this
+    leaves unexplained because they are bent sharply, or whose print is seen too."""
+    bent_share: float = 0.25
+    """With what is printed, the lower weight is tried where bending makes more than this part of the cost."""
+    sharper: float = 0.6
+    """It counts if the cost is less than this part then."""
+    unexplained: float = 15.0
+    """Cost beyond which a film counts as bent sharply."""
+    focal: tuple[float, float, float] = (0.65, 1.1, 3.5)
+    """Focal lengths of phones, in sides of the photo: shortest, usual and longest."""
+    focal_sigma: float = 0.15
+    """Relative deviation beyond these."""
+    distortion: float = 0.02
+    """Standard deviation of the first radial distortion."""
+    least_edges: int = 3
+    """With fewer edges the sheet's shape is not determined."""
+    most_cost: float = 60.0
+    """Beyond this cost some edge is none of the sheet's."""
+
+
+@dataclass(frozen=True)
 class Frame:
     """The photo's centre (x, y) and longer side in pixels: points are measured from the one, in units of the other."""
 
@@ -162,4 +203,15 @@ def flat_sheet(coarse: BackwardMap, frame: Frame, intervals: int, focal: float) 
     return Sheet(intervals, control, float(np.log(focal)), float(np.log(np.linalg.norm(pose[:, 0]))), 0.0)
 
 
-__all__ = ["CAMERA", "Frame", "Projection", "Sheet", "basis", "flat_sheet", "project", "slopes", "surface"]
+__all__ = [
+    "CAMERA",
+    "Frame",
+    "Projection",
+    "Sheet",
+    "SheetConfig",
+    "basis",
+    "flat_sheet",
+    "project",
+    "slopes",
+    "surface",
+]

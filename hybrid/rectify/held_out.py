@@ -1,0 +1,46 @@
+"""How well a displacement explains sightings that it was not fitted to."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from hybrid.rectify.sightings import Sightings, SplineConfig, fit_displacement
+
+MOST_RESIDUAL = 20.0
+"""What a sighting that is further off counts as, in stated deviations."""
+
+
+def held_out_residuals(sightings: Sequence[Sightings], config: SplineConfig, folds: int = 2) -> tuple[float, float]:
+    """Mean clipped residual in stated deviations, before and after, of sightings that the spline did not see.
+
+    Runs of neighbouring sightings are held out together, because neighbours share their errors. The constants
+    that a list shares are taken from the sightings that the spline did see.
+    """
+    before, after, count = 0.0, 0.0, 0
+    for fold in range(folds):
+        out = [np.arange(len(s)) // 8 % folds == fold for s in sightings]
+        fit = fit_displacement([s.subset(~o) for s, o in zip(sightings, out, strict=True)], config)
+        for s, o, constants in zip(sightings, out, fit.constants, strict=True):
+            held = s.subset(o)
+            if not len(held):
+                continue
+            predicted = fit.displacement(held.places())[:, held.axis] - held.places()[:, held.axis]
+            offsets = held.offsets() - held.shared @ constants
+            before += np.minimum(np.abs(_without_shared(held)) / held.sigma, MOST_RESIDUAL).sum()
+            after += np.minimum(np.abs(offsets - predicted) / held.sigma, MOST_RESIDUAL).sum()
+            count += len(held)
+    return (before / count, after / count) if count else (0.0, 0.0)
+
+
+def _without_shared(sightings: Sightings) -> Float[np.ndarray, " n"]:
+    """Offsets less what the shared constants alone can explain: what is left if nothing is displaced."""
+    if sightings.shared.shape[1] == 0:
+        return sightings.offsets()
+    best, *_ = np.linalg.lstsq(sightings.shared, sightings.offsets(), rcond=None)
+    return sightings.offsets() - sightings.shared @ best
+
+
+__all__ = ["MOST_RESIDUAL", "held_out_residuals"]

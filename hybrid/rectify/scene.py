@@ -1,0 +1,60 @@
+"""The photo in which refinement looks at the film, and views of the film through a map of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from jaxtyping import UInt8
+
+from hybrid.backward import BackwardMap
+from hybrid.coords import film_centres_1d
+from hybrid.rectify.film_view import FilmView, view_film
+from hybrid.rectify.sightings import Displacement
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """A photo, what the film is looked at in, and the map to start from.
+
+    grey: the photo without colour; reduced where the exactness of small pixels is not needed, and the map with it.
+    film_size: (height, width) of a view of the film.
+    """
+
+    photo: UInt8[np.ndarray, "H W 3"]
+    grey: UInt8[np.ndarray, "h w"]
+    coarse: BackwardMap
+    film_size: tuple[int, int]
+
+
+def working_scene(photo: UInt8[np.ndarray, "H W 3"], coarse: BackwardMap, working_px: int) -> Scene:
+    """The photo scaled down, if need be, until the film's longer side has ``working_px`` pixels."""
+    film_px = max(coarse.mean_film_pixels())
+    if film_px > 1.15 * working_px:
+        scale = working_px / film_px
+        height, width = photo.shape[:2]
+        size = (max(1, round(width * scale)), max(1, round(height * scale)))
+        photo = cv2.resize(photo, size, interpolation=cv2.INTER_AREA)
+        coarse = coarse.cropped((0.0, 0.0), (size[0] / width, size[1] / height))
+    down, across = coarse.mean_film_pixels()
+    film_size = (int(np.clip(round(down), 64, 4096)), int(np.clip(round(across), 64, 4096)))
+    return Scene(photo, cv2.cvtColor(photo, cv2.COLOR_RGB2GRAY), coarse, film_size)
+
+
+def halved(scene: Scene) -> Scene:
+    """The scene at half the size."""
+    height, width = scene.grey.shape
+    size = (max(1, width // 2), max(1, height // 2))
+    grey = cv2.resize(scene.grey, size, interpolation=cv2.INTER_AREA)
+    coarse = scene.coarse.cropped((0.0, 0.0), (size[0] / width, size[1] / height))
+    return Scene(scene.photo, grey, coarse, (scene.film_size[0] // 2, scene.film_size[1] // 2))
+
+
+def view_of(scene: Scene, displacement: Displacement) -> FilmView:
+    """The flat grey film as the displaced map sees it."""
+    height, width = scene.film_size
+    return view_film(scene.grey, displacement.composed(scene.coarse), film_centres_1d(width), film_centres_1d(height))
+
+
+__all__ = ["Scene", "halved", "view_of", "working_scene"]

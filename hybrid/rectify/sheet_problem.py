@@ -1,0 +1,188 @@
+"""What is minimised to find a sheet: distances of what is seen, strain, bending, and what is known beforehand."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+from scipy.linalg import cho_factor, cho_solve
+
+from hybrid.coords import film_nodes
+from hybrid.rectify.bspline import bending_energy
+from hybrid.rectify.sheet import CAMERA, Sheet, SheetConfig, basis, project, slopes
+from hybrid.rectify.sheet_seen import Curves, Seen, slid
+from hybrid.rectify.tps import tukey_weights
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """A sheet, the constants of all sightings, and the cost of both."""
+
+    sheet: Sheet
+    constants: Float[np.ndarray, " g"]
+    cost: float = np.inf
+
+    def moved(self, step: Float[np.ndarray, " m"]) -> State:
+        """With a step of all unknowns added."""
+        return State(self.sheet.moved(step), self.constants + step[len(step) - len(self.constants) :])
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """What is minimised. target: where the network has the film. bending: weight of bending."""
+
+    seen: Seen
+    target: Float[np.ndarray, "m 2"]
+    bending: float
+    config: SheetConfig
+
+    def begun(self, sheet: Sheet) -> State:
+        """A sheet to start from."""
+        return State(sheet, np.zeros(self.seen.shared.shape[1]))
+
+    def normal_equations(self, state: State, curves: Curves, derivatives: bool = True) -> Sum:
+        """Cost of a state, and the normal equations around it; without the latter where ``derivatives`` is False."""
+        sheet, config, n = state.sheet, self.config, len(state.sheet.control)
+        total = Sum(3 * n + CAMERA + len(state.constants), derivatives)
+        nodes = basis(film_nodes((9, 9)).reshape(-1, 2), sheet.intervals)
+        shown = project(sheet, nodes @ sheet.control)
+        sigma = 1e-3 * config.network_px * np.sqrt(len(nodes) / 6.0)
+        for k in (0, 1):
+            parts = (shown.by_point[:, k] / sigma, shown.point[:, k] / sigma, shown.by_lens[:, k] / sigma)
+            total.add((shown.point[:, k] - self.target[:, k]) / sigma, _rows(nodes, *parts) if derivatives else None)
+        shown = project(sheet, curves.weights @ sheet.control)
+        residual = np.sum((shown.point - self.seen.point) * curves.normal, axis=1)
+        residual += curves.pull * (self.seen.shared @ (state.constants - curves.constants))
+        rows = None
+        if derivatives:
+            parts = (
+                np.einsum("nk,nkj->nj", curves.normal, shown.by_point),
+                *(np.sum(x * curves.normal, axis=1) for x in (shown.point, shown.by_lens)),
+            )
+            rows = np.hstack([_rows(curves.weights, *parts), curves.pull[:, None] * self.seen.shared])
+        total.add(residual, rows, tukey_weights(residual / curves.tolerance))
+        _add_strain(total, sheet, config)
+        _add_bending(total, sheet, self.bending)
+        beyond = sheet.log_focal - float(np.clip(sheet.log_focal, *np.log(config.focal)[[0, 2]]))
+        if beyond:
+            total.add_prior(3 * n, beyond / config.focal_sigma, 1.0 / config.focal_sigma)
+        total.add_prior(3 * n + 2, sheet.distortion / config.distortion, 1.0 / config.distortion)
+        for k, (constant, spread) in enumerate(zip(state.constants, self.seen.shared_sigma, strict=True)):
+            total.add_prior(3 * n + CAMERA + k, constant / spread, 1.0 / spread)
+        return total
+
+
+def minimised(problem: Problem, state: State, steps: int) -> State:
+    """The state after at most so many Gauss-Newton steps.
+
+    Raises LinAlgError where the normal equations cannot be solved.
+    """
+    damping = 1e-3
+    curves = slid(problem.seen, state.sheet, state.constants, problem.seen.along, near=False)
+    for step in range(steps):
+        total = problem.normal_equations(state, curves)
+        better = None
+        for _ in range(4):
+            damped = total.matrix + damping * np.diag(np.diag(total.matrix))
+            trial = state.moved(-cho_solve(cho_factor(damped, check_finite=False), total.right, check_finite=False))
+            if (trial.sheet.control[:, 2] > 0.05).all():
+                reached = problem.normal_equations(trial, curves, derivatives=False).cost
+                if reached < total.cost:
+                    better = replace(trial, cost=reached)
+                    break
+            damping *= 8.0
+        if better is None:
+            return replace(state, cost=total.cost)
+        state, damping = better, max(damping / 5.0, 1e-7)
+        if step > 1 and total.cost - state.cost < problem.config.settled * total.cost:
+            break
+        curves = slid(problem.seen, state.sheet, state.constants, curves.along, near=step > 0)
+    return state
+
+
+class Sum:
+    """Cost, normal matrix and gradient of residuals that are added block by block."""
+
+    def __init__(self, unknowns: int, derivatives: bool) -> None:
+        self.cost, self.derivatives = 0.0, derivatives
+        size = unknowns if derivatives else 0
+        self.matrix, self.right = np.zeros((size, size)), np.zeros(size)
+
+    def add(
+        self,
+        residual: Float[np.ndarray, " m"],
+        rows: Float[np.ndarray, "m u"] | None,
+        weight: np.ndarray | float = 1.0,
+    ) -> None:
+        """Residuals in deviations, their derivatives by the first unknowns, and weights."""
+        self.cost += 0.5 * float(np.sum(weight * residual * residual))
+        if rows is not None:
+            used = rows.shape[1]
+            scaled = rows * np.sqrt(np.broadcast_to(weight, residual.shape))[:, None]
+            self.matrix[:used, :used] += scaled.T @ scaled
+            self.right[:used] += rows.T @ (weight * residual)
+
+    def add_prior(self, k: int, residual: float, slope: float) -> None:
+        """What is known of one unknown beforehand."""
+        self.cost += 0.5 * residual * residual
+        if self.derivatives:
+            self.matrix[k, k] += slope * slope
+            self.right[k] += slope * residual
+
+
+def _rows(
+    weights: Float[np.ndarray, "m n"],
+    by_point: Float[np.ndarray, "m 3"],
+    by_focal: Float[np.ndarray, " m"],
+    by_lens: Float[np.ndarray, " m"],
+) -> Float[np.ndarray, "m u"]:
+    """Derivatives of residuals by the sheet's unknowns, given those by the point in space and by the camera."""
+    n = weights.shape[1]
+    rows = np.empty((len(weights), 3 * n + CAMERA))
+    for k in range(3):
+        np.multiply(weights, by_point[:, k : k + 1], out=rows[:, k * n : (k + 1) * n])
+    rows[:, 3 * n :] = np.stack([by_focal, np.zeros_like(by_focal), by_lens], axis=1)
+    return rows
+
+
+def _add_strain(total: Sum, sheet: Sheet, config: SheetConfig) -> None:
+    """Residuals of the lengths of film along u and v, and of the right angle between them."""
+    across, down = slopes(sheet.intervals)
+    a, b, aspect = across @ sheet.control, down @ sheet.control, float(np.exp(sheet.log_aspect))
+    sigma = config.strain * np.sqrt(len(across) / 40.0)
+    stretch_a = np.sum(a * a, axis=1) / aspect**2
+    shear = np.sum(a * b, axis=1) / (aspect * sigma)
+    none = np.zeros((len(across), 1))
+    rows_a = rows_b = rows_s = None
+    if total.derivatives:
+        rows_a = np.hstack([_by(across, a) / (aspect**2 * sigma), none, -stretch_a[:, None] / sigma, none])
+        rows_b = np.hstack([_by(down, b) / sigma, none, none, none])
+        rows_s = np.hstack([(_by(across, b) + _by(down, a)) / (aspect * sigma), none, -shear[:, None], none])
+    total.add((stretch_a - 1.0) / (2.0 * sigma), rows_a)
+    total.add((np.sum(b * b, axis=1) - 1.0) / (2.0 * sigma), rows_b)
+    total.add(shear, rows_s)
+
+
+def bending_cost(sheet: Sheet, weight: float) -> float:
+    """Cost of bending: the mean squared second derivatives of the surface."""
+    return 0.5 * weight * float(np.sum(sheet.control * (bending_energy(sheet.intervals) @ sheet.control)))
+
+
+def _add_bending(total: Sum, sheet: Sheet, weight: float) -> None:
+    """The same, with its derivatives."""
+    total.cost += bending_cost(sheet, weight)
+    if total.derivatives:
+        energy, n = weight * bending_energy(sheet.intervals), len(sheet.control)
+        for k in range(3):
+            own = slice(k * n, (k + 1) * n)
+            total.matrix[own, own] += energy
+            total.right[own] += energy @ sheet.control[:, k]
+
+
+def _by(weights: Float[np.ndarray, "m n"], vector: Float[np.ndarray, "m 3"]) -> Float[np.ndarray, "m k"]:
+    """``weights`` three times side by side, times the three components."""
+    return np.hstack([weights * vector[:, k : k + 1] for k in range(3)])
+
+
+__all__ = ["Problem", "State", "bending_cost", "minimised"]

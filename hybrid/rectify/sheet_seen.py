@@ -1,0 +1,121 @@
+"""What is seen of a sheet's edges and print: points of curves on which one film coordinate is known."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from hybrid.backward import BackwardMap
+from hybrid.rectify.sheet import Frame, Sheet, SheetConfig, basis, project, surface
+from hybrid.rectify.sightings import Sightings, group_noise
+from hybrid.rectify.tps import MAD_TO_SIGMA
+
+NOTHING = Sightings(0, np.zeros((0, 2)), np.zeros(0), np.zeros(0), np.zeros((0, 0)), np.zeros(0))
+"""No sightings at all."""
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """Points of the photo, in the frame's units, at which one film coordinate is known up to the shared constants.
+
+    across: the axis of that coordinate. along: film coordinate on the other axis, as far as known. sigma: in film
+    units, 0 where only ``floor`` counts: the deviation in the frame's units. number: of the list each is from.
+    group: of what shows the same thing, -1 where there is none.
+    """
+
+    point: Float[np.ndarray, "n 2"]
+    across: Int[np.ndarray, " n"]
+    known: Float[np.ndarray, " n"]
+    along: Float[np.ndarray, " n"]
+    sigma: Float[np.ndarray, " n"]
+    floor: Float[np.ndarray, " n"]
+    shared: Float[np.ndarray, "n g"]
+    shared_sigma: Float[np.ndarray, " g"]
+    number: Int[np.ndarray, " n"]
+    group: Int[np.ndarray, " n"]
+
+
+def seen_through(through: BackwardMap, sightings: Sequence[Sightings], frame: Frame, config: SheetConfig) -> Seen:
+    """Sightings that were made through a map, as points of the photo."""
+    thinned = [s.subset(np.arange(0, len(s), config.every[s.group is not None])) for s in sightings]
+    number = np.repeat(np.arange(len(thinned)), [len(s) for s in thinned])
+    widths = [s.shared.shape[1] for s in thinned]
+    shared, first = np.zeros((len(number), sum(widths))), np.cumsum([0, *widths])
+    group, next_group = np.full(len(number), -1), 0
+    for k, s in enumerate(thinned):
+        shared[number == k, first[k] : first[k + 1]] = s.shared
+        if s.group is not None:
+            own = np.unique(s.group, return_inverse=True)[1]
+            group[number == k] = own + next_group
+            next_group += int(own.max(initial=-1)) + 1
+    edge = np.array([s.shared.shape[1] == 0 for s in thinned])[number]
+    seen, places = np.concatenate([s.seen for s in thinned]), np.concatenate([s.places() for s in thinned])
+    across = np.array([s.axis for s in thinned])[number]
+    rows = np.arange(len(number))
+    return Seen(
+        frame.from_photo(through.photo_from_film(seen)),
+        across,
+        places[rows, across],
+        np.clip(places[rows, 1 - across], 0.0, 1.0),
+        np.where(edge, 0.0, np.concatenate([s.sigma for s in thinned])),
+        1e-3 * np.where(edge, config.edge_px, config.print_px),
+        shared,
+        np.concatenate([s.shared_sigma for s in thinned]),
+        number,
+        group,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Curves:
+    """Where a sheet has what is seen: film points that slid along their curves to where they are nearest.
+
+    weights: of the sheet's coefficients. along: as in Seen. normal: to the curves in the photo, over the deviation.
+    pull: by how much the points move along the normal with the known coordinate. tolerance: in deviations.
+    constants: at which all this holds.
+    """
+
+    weights: Float[np.ndarray, "n k"]
+    along: Float[np.ndarray, " n"]
+    normal: Float[np.ndarray, "n 2"]
+    pull: Float[np.ndarray, " n"]
+    tolerance: Float[np.ndarray, " n"]
+    constants: Float[np.ndarray, " g"]
+
+
+def slid(
+    seen: Seen, sheet: Sheet, constants: Float[np.ndarray, " g"], along: Float[np.ndarray, " n"], near: bool
+) -> Curves:
+    """What is seen, slid along its curves on a sheet. along: where to start from. near: whether the sheet is so near
+    that what still disagrees tells how exact sightings are."""
+    rows = np.arange(len(along))
+    known = np.clip(seen.known + seen.shared @ constants, -0.05, 1.05)
+    place = np.empty((len(along), 2))
+    place[rows, seen.across] = np.clip(known, 0.0, 1.0)
+    place[rows, 1 - seen.across] = along
+    for _ in range(2):
+        points, by_uv = surface(sheet, place)
+        now = project(sheet, points)
+        by_uv = now.by_point @ by_uv  # (n, 2, 2): of x, y by u, v
+        tangent = by_uv[rows, :, 1 - seen.across]
+        square = np.maximum(np.sum(tangent * tangent, axis=1), 1e-9)
+        step = np.clip(np.sum((seen.point - now.point) * tangent, axis=1) / square, -0.05, 0.05)
+        place[rows, 1 - seen.across] = np.clip(place[rows, 1 - seen.across] + step, 0.0, 1.0)
+    normal = np.stack([-tangent[:, 1], tangent[:, 0]], axis=1) / np.sqrt(square)[:, None]
+    pull = np.sum(by_uv[rows, :, seen.across] * normal, axis=1)
+    sigma = np.hypot(seen.sigma * pull, seen.floor)
+    weights = basis(place, sheet.intervals)
+    residual = np.sum((project(sheet, weights @ sheet.control).point - seen.point) * normal, axis=1)
+    if near and (seen.group >= 0).any():
+        sigma = group_noise(sigma, seen.group, residual)
+    tolerance = np.ones(len(along))
+    for k in np.unique(seen.number):
+        own = seen.number == k
+        tolerance[own] = max(1.0, 2.0 * MAD_TO_SIGMA * float(np.median(np.abs(residual[own]) / sigma[own])))
+    return Curves(weights, place[rows, 1 - seen.across], normal / sigma[:, None], pull / sigma, tolerance, constants)
+
+
+__all__ = ["NOTHING", "Curves", "Seen", "seen_through", "slid"]
