@@ -66,7 +66,7 @@ def test_rules_and_outline_bring_the_typical_error_below_a_pixel_and_no_error_up
         refined = refine(photo, coarse, CONFIG)
         assert refined.grid is not None
         assert (refined.grid.rows, refined.grid.cols) == (4, 3)
-        assert [s.name for s in refined.stages] == ["outline", "grid", "spline"]
+        assert [s.name for s in refined.stages] == ["outline", "grid", "sheet", "spline"]
         before.append(mean_error(coarse, true))
         after.append(mean_error(refined.backward, true))
     assert np.median(after) < 1.0 < min(before)

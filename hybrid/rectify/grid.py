@@ -67,6 +67,8 @@ class GridConfig:
     width of the gaps between cells that have frames of their own."""
     snug: float = 0.008
     """A grid whose ends lie this near to the film's edges is taken to fill the film."""
+    beyond: float = 0.025
+    """The same where they lie beyond the film's edges by less than this: a grid does not, so the edges are wrong."""
     snug_sigma: float = 0.001
     """Prior standard deviation of its place then, in film units."""
 
@@ -106,8 +108,9 @@ class Comb:
         return replace(self, first=0.5 + float(constants[0]) - 0.5 * self.cells * pitch, pitch=pitch)
 
     def fills_film(self, config: GridConfig) -> bool:
-        """True where the grid's ends lie on the film's edges."""
-        return max(abs(self.first), abs(1.0 - self.first - self.cells * self.pitch)) < config.snug
+        """True where the grid's ends lie on the film's edges, or beyond them, as where edges were seen too far in."""
+        ends = np.array([self.first, 1.0 - self.first - self.cells * self.pitch])
+        return bool((ends < config.snug).all() and (ends > -config.beyond).all())
 
     def lines(self) -> Float[np.ndarray, " n"]:
         """Film coordinates of all lines, the grid's ends included."""

@@ -100,7 +100,7 @@ def refine(photo: UInt8[np.ndarray, "H W 3"], coarse: BackwardMap, config: Refin
     outline = find_outline(scene.photo, scene.coarse, config.outline)
     clock.lap("outline")
     course = _course(begin(scene, outline, config), config, clock)
-    if course is None or not course.believed or course.after > config.doubtful:
+    if course is None or not course.believed or course.sheet is None or course.after > config.doubtful:
         bent = _from_sheet(scene, outline, config, clock)
         course = _better(course, bent and _course(bent, config, clock), config.no_worse, clock)
     if course is None:

@@ -3,7 +3,7 @@
 Nothing here was used to make the map. The network looks once more, at the film as a plane sheet would be flattened by
 the finished map: what it now sees as film must fill the sheet. Cells must be alike, about as wide as they are high,
 and what was seen of edges and print must agree. A regression over photos with truth turns these signs into an error.
-Three signs are musts: without them, photos exist on which all the others speak for a map that is wrong.
+Four signs are musts: without them, photos exist on which all the others speak for a map that is wrong.
 """
 
 from __future__ import annotations
@@ -54,6 +54,8 @@ class TrustConfig:
     """Whether a map counts only if it was corrected by what is seen on the film."""
     min_edges: int = 3
     """Least number of the sheet's edges that are seen: what only repeats tells neither place nor size."""
+    min_alike: float = 0.12
+    """Least agreement of the cells: noise repeats by chance, too."""
     constant: float = -0.07
     overlap_before: float = 0.11
     overlap_after: float = 0.41
@@ -159,6 +161,7 @@ def film_verdict(signs: Signs, config: TrustConfig | None = None) -> Verdict:
         for text, doubtful in (
             (f"{signs.edges} of 4 edges seen", config.exact and signs.edges < config.min_edges),
             ("no grid seen", not signs.grid),
+            ("cells are not alike", signs.grid and signs.alike < config.min_alike),
             ("not corrected by what is seen on the film", config.exact and not signs.corrected),
             (f"more than {config.safety * limit:.1f} px", expected > config.safety * limit),
         )
