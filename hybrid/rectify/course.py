@@ -70,13 +70,18 @@ class RefineConfig:
     """Their end counts if what is seen disagrees with it by less than this ratio, and its cells look at least so much
     as alike."""
     doubtful: float = 1.2
-    """Where held-out sightings disagree with the end by more than this, in their stated deviations, the sheet that the
-    edges alone tell is started from too."""
+    """Where held-out sightings disagree with the end by more than this, in their stated deviations, or no sheet
+    explains the print, the sheet that the edges alone tell is started from too."""
     no_worse: tuple[float, float] = (1.0, 1.0)
     """As ``as_good``, for what comes of that."""
     max_residual: float = 2.5
     """Where held-out sightings disagree with the spline by more than this, in their stated deviations, some of them are
     wrong together, as where cells were taken for their neighbours: the map is not believed."""
+
+    @property
+    def outline_again(self) -> OutlineConfig:
+        """Options of the search for edges once the map has been improved."""
+        return replace(self.outline, band=self.near_band)
 
 
 class Clock:
@@ -183,10 +188,8 @@ def _round(
     clock.lap("grid")
     evidence = tuple(e.lifted(displacement) for e in found)
     if number == 0:
-        near = replace(config.outline, band=config.near_band)
-        outline = tuple(
-            displacement.lift(s) for s in find_outline(scene.photo, displacement.composed(scene.coarse), near)
-        )
+        edges = find_outline(scene.photo, displacement.composed(scene.coarse), config.outline_again)
+        outline = tuple(displacement.lift(s) for s in edges)
         clock.lap("outline")
     evidence += tuple(Evidence(_as_uncertain(s, layout, config)) for s in outline)
     if not evidence:
@@ -214,7 +217,7 @@ def unstretched(progress: Progress, config: RefineConfig, clock: Clock) -> Progr
         return None
     layout = progress.layout.adjusted(attempt.evidence, sheet.constants)
     scene = replace(scene, coarse=sheet.backward)
-    outline = find_outline(scene.photo, scene.coarse, replace(config.outline, band=config.near_band))
+    outline = find_outline(scene.photo, scene.coarse, config.outline_again)
     clock.lap("sheet")
     still = _Attempt(no_displacement(config.spline), tuple(Evidence(s) for s in outline))
     begun = Progress(scene, outline, (still,), layout, sheet=sheet)

@@ -173,7 +173,7 @@ def _from_sheet(scene: Scene, outline: Sequence[Sightings], config: RefineConfig
         clock.lap("sheet")
         return None
     bent = replace(scene, coarse=found.backward)
-    outline = find_outline(scene.photo, bent.coarse, replace(config.outline, band=config.near_band))
+    outline = find_outline(scene.photo, bent.coarse, config.outline_again)
     clock.lap("sheet")
     return begin(bent, outline, config)
 

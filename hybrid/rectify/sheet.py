@@ -182,6 +182,16 @@ def slopes(intervals: int) -> tuple[Float[np.ndarray, "m n"], Float[np.ndarray, 
     return basis(places, intervals, 1, 0), basis(places, intervals, 0, 1)
 
 
+NODES = (9, 9)
+"""Rows and columns of the film points at which the sheet is held near the network's map."""
+
+
+@lru_cache(maxsize=4)
+def node_weights(intervals: int) -> Float[np.ndarray, "m n"]:
+    """Weights of the coefficients in these points."""
+    return basis(film_nodes(NODES).reshape(-1, 2), intervals)
+
+
 @lru_cache(maxsize=4)
 def _refiner(before: int, after: int) -> Float[np.ndarray, "k n"]:
     """Coefficients of the finer splines that come nearest to the coarser ones."""
@@ -205,12 +215,14 @@ def flat_sheet(coarse: BackwardMap, frame: Frame, intervals: int, focal: float) 
 
 __all__ = [
     "CAMERA",
+    "NODES",
     "Frame",
     "Projection",
     "Sheet",
     "SheetConfig",
     "basis",
     "flat_sheet",
+    "node_weights",
     "project",
     "slopes",
     "surface",

@@ -24,7 +24,7 @@ from scipy.linalg import LinAlgError
 
 from hybrid.backward import BackwardMap
 from hybrid.coords import film_nodes
-from hybrid.rectify.sheet import Frame, Sheet, SheetConfig, flat_sheet
+from hybrid.rectify.sheet import NODES, Frame, Sheet, SheetConfig, flat_sheet
 from hybrid.rectify.sheet_problem import Problem, State, bending_cost, minimised
 from hybrid.rectify.sheet_seen import NOTHING, seen_through
 from hybrid.rectify.sightings import Sightings
@@ -110,7 +110,7 @@ def _near_map(problem: Problem, near: BackwardMap, frame: Frame) -> State:
 
 def _target(coarse: BackwardMap, frame: Frame) -> Float[np.ndarray, "m 2"]:
     """Where the network has some points of the film."""
-    return frame.from_photo(coarse.photo_from_film(film_nodes((9, 9)).reshape(-1, 2)))
+    return frame.from_photo(coarse.photo_from_film(film_nodes(NODES).reshape(-1, 2)))
 
 
 def _result(state: State, frame: Frame, sightings: Sequence[Sightings], problem: Problem) -> FittedSheet | None:

@@ -8,9 +8,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy.linalg import cho_factor, cho_solve
 
-from hybrid.coords import film_nodes
 from hybrid.rectify.bspline import bending_energy
-from hybrid.rectify.sheet import CAMERA, Sheet, SheetConfig, basis, project, slopes
+from hybrid.rectify.sheet import CAMERA, Sheet, SheetConfig, node_weights, project, slopes
 from hybrid.rectify.sheet_seen import Curves, Seen, slid
 from hybrid.rectify.tps import tukey_weights
 
@@ -45,7 +44,7 @@ class Problem:
         """Cost of a state, and the normal equations around it; without the latter where ``derivatives`` is False."""
         sheet, config, n = state.sheet, self.config, len(state.sheet.control)
         total = Sum(3 * n + CAMERA + len(state.constants), derivatives)
-        nodes = basis(film_nodes((9, 9)).reshape(-1, 2), sheet.intervals)
+        nodes = node_weights(sheet.intervals)
         shown = project(sheet, nodes @ sheet.control)
         sigma = 1e-3 * config.network_px * np.sqrt(len(nodes) / 6.0)
         for k in (0, 1):
