@@ -98,11 +98,11 @@ def _make_shards(config: GenerateConfig) -> None:
         entries = finished_shards(config.out, size)
         there = sum(entry.count for entry in entries.values())
         describe_dataset(config.out, options, max(config.count, there))
-        write_manifest(config.out, entries.values())
         counts = {k: min(size, config.count - k * size) for k in range(-(-config.count // size))}
         missing = {k: n for k, n in counts.items() if k not in entries or entries[k].count < n}
         films = those.in_order(film_bytes, _tasks(config, sample, missing))
         with tqdm(total=sum(missing.values()), unit="photo", smoothing=0.05) as bar:
+            write_manifest(config.out, entries.values())
             for number, count in missing.items():
                 photos = _photos(films, -(-count // sample.photos_per_film), bar)
                 path = config.out / shard_name(number)
