@@ -7,7 +7,7 @@ from functools import lru_cache
 
 import cv2
 import numpy as np
-from synthetic_film import Warp
+from synthetic_film import RolledFilm
 
 from benchmarks.cases import read_alike
 from data_gen.phantom import head_phantom
@@ -50,13 +50,13 @@ def table(level: int = 130, seed: int = 5) -> np.ndarray:
 class Shot:
     """How a print is photographed. fill: the longer side, in parts of the photo. at: the middle, in parts of it.
 
-    bend: of the sheet, in film units. light: colour of the light, sRGB white being 1.
+    roll: of the sheet, as in RolledFilm. light: colour of the light, sRGB white being 1.
     """
 
     fill: float = 0.8
     at: tuple[float, float] = (0.5, 0.5)
     angle: float = 0.06
-    bend: tuple[float, float] = (0.012, 0.015)
+    roll: tuple[float, float] = (0.4, 0.4)
     light: tuple[float, float, float] = (1.0, 1.0, 1.0)
     background: np.ndarray = field(default_factory=table)
 
@@ -87,9 +87,10 @@ def photographed(sheet: FilmPrint, shot: Shot | None = None) -> Photographed:
     """A photo of a print: dark film, lit unevenly, on its background."""
     shot = shot or Shot()
     height, width = sheet.size_mm
-    turn = np.array([[np.cos(shot.angle), -np.sin(shot.angle)], [np.sin(shot.angle), np.cos(shot.angle)]])
-    scale = shot.fill * PHOTO_PX * np.array([width, height]) / max(width, height)
-    warp = Warp(np.array(shot.at) * PHOTO_PX, scale, turn, np.array(shot.bend))
+    long_px = shot.fill * PHOTO_PX
+    warp = RolledFilm(
+        np.array(shot.at) * PHOTO_PX, long_px * min(1.0, height / width), width / height, shot.angle, shot.roll, 0.1
+    )
     uv = warp.film_from_photo(pixel_centres((2 * PHOTO_PX, 2 * PHOTO_PX)) / 2)
     places = opencv_from_photo(pixel_from_film(uv, sheet.image.shape)).astype(np.float32)
     x, y = np.ascontiguousarray(places[..., 0]), np.ascontiguousarray(places[..., 1])

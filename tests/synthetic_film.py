@@ -53,39 +53,71 @@ def draw_print(drawing: FilmDrawing, rng: np.random.Generator, size: tuple[int, 
 
 
 @dataclass(frozen=True, eq=False)
-class Warp:
-    """A smooth, turned, bent film in a photo: uv of photo points in closed form."""
+class RolledFilm:
+    """A film that is rolled, not stretched, before a camera; where it is seen in closed form.
+
+    centre: pixel in which its middle is seen. height: of the film there, in pixels. aspect: width over height.
+    turn: in the photo. roll: (direction on the film, turns per film height) in radians. tilt: of its middle, about the
+    axis of the roll. focal: in film heights as seen.
+    """
 
     centre: np.ndarray
-    scale: np.ndarray
-    turn: np.ndarray
-    bend: np.ndarray
+    height: float
+    aspect: float
+    turn: float
+    roll: tuple[float, float]
+    tilt: float
+    focal: float = 1.6
+
+    def _pose(self) -> np.ndarray:
+        """Camera axes from those of the roll: across it, along it, and away."""
+        c, s = np.cos(self.tilt), np.sin(self.tilt)
+        return _rotation(self.turn + self.roll[0]) @ np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
 
     def film_from_photo(self, xy: np.ndarray) -> np.ndarray:
-        p = ((xy - self.centre) @ self.turn) / self.scale
-        waves = np.stack([np.sin(3.0 * p[..., 1] + 0.4), np.cos(2.5 * p[..., 0] - 0.3)], axis=-1)
-        return p + 0.5 + self.bend * waves
+        bend = self.roll[1]
+        eye = -self.focal * self._pose()[2]
+        plane = np.concatenate([(xy - self.centre) / self.height, np.full((*xy.shape[:-1], 1), self.focal)], axis=-1)
+        ray = plane @ self._pose()
+        a = ray[..., 0] ** 2 + ray[..., 2] ** 2
+        b = eye[0] * ray[..., 0] + (eye[2] - 1.0 / bend) * ray[..., 2]
+        c = eye[0] ** 2 + eye[2] ** 2 - 2.0 * eye[2] / bend
+        root = np.sqrt(np.maximum(b * b - a * c, 0.0))
+        far = (-b + root) / a
+        near = c / (a * far)
+        at = eye + np.where(np.abs(near - 1.0) < np.abs(far - 1.0), near, far)[..., None] * ray
+        along = np.stack([np.arctan2(bend * at[..., 0], 1.0 - bend * at[..., 2]) / bend, at[..., 1]], axis=-1)
+        film = along @ _rotation(self.roll[0])[:2, :2].T
+        uv = film / [self.aspect, 1.0] + 0.5
+        return np.where((b * b >= a * c)[..., None], uv, -1.0)
 
     def backward(self) -> BackwardMap:
-        """The exact inverse on nodes, by fixed-point iteration (the bend is a contraction)."""
-        target = film_nodes((33, 33))
-        xy = (target - 0.5) * self.scale @ self.turn.T + self.centre
-        for _ in range(60):
-            xy = xy - ((self.film_from_photo(xy) - target) * self.scale) @ self.turn.T
-        return BackwardMap(xy)
+        """The map on nodes."""
+        bend = self.roll[1]
+        film = (film_nodes((33, 33)) - 0.5) * [self.aspect, 1.0] @ _rotation(self.roll[0])[:2, :2]
+        across, along = film[..., 0], film[..., 1]
+        rolled = np.stack([np.sin(bend * across) / bend, along, (1.0 - np.cos(bend * across)) / bend], axis=-1)
+        seen = rolled @ self._pose().T + np.array([0.0, 0.0, self.focal])
+        return BackwardMap(self.height * self.focal * seen[..., :2] / seen[..., 2:] + self.centre)
+
+
+def _rotation(angle: float) -> np.ndarray:
+    """By an angle about the camera's axis."""
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
 def make_photo(
     drawing: FilmDrawing, rng: np.random.Generator, background: int | None = None, size: int = 640
 ) -> tuple[np.ndarray, BackwardMap]:
     """A photo (size, size, 3) uint8 and its true map. background: a grey level; None for a bright, cluttered one."""
-    angle = rng.uniform(-0.2, 0.2)
-    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-    warp = Warp(
+    warp = RolledFilm(
         centre=np.array([size / 2, size / 2]) + rng.uniform(-10, 10, 2),
-        scale=np.array([0.6, 0.75]) * size,
-        turn=turn,
-        bend=rng.uniform(0.01, 0.025, 2),
+        height=0.75 * size,
+        aspect=0.8,
+        turn=rng.uniform(-0.2, 0.2),
+        roll=(rng.uniform(-np.pi, np.pi), rng.uniform(0.2, 0.6)),
+        tilt=rng.uniform(-0.2, 0.2),
     )
     printed = draw_print(drawing, rng)
     uv = warp.film_from_photo(pixel_centres((size * 2, size * 2)) / 2.0)

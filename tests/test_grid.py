@@ -112,8 +112,7 @@ def test_a_view_shows_what_the_map_says():
     u, v = np.linspace(-0.1, 1.1, 13), np.linspace(-0.1, 1.1, 11)
     uu, vv = np.meshgrid(u, v)
     expected = true.photo_from_film(np.stack([uu, vv], axis=-1))
-    assert (
-        np.abs(lattice_points(true, u, v) - expected).max() < 0.05
-    )  # BackwardMap goes on from corners in another order; float32
+    on_one = (np.abs(uu - 0.5) <= 0.5) | (np.abs(vv - 0.5) <= 0.5)  # from corners BackwardMap goes on in another order
+    assert np.abs(lattice_points(true, u, v) - expected)[on_one].max() < 0.05  # float32
     assert np.abs(extended_weights(9, u).sum(axis=1) - 1.0).max() < 1e-9
     assert view_film(photo, true, u, v).image.shape == (11, 13, 3)

@@ -130,7 +130,7 @@ def test_03_a_finger_or_a_clip_over_a_corner_crops_nothing(rectifier: Rectifier,
 
 def test_04_a_film_that_touches_all_borders_of_the_photo(rectifier: Rectifier) -> None:
     sheet = film_print(3)
-    it = photographed(sheet, Shot(fill=1.0, angle=0.0, bend=(0.0, 0.006)))
+    it = photographed(sheet, Shot(fill=1.0, angle=0.0, roll=(0.0, 0.05)))
     height = round(PHOTO_PX * sheet.size_mm[0] / sheet.size_mm[1])  # the sheet is wider than high
     top = (PHOTO_PX - height) // 2
     it = Photographed(it.photo[top : top + height], it.truth.cropped((0.0, float(top))), it.on_film, it.uv)

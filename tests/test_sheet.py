@@ -13,7 +13,7 @@ CONFIG = SheetConfig()
 PHOTO = (1000, 1000)
 FLAT_PX = 0.5
 """Mean error of a flat sheet whose edges are seen to a tenth of a pixel."""
-BENT_SHARE = 0.5
+BENT_SHARE = 0.6
 """Share of the error that may be left where the sheet is bent: the prior on bending pulls it flatter than it is."""
 
 

@@ -52,8 +52,10 @@ class RefineConfig:
     """Half width of the search band for edges once the map has been improved, in film units."""
     rule_width: float = 0.002
     """How far a rule printed on the film's edge may shift the edge that is seen, in film units."""
-    settled_move: float = 5e-4
+    settled_move: float = 3e-3
     """A round that moves the film by less than this is the last, in film units."""
+    settled_sheet: float = 1e-3
+    """The same for the rounds from an unstretched sheet."""
     line_rounds: int = 3
     """Rounds in which lines are looked for where they have not been found: they show better in a straighter view."""
     max_move: float = 0.08
@@ -64,8 +66,8 @@ class RefineConfig:
     """Sightings of this robust weight and more count for the sheet that is fitted at last."""
     sheet_prior_px: float = 5.0
     """As SplineConfig.prior_px, for the displacement of that sheet."""
-    sheet_rounds: int = 2
-    """Rounds from the unstretched sheet that explains best what the last round saw."""
+    sheet_blurs_px: tuple[float, ...] = (1.0, 1.0, 1.0)
+    """Most rounds from the unstretched sheet that explains best what the last round saw, as CongealConfig.blurs_px."""
     as_good: tuple[float, float] = (1.15, 0.92)
     """Their end counts if what is seen disagrees with it by less than this ratio, and its cells look at least so much
     as alike."""
@@ -199,11 +201,12 @@ def _round(
     clock.lap("spline")
     moved = float(np.abs(fit.displacement.values - displacement.values).max())
     attempts = (*progress.attempts, _Attempt(fit.displacement, evidence, fit.weights, fit.stiffness))
-    settled = number >= 2 and (moved < config.settled_move or layout.is_enough)
+    least = config.settled_move if progress.sheet is None else config.settled_sheet
+    settled = number >= 2 and (moved < least or (progress.sheet is None and layout.is_enough))
     return Progress(scene, outline, attempts, layout, settled, progress.sheet)
 
 
-def unstretched(progress: Progress, config: RefineConfig, clock: Clock) -> Progress | None:
+def unstretched(progress: Progress, blur_px: float, config: RefineConfig, clock: Clock) -> Progress | None:
     """One more round, from the map of the unstretched sheet that explains best what the last round saw; None where
     there is none."""
     attempt, scene = progress.attempts[-1], progress.scene
@@ -221,7 +224,7 @@ def unstretched(progress: Progress, config: RefineConfig, clock: Clock) -> Progr
     clock.lap("sheet")
     still = _Attempt(no_displacement(config.spline), tuple(Evidence(s) for s in outline))
     begun = Progress(scene, outline, (still,), layout, sheet=sheet)
-    return _round(begun, config.line_rounds, _matchers(config)[-1], config, clock)
+    return _round(begun, config.line_rounds, _registering(blur_px, config), config, clock)
 
 
 def ended(progress: Progress, config: RefineConfig, clock: Clock) -> Course:
@@ -247,7 +250,12 @@ def _matchers(config: RefineConfig) -> list[Callable[..., tuple[Sightings, ...]]
     """How cells are matched, round for round: ever less far and ever more exactly."""
     far = partial(match_to_one_cell, search=config.repeat.first, config=config.repeat)
     nearer = partial(match_cells, search=config.repeat.second, config=config.repeat)
-    return [far, nearer, *(partial(register_cells, blur_px=b, config=config.congeal) for b in config.congeal.blurs_px)]
+    return [far, nearer, *(_registering(blur_px, config) for blur_px in config.congeal.blurs_px)]
+
+
+def _registering(blur_px: float, config: RefineConfig) -> Callable[..., tuple[Sightings, ...]]:
+    """Cells matched to their template, details below a size smoothed away."""
+    return partial(register_cells, blur_px=blur_px, config=config.congeal)
 
 
 def _observe_print(

@@ -42,18 +42,20 @@ class SheetConfig:
     strain: float = 1.5e-3
     """Standard deviation of the strain at 40 places: what the splines cannot follow; film itself strains far less."""
     bending: tuple[float, float] = (250.0, 25.0)
-    """Weight of the mean squared second derivatives, in units of the film's height: at first, and for films that this
-    leaves unexplained because they are bent sharply, or whose print is seen too."""
-    bent_share: float = 0.25
-    """With what is printed, the lower weight is tried where bending makes more than this part of the cost."""
-    sharper: float = 0.6
-    """It counts if the cost is less than this part then."""
-    unexplained: float = 15.0
-    """Cost beyond which a film counts as bent sharply."""
-    focal: tuple[float, float, float] = (0.65, 1.1, 3.5)
-    """Focal lengths of phones, in sides of the photo: shortest, usual and longest."""
-    focal_sigma: float = 0.15
-    """Relative deviation beyond these."""
+    """Weight of the mean squared second derivatives, in units of the film's height: of most films, and of those that
+    are bent sharply."""
+    bent: float = 3.0
+    """Cost of bending from which on the lower weight is tried."""
+    sharper: float = 6.0
+    """It counts if the cost falls by this much: so much likelier films of the first kind are, with six ways to bend."""
+    focal: float = 1.1
+    """Usual focal length of a phone, in sides of the photo."""
+    focal_sigma: tuple[float, float] = (0.1, 0.5)
+    """Standard deviation of its logarithm: while nothing but the network's map is known, and with what is seen."""
+    focal_range: tuple[float, float] = (0.65, 3.5)
+    """Shortest and longest of a phone."""
+    beyond_sigma: float = 0.1
+    """The standard deviation beyond these."""
     distortion: float = 0.02
     """Standard deviation of the first radial distortion."""
     least_edges: int = 3
@@ -87,11 +89,14 @@ class Frame:
 class Sheet:
     """A bent sheet before a camera.
 
-    control: (n, 3) B-spline coefficients in camera axes, in units of the film's height. log_focal: of the focal length
-    in sides of the photo. log_aspect: of the film's width over its height. distortion: first radial coefficient.
+    control: (n, 3) B-spline coefficients in camera axes, in units of the film's height, depths from ``stand`` focal
+    lengths on: so the focal length alone changes how strong the perspective is, and hardly where things are seen.
+    log_focal: of the focal length in sides of the photo. log_aspect: of the film's width over its height.
+    distortion: first radial coefficient.
     """
 
     intervals: int
+    stand: float
     control: Float[np.ndarray, "n 3"]
     log_focal: float
     log_aspect: float
@@ -109,6 +114,10 @@ class Sheet:
             distortion=self.distortion + float(distortion),
         )
 
+    def nearest(self) -> float:
+        """Least depth of the coefficients, between which the sheet lies."""
+        return float(self.control[:, 2].min() + self.stand * np.exp(self.log_focal))
+
     def finer(self, intervals: int) -> Sheet:
         """The same sheet on more intervals."""
         return replace(self, intervals=intervals, control=_refiner(self.intervals, intervals) @ self.control)
@@ -124,18 +133,20 @@ class Sheet:
 class Projection:
     """Photo points in the units of the frame, and their derivatives.
 
-    by_point: of x and of y by the point in space. by_lens: of both by the distortion. (By the logarithm of the focal
-    length it is the point itself.)
+    by_point: of x and of y by the point in space. by_focal, by_lens: of both by the logarithm of the focal length and
+    by the distortion.
     """
 
     point: Float[np.ndarray, "m 2"]
     by_point: Float[np.ndarray, "m 2 3"]
+    by_focal: Float[np.ndarray, "m 2"]
     by_lens: Float[np.ndarray, "m 2"]
 
 
 def project(sheet: Sheet, point: Float[np.ndarray, "m 3"]) -> Projection:
-    """What the camera shows of points in space, in camera axes."""
-    focal, depth = float(np.exp(sheet.log_focal)), point[:, 2]
+    """What the camera shows of points in space, in the axes and units of ``Sheet.control``."""
+    focal = float(np.exp(sheet.log_focal))
+    depth = point[:, 2] + sheet.stand * focal
     x = point[:, :2] / depth[:, None]
     square = np.sum(x * x, axis=1)
     stretch = 1.0 + sheet.distortion * square
@@ -145,7 +156,9 @@ def project(sheet: Sheet, point: Float[np.ndarray, "m 3"]) -> Projection:
     lens = 2.0 * sheet.distortion * x[:, :, None] * x[:, None, :]
     lens[:, 0, 0] += stretch
     lens[:, 1, 1] += stretch
-    return Projection(focal * stretch[:, None] * x, focal * (lens @ straight), focal * square[:, None] * x)
+    seen, by_point = focal * stretch[:, None] * x, focal * (lens @ straight)
+    by_focal = seen + sheet.stand * focal * by_point[:, :, 2]
+    return Projection(seen, by_point, by_focal, focal * square[:, None] * x)
 
 
 # ---------------------------------------------------------------- the surface
@@ -210,7 +223,10 @@ def flat_sheet(coarse: BackwardMap, frame: Frame, intervals: int, focal: float) 
     knots = np.arange(-1, intervals + 2) / intervals
     u, v = np.meshgrid(knots, knots)  # coefficients there make a linear function
     control = np.stack([u.ravel(), v.ravel(), np.ones(u.size)], axis=1) @ pose.T
-    return Sheet(intervals, control, float(np.log(focal)), float(np.log(np.linalg.norm(pose[:, 0]))), 0.0)
+    middle = float(pose[2] @ np.array([0.5, 0.5, 1.0]))
+    control[:, 2] -= middle
+    log_aspect = float(np.log(np.linalg.norm(pose[:, 0])))
+    return Sheet(intervals, middle / focal, control, float(np.log(focal)), log_aspect, 0.0)
 
 
 __all__ = [

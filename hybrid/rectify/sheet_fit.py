@@ -56,11 +56,8 @@ def fit_sheet(
     problem = Problem(seen_through(coarse, outline, frame, config), _target(coarse, frame), config.bending[0], config)
     first, last = config.intervals
     try:
-        state = problem.begun(flat_sheet(coarse, frame, first, config.focal[1]))
-        state = minimised(problem, state, config.steps[0])
-        if state.cost > config.unexplained:
-            problem = replace(problem, bending=config.bending[1])
-            state = minimised(problem, state, config.steps[0])
+        start = problem.begun(flat_sheet(coarse, frame, first, config.focal))
+        state, problem = _as_bent_as_needed(problem, start, config.steps[0])
         state = minimised(problem, replace(state, sheet=state.sheet.finer(last)), config.steps[1])
     except LinAlgError:
         return None
@@ -86,16 +83,23 @@ def refit_sheet(
         if before is not None:
             problem = replace(problem, bending=before.bending)
             return _result(minimised(problem, problem.begun(before.sheet), config.steps[2]), frame, sightings, problem)
-        softer = replace(problem, bending=config.bending[1])
-        start = _near_map(softer, near, frame)
-        state = minimised(problem, start, config.steps[2])
-        if bending_cost(state.sheet, problem.bending) > config.bent_share * state.cost:
-            bent = minimised(softer, start, config.steps[2])
-            if bent.cost < config.sharper * state.cost:
-                state, problem = bent, softer
+        start = _near_map(replace(problem, bending=config.bending[1]), near, frame)
+        state, problem = _as_bent_as_needed(problem, start, config.steps[2])
     except LinAlgError:
         return None
     return _result(state, frame, sightings, problem)
+
+
+def _as_bent_as_needed(problem: Problem, start: State, steps: int) -> tuple[State, Problem]:
+    """The sheet found with the lower weight of bending, and the problem with that weight, if it is worth it."""
+    config = problem.config
+    state = minimised(problem, start, steps)
+    if bending_cost(state.sheet, problem.bending) > config.bent:
+        softer = replace(problem, bending=config.bending[1])
+        sharper = minimised(softer, state, steps)
+        if sharper.cost < state.cost - config.sharper:
+            return sharper, softer
+    return state, problem
 
 
 def _near_map(problem: Problem, near: BackwardMap, frame: Frame) -> State:
@@ -103,7 +107,7 @@ def _near_map(problem: Problem, near: BackwardMap, frame: Frame) -> State:
     config = problem.config
     first, last = config.intervals
     blind = replace(problem, seen=seen_through(near, [NOTHING], frame, config), config=replace(config, network_px=1.0))
-    state = minimised(blind, blind.begun(flat_sheet(near, frame, first, config.focal[1])), config.steps[0])
+    state = minimised(blind, blind.begun(flat_sheet(near, frame, first, config.focal)), config.steps[0])
     state = minimised(blind, replace(state, sheet=state.sheet.finer(last)), config.steps[1])
     return problem.begun(state.sheet)
 

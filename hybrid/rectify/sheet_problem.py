@@ -13,6 +13,11 @@ from hybrid.rectify.sheet import CAMERA, Sheet, SheetConfig, node_weights, proje
 from hybrid.rectify.sheet_seen import Curves, Seen, slid
 from hybrid.rectify.tps import tukey_weights
 
+NEAREST = 0.05
+"""No point of the sheet comes nearer to the camera than this, in units of the film's height."""
+MOST_BENT = 0.4
+"""Longest second-order part of a step, in lengths of the first."""
+
 
 @dataclass(frozen=True, eq=False)
 class State:
@@ -48,7 +53,7 @@ class Problem:
         shown = project(sheet, nodes @ sheet.control)
         sigma = 1e-3 * config.network_px * np.sqrt(len(nodes) / 6.0)
         for k in (0, 1):
-            parts = (shown.by_point[:, k] / sigma, shown.point[:, k] / sigma, shown.by_lens[:, k] / sigma)
+            parts = (shown.by_point[:, k] / sigma, shown.by_focal[:, k] / sigma, shown.by_lens[:, k] / sigma)
             total.add((shown.point[:, k] - self.target[:, k]) / sigma, _rows(nodes, *parts) if derivatives else None)
         shown = project(sheet, curves.weights @ sheet.control)
         residual = np.sum((shown.point - self.seen.point) * curves.normal, axis=1)
@@ -57,16 +62,13 @@ class Problem:
         if derivatives:
             parts = (
                 np.einsum("nk,nkj->nj", curves.normal, shown.by_point),
-                *(np.sum(x * curves.normal, axis=1) for x in (shown.point, shown.by_lens)),
+                *(np.sum(x * curves.normal, axis=1) for x in (shown.by_focal, shown.by_lens)),
             )
             rows = np.hstack([_rows(curves.weights, *parts), curves.pull[:, None] * self.seen.shared])
         total.add(residual, rows, tukey_weights(residual / curves.tolerance))
         _add_strain(total, sheet, config)
         _add_bending(total, sheet, self.bending)
-        beyond = sheet.log_focal - float(np.clip(sheet.log_focal, *np.log(config.focal)[[0, 2]]))
-        if beyond:
-            total.add_prior(3 * n, beyond / config.focal_sigma, 1.0 / config.focal_sigma)
-        total.add_prior(3 * n + 2, sheet.distortion / config.distortion, 1.0 / config.distortion)
+        _add_camera(total, sheet, config, config.focal_sigma[len(self.seen.along) > 0])
         for k, (constant, spread) in enumerate(zip(state.constants, self.seen.shared_sigma, strict=True)):
             total.add_prior(3 * n + CAMERA + k, constant / spread, 1.0 / spread)
         return total
@@ -83,9 +85,8 @@ def minimised(problem: Problem, state: State, steps: int) -> State:
         total = problem.normal_equations(state, curves)
         better = None
         for _ in range(4):
-            damped = total.matrix + damping * np.diag(np.diag(total.matrix))
-            trial = state.moved(-cho_solve(cho_factor(damped, check_finite=False), total.right, check_finite=False))
-            if (trial.sheet.control[:, 2] > 0.05).all():
+            trial = state.moved(_step(total, state.sheet, damping, problem.config))
+            if trial.sheet.nearest() > NEAREST:
                 reached = problem.normal_equations(trial, curves, derivatives=False).cost
                 if reached < total.cost:
                     better = replace(trial, cost=reached)
@@ -98,6 +99,22 @@ def minimised(problem: Problem, state: State, steps: int) -> State:
             break
         curves = slid(problem.seen, state.sheet, state.constants, curves.along, near=step > 0)
     return state
+
+
+def _step(total: Sum, sheet: Sheet, damping: float, config: SheetConfig) -> Float[np.ndarray, " m"]:
+    """The damped Gauss-Newton step, bent along the valley that the strain makes.
+
+    A sheet that is bent along a straight line of coefficients stretches with the square of the step; a second-order
+    term takes that back (geodesic acceleration: Transtrum and Sethna 2012, "Improvements to the Levenberg-Marquardt
+    algorithm for nonlinear least-squares minimization", equation 13), of the strain alone, where it counts most.
+    """
+    damped = total.matrix + damping * np.diag(np.diag(total.matrix))
+    factor = cho_factor(damped, check_finite=False)
+    first = -cho_solve(factor, total.right, check_finite=False)
+    second = -0.5 * cho_solve(factor, _strain_curvature(sheet, first, config), check_finite=False)
+    n = 3 * len(sheet.control)
+    ratio = float(np.linalg.norm(second[:n]) / max(np.linalg.norm(first[:n]), 1e-12))
+    return first + second * min(1.0, MOST_BENT / max(ratio, 1e-12))
 
 
 class Sum:
@@ -163,6 +180,25 @@ def _add_strain(total: Sum, sheet: Sheet, config: SheetConfig) -> None:
     total.add(shear, rows_s)
 
 
+def _strain_curvature(sheet: Sheet, step: Float[np.ndarray, " m"], config: SheetConfig) -> Float[np.ndarray, " m"]:
+    """Second derivatives of the strain's residuals along a step, times their first derivatives by all unknowns."""
+    across, down = slopes(sheet.intervals)
+    n, aspect = len(sheet.control), float(np.exp(sheet.log_aspect))
+    move, wider = step[: 3 * n].reshape(3, n).T, float(step[3 * n + 1])
+    a, b, by_a, by_b = across @ sheet.control, down @ sheet.control, across @ move, down @ move
+    aa, ab = np.sum(a * a, axis=1), np.sum(a * b, axis=1)
+    stretch_a = np.sum(by_a * by_a, axis=1) - 4.0 * wider * np.sum(a * by_a, axis=1) + 2.0 * wider**2 * aa
+    stretch_b = np.sum(by_b * by_b, axis=1)
+    shear = 2.0 * np.sum(by_a * by_b, axis=1) - 2.0 * wider * np.sum(a * by_b + b * by_a, axis=1) + wider**2 * ab
+    stretch_a, shear = stretch_a / aspect**4, shear / aspect**2
+    gradient = across.T @ (a * stretch_a[:, None] + b * shear[:, None])
+    gradient += down.T @ (b * stretch_b[:, None] + a * shear[:, None])
+    total = np.zeros(len(step))
+    total[: 3 * n] = gradient.T.ravel()
+    total[3 * n + 1] = -float(np.sum(stretch_a * aa) + np.sum(shear * ab))
+    return total / (config.strain**2 * len(across) / 40.0)
+
+
 def bending_cost(sheet: Sheet, weight: float) -> float:
     """Cost of bending: the mean squared second derivatives of the surface."""
     return 0.5 * weight * float(np.sum(sheet.control * (bending_energy(sheet.intervals) @ sheet.control)))
@@ -177,6 +213,16 @@ def _add_bending(total: Sum, sheet: Sheet, weight: float) -> None:
             own = slice(k * n, (k + 1) * n)
             total.matrix[own, own] += energy
             total.right[own] += energy @ sheet.control[:, k]
+
+
+def _add_camera(total: Sum, sheet: Sheet, config: SheetConfig, focal_sigma: float) -> None:
+    """What is known of phones' cameras. focal_sigma: of the logarithm of the focal length, within the usual range."""
+    first = 3 * len(sheet.control)
+    total.add_prior(first, (sheet.log_focal - np.log(config.focal)) / focal_sigma, 1.0 / focal_sigma)
+    beyond = sheet.log_focal - float(np.clip(sheet.log_focal, *np.log(config.focal_range)))
+    if beyond:
+        total.add_prior(first, beyond / config.beyond_sigma, 1.0 / config.beyond_sigma)
+    total.add_prior(first + 2, sheet.distortion / config.distortion, 1.0 / config.distortion)
 
 
 def _by(weights: Float[np.ndarray, "m n"], vector: Float[np.ndarray, "m 3"]) -> Float[np.ndarray, "m k"]:
