@@ -31,6 +31,7 @@ from hybrid.rectify.sightings import (
     Displacement,
     Sightings,
     SplineConfig,
+    carried,
     fit_displacement,
     no_displacement,
 )
@@ -56,7 +57,7 @@ class RefineConfig:
     """A round that moves the film by less than this is the last, in film units."""
     settled_sheet: float = 1e-3
     """The same for the rounds from an unstretched sheet."""
-    line_rounds: int = 3
+    line_rounds: int = 2
     """Rounds in which lines are looked for where they have not been found: they show better in a straighter view."""
     max_move: float = 0.08
     """Largest displacement believed, in film units."""
@@ -69,11 +70,11 @@ class RefineConfig:
     sheet_blurs_px: tuple[float, ...] = (1.0, 1.0, 1.0)
     """Most rounds from the unstretched sheet that explains best what the last round saw, as CongealConfig.blurs_px."""
     as_good: tuple[float, float] = (1.15, 0.92)
-    """Their end counts if what is seen disagrees with it by less than this ratio, and its cells look at least so much
-    as alike."""
+    """Where their end is doubtful, it counts if what is seen disagrees with it by less than this ratio, and its cells
+    look at least so much as alike."""
     doubtful: float = 1.2
-    """Where held-out sightings disagree with the end by more than this, in their stated deviations, or no sheet
-    explains the print, the sheet that the edges alone tell is started from too."""
+    """An end is doubtful with which held-out sightings disagree by more than this, in their stated deviations. Then, and
+    where no sheet explains the print, the sheet that the edges alone tell is started from too."""
     no_worse: tuple[float, float] = (1.0, 1.0)
     """As ``as_good``, for what comes of that."""
     max_residual: float = 2.5
@@ -202,7 +203,7 @@ def _round(
     moved = float(np.abs(fit.displacement.values - displacement.values).max())
     attempts = (*progress.attempts, _Attempt(fit.displacement, evidence, fit.weights, fit.stiffness))
     least = config.settled_move if progress.sheet is None else config.settled_sheet
-    settled = number >= 2 and (moved < least or (progress.sheet is None and layout.is_enough))
+    settled = number >= 1 and (moved < least or (progress.sheet is None and layout.is_enough))
     return Progress(scene, outline, attempts, layout, settled, progress.sheet)
 
 
@@ -219,8 +220,11 @@ def unstretched(progress: Progress, blur_px: float, config: RefineConfig, clock:
     if sheet is None or sheet.backward.folds((33, 33)):
         return None
     layout = progress.layout.adjusted(attempt.evidence, sheet.constants)
+    if progress.sheet is None:
+        outline = find_outline(scene.photo, sheet.backward, config.outline_again)
+    else:
+        outline = tuple(carried(s, scene.coarse, sheet.backward) for s in progress.outline)
     scene = replace(scene, coarse=sheet.backward)
-    outline = find_outline(scene.photo, scene.coarse, config.outline_again)
     clock.lap("sheet")
     still = _Attempt(no_displacement(config.spline), tuple(Evidence(s) for s in outline))
     begun = Progress(scene, outline, (still,), layout, sheet=sheet)

@@ -29,7 +29,7 @@ class SheetConfig:
     """Knot intervals of the surface along each film axis: while it is far from its place, and at last."""
     steps: tuple[int, int, int] = (12, 8, 15)
     """Most Gauss-Newton steps on each, and with what is printed."""
-    settled: float = 3e-3
+    settled: float = 6e-3
     """Steps that lower the cost by less than this part are the last."""
     every: tuple[int, int] = (4, 2)
     """Of the points of an edge or a line, and of the cells' windows, one of so many counts: they are correlated."""
@@ -195,7 +195,7 @@ def slopes(intervals: int) -> tuple[Float[np.ndarray, "m n"], Float[np.ndarray, 
     return basis(places, intervals, 1, 0), basis(places, intervals, 0, 1)
 
 
-NODES = (9, 9)
+NODES = (6, 6)
 """Rows and columns of the film points at which the sheet is held near the network's map."""
 
 

@@ -96,7 +96,7 @@ def slid(
     place = np.empty((len(along), 2))
     place[rows, seen.across] = np.clip(known, 0.0, 1.0)
     place[rows, 1 - seen.across] = along
-    for _ in range(2):
+    for _ in range(1 if near else 2):
         points, by_uv = surface(sheet, place)
         now = project(sheet, points)
         by_uv = now.by_point @ by_uv  # (n, 2, 2): of x, y by u, v

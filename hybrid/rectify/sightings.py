@@ -119,6 +119,15 @@ class Displacement:
         return replace(sightings, seen=lifted)
 
 
+def carried(sightings: Sightings, before: BackwardMap, after: BackwardMap) -> Sightings:
+    """Sightings made through one map, as if they had been made through another that is near (Newton's method)."""
+    points, seen = before.photo_from_film(sightings.seen), sightings.seen.copy()
+    for _ in range(2):
+        apart = points - after.photo_from_film(seen)
+        seen += np.linalg.solve(after.jacobian(seen), apart[..., None])[..., 0]
+    return replace(sightings, seen=seen)
+
+
 @lru_cache(maxsize=4)
 def _rows_at_nodes(lattice: tuple[int, int], size: tuple[int, int]) -> Float[np.ndarray, "m n"]:
     """Weights of a spline's lattice values at the nodes of a map: the same few sizes come again and again."""
@@ -311,6 +320,7 @@ __all__ = [
     "DisplacementFit",
     "Sightings",
     "SplineConfig",
+    "carried",
     "fit_displacement",
     "group_noise",
     "no_displacement",
