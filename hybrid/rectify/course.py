@@ -73,8 +73,8 @@ class RefineConfig:
     """Where their end is doubtful, it counts if what is seen disagrees with it by less than this ratio, and its cells
     look at least so much as alike."""
     doubtful: float = 1.2
-    """An end is doubtful with which held-out sightings disagree by more than this, in their stated deviations. Then, and
-    where no sheet explains the print, the sheet that the edges alone tell is started from too."""
+    """An end is doubtful with which held-out sightings disagree by more than this, in their stated deviations. Then,
+    and where no sheet explains the print, the sheet that the edges alone tell is started from too."""
     no_worse: tuple[float, float] = (1.0, 1.0)
     """As ``as_good``, for what comes of that."""
     max_residual: float = 2.5
