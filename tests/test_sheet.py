@@ -1,13 +1,16 @@
 """The unstretched sheet: its edges in the photo tell where its inside is, and it is refused where none fits."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from hybrid.backward import BackwardMap, end_point_error
 from hybrid.coords import film_nodes
-from hybrid.rectify.sheet import SheetConfig
+from hybrid.rectify.sheet import Frame, Sheet, SheetConfig, flat_sheet, project, surface
 from hybrid.rectify.sheet_fit import fit_sheet, refit_sheet
-from hybrid.rectify.sightings import Sightings
+from hybrid.rectify.sheet_problem import Sum, add_strain, strain_curvature
+from hybrid.rectify.sightings import Sightings, carried
 
 CONFIG = SheetConfig()
 PHOTO = (1000, 1000)
@@ -81,6 +84,79 @@ def test_the_edges_of_a_flat_sheet_tell_its_inside_to_half_a_pixel():
     found = fit_sheet(coarse, PHOTO, edges_seen(true, coarse, np.random.default_rng(0), 0.1), CONFIG)
     assert found is not None
     assert error_px(found.backward, true) < FLAT_PX
+
+
+@pytest.mark.parametrize(("radius", "turn", "tilt"), [(1.2, 0, 10), (1.5, 30, -12), (1.0, 90, 8)])
+def test_the_usual_steps_end_where_many_more_do(radius, turn, tilt):
+    true = cylinder(radius, turn, tilt)
+    coarse = larger(true)
+    edges = edges_seen(true, coarse, np.random.default_rng(0), 0.1)
+    usual, long = (
+        fit_sheet(coarse, PHOTO, edges, config)
+        for config in (CONFIG, replace(CONFIG, steps=(200, 200, 200), settled=1e-6))
+    )
+    assert usual is not None
+    assert long is not None
+    assert usual.cost < 1.02 * long.cost
+
+
+class Residuals(Sum):
+    """Collects residuals and their derivatives instead of summing them."""
+
+    def __init__(self) -> None:
+        super().__init__(0, True)
+        self.residual: list[np.ndarray] = []
+        self.rows: list[np.ndarray] = []
+
+    def add(self, residual: np.ndarray, rows: np.ndarray | None, weight: np.ndarray | float = 1.0) -> None:
+        assert rows is not None
+        self.residual.append(residual)
+        self.rows.append(rows)
+
+
+def strain_of(sheet: Sheet) -> tuple[np.ndarray, np.ndarray]:
+    """All residuals of the strain, and their derivatives by all unknowns."""
+    found = Residuals()
+    add_strain(found, sheet, CONFIG)
+    return np.concatenate(found.residual), np.vstack(found.rows)
+
+
+def test_derivatives_of_strain_and_projection_are_those_of_differences():
+    rng = np.random.default_rng(2)
+    sheet = flat_sheet(cylinder(1e3, 0, 15), Frame.of(PHOTO), 4, 1.3)
+    sheet = replace(sheet, control=sheet.control + rng.normal(0, 0.02, sheet.control.shape), distortion=0.03)
+    step, h = rng.normal(0, 0.05, 3 * len(sheet.control) + 3), 1e-3
+    (before, _), (here, rows), (after, _) = (strain_of(sheet.moved(k * h * step)) for k in (-1, 0, 1))
+    assert (after - before) / (2 * h) == pytest.approx(rows @ step, rel=1e-4, abs=1e-3)
+    second = rows.T @ (after - 2 * here + before) / h**2
+    assert strain_curvature(sheet, step, CONFIG) == pytest.approx(second, rel=1e-3, abs=1e-3 * np.abs(second).max())
+
+    uv = rng.uniform(0, 1, (20, 2))
+    shown = project(sheet, surface(sheet, uv)[0])
+    for by, moved in (
+        (shown.by_focal, replace(sheet, log_focal=sheet.log_focal + 1e-5)),
+        (shown.by_lens, replace(sheet, distortion=sheet.distortion + 1e-5)),
+    ):
+        assert (project(moved, surface(moved, uv)[0]).point - shown.point) / 1e-5 == pytest.approx(
+            by, rel=1e-3, abs=1e-4
+        )
+
+
+def test_a_longer_lens_farther_away_shows_nearly_the_same():
+    sheet = flat_sheet(cylinder(1e3, 0, 15), Frame.of(PHOTO), 4, 1.3)
+    longer = replace(sheet, log_focal=sheet.log_focal + 0.3)
+    uv = film_nodes((9, 9)).reshape(-1, 2)
+    one, other = (project(x, surface(x, uv)[0]).point for x in (sheet, longer))
+    assert np.abs(one - other).max() < 0.03  # of a photo's side; it would be 0.15 with the focal length alone
+
+
+def test_sightings_that_are_carried_to_another_map_show_the_same_points():
+    true = cylinder(1.5, 30, -12)
+    before, after = larger(true), true
+    (edge, *_) = edges_seen(true, before, np.random.default_rng(0), 0.5)
+    moved = carried(edge, before, after)
+    assert after.photo_from_film(moved.seen) == pytest.approx(before.photo_from_film(edge.seen), abs=0.02)
+    assert (moved.known == edge.known).all()
 
 
 AMBIGUOUS = pytest.mark.xfail(strict=True, reason="several bent sheets have nearly these edges; another one is found")

@@ -66,7 +66,7 @@ class Problem:
             )
             rows = np.hstack([_rows(curves.weights, *parts), curves.pull[:, None] * self.seen.shared])
         total.add(residual, rows, tukey_weights(residual / curves.tolerance))
-        _add_strain(total, sheet, config)
+        add_strain(total, sheet, config)
         _add_bending(total, sheet, self.bending)
         _add_camera(total, sheet, config, config.focal_sigma[len(self.seen.along) > 0])
         for k, (constant, spread) in enumerate(zip(state.constants, self.seen.shared_sigma, strict=True)):
@@ -111,7 +111,7 @@ def _step(total: Sum, sheet: Sheet, damping: float, config: SheetConfig) -> Floa
     damped = total.matrix + damping * np.diag(np.diag(total.matrix))
     factor = cho_factor(damped, check_finite=False)
     first = -cho_solve(factor, total.right, check_finite=False)
-    second = -0.5 * cho_solve(factor, _strain_curvature(sheet, first, config), check_finite=False)
+    second = -0.5 * cho_solve(factor, strain_curvature(sheet, first, config), check_finite=False)
     n = 3 * len(sheet.control)
     ratio = float(np.linalg.norm(second[:n]) / max(np.linalg.norm(first[:n]), 1e-12))
     return first + second * min(1.0, MOST_BENT / max(ratio, 1e-12))
@@ -162,7 +162,7 @@ def _rows(
     return rows
 
 
-def _add_strain(total: Sum, sheet: Sheet, config: SheetConfig) -> None:
+def add_strain(total: Sum, sheet: Sheet, config: SheetConfig) -> None:
     """Residuals of the lengths of film along u and v, and of the right angle between them."""
     across, down = slopes(sheet.intervals)
     a, b, aspect = across @ sheet.control, down @ sheet.control, float(np.exp(sheet.log_aspect))
@@ -180,7 +180,7 @@ def _add_strain(total: Sum, sheet: Sheet, config: SheetConfig) -> None:
     total.add(shear, rows_s)
 
 
-def _strain_curvature(sheet: Sheet, step: Float[np.ndarray, " m"], config: SheetConfig) -> Float[np.ndarray, " m"]:
+def strain_curvature(sheet: Sheet, step: Float[np.ndarray, " m"], config: SheetConfig) -> Float[np.ndarray, " m"]:
     """Second derivatives of the strain's residuals along a step, times their first derivatives by all unknowns."""
     across, down = slopes(sheet.intervals)
     n, aspect = len(sheet.control), float(np.exp(sheet.log_aspect))
@@ -230,4 +230,4 @@ def _by(weights: Float[np.ndarray, "m n"], vector: Float[np.ndarray, "m 3"]) -> 
     return np.hstack([weights * vector[:, k : k + 1] for k in range(3)])
 
 
-__all__ = ["Problem", "State", "bending_cost", "minimised"]
+__all__ = ["Problem", "State", "Sum", "add_strain", "bending_cost", "minimised", "strain_curvature"]
