@@ -37,8 +37,7 @@ class RectifyConfig:
     exact: bool = True
     """Whether the network's map is made exact by what is seen of the film; else it is only searched for the grid."""
     again: bool = False
-    """Whether refinement is started again: from its own result, or, where that is not believed, from what the network
-    saw of each side apart. The result of the second time is taken where it explains the photo better."""
+    """Whether refinement is started from what the network saw of each side apart, too; the middle of all counts."""
     size: FilmSizeConfig = field(default_factory=FilmSizeConfig)
     resample: ResampleConfig = field(default_factory=ResampleConfig)
     upright: UprightConfig = field(default_factory=UprightConfig)
@@ -52,7 +51,7 @@ class RectifyConfig:
 
         fast: the network's map of one side as it is, unless the film is flat, and the photo read bilinearly; a film
         counts as flattened if it is right to 20 pixels of a photo of 1080. default: the options' own values. thorough:
-        more looks where they move the film, and refinement started again.
+        refinement from each side's map, too.
 
         Raises:
             ConfigError: there is no such effort.
@@ -65,7 +64,7 @@ class RectifyConfig:
                 trust=TrustConfig(limit_px=20.0, safety=0.8, exact=False),
             ),
             "default": RectifyConfig(),
-            "thorough": RectifyConfig(predict=PredictConfig(looks=5, settled=0.003), again=True),
+            "thorough": RectifyConfig(again=True),
         }
         if effort not in efforts:
             raise ConfigError(

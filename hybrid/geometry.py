@@ -17,6 +17,7 @@ from hybrid.learn.predict import look, look_from_sides
 from hybrid.learn.views import film_view, plane_of, whole_view
 from hybrid.pyramid import Photo, Pyramid
 from hybrid.records import CoarseMaps, StageReport
+from hybrid.rectify.consensus import geometric_median
 from hybrid.rectify.flat import already_flat
 from hybrid.rectify.glance import VIEW_PX, glance
 from hybrid.rectify.invert import Inversion, NotInverted, agreed, change, fit_backward
@@ -135,7 +136,7 @@ def shape_of(
 def _exact(
     pyramid: Pyramid, coarse: BackwardMap, sides: Sequence[Inversion], config: RectifyConfig, clock: Clock
 ) -> Refinement:
-    """The network's map made exact by what is seen of the film, and again where the effort says so."""
+    """The network's map made exact by what is seen of the film; where the effort says so, from each side's map too."""
     exactly = partial(_exactly, pyramid, config)
     first = exactly(coarse)
     clock.reports += first.stages
@@ -143,16 +144,10 @@ def _exact(
         report.ran, report.reason = config.again, "one refinement is enough in this effort"
         if not config.again:
             return first
-        if first.believed:
-            report.reason = "from its own result"
-            second = exactly(first.backward)
-            lost = first.grid is not None and second.grid is None
-            best = second if second.believed and not lost else first
-        else:
-            report.reason = f"from each of {len(sides)} sides"
-            best = min([first, *(exactly(side.backward) for side in sides)], key=_doubt)
-        report.reason += ": no better" if best is first else ": better"
-    return best
+        found = [first, *(exactly(side.backward) for side in sides)]
+        believed = [one for one in found if one.believed]
+        report.reason = f"from each of {len(sides)} sides: the middle of {len(believed)} that are believed"
+        return middle(believed) if believed else first
 
 
 def flat_itself(
@@ -206,6 +201,16 @@ def _on_copy(
     return replace(found, backward=found.backward.cropped((0.0, 0.0), up), grid=grid, expected_px=left)
 
 
-def _doubt(refinement: Refinement) -> float:
-    """The error (px) that is expected to be left; infinite where nothing was believed."""
-    return np.inf if refinement.expected_px is None else refinement.expected_px
+def middle(refinements: Sequence[Refinement]) -> Refinement:
+    """The map on which refinements from several maps agree (their geometric median), with the evidence of the nearest.
+
+    What leads each of them astray a little is another thing for each: their middle is more exact than most of them.
+    """
+    rows, columns = refinements[0].backward.nodes.shape[:2]
+    nodes = np.stack([one.backward.resized((rows, columns)).nodes for one in refinements])
+    between = geometric_median(nodes)
+    nearest = refinements[int(np.argmin(np.square(nodes - between).sum(axis=(1, 2, 3))))]
+    backward, grid = BackwardMap(between), nearest.grid
+    if grid is not None:
+        grid = replace(grid, vertices_photo=backward.photo_from_film(grid.vertices))
+    return replace(nearest, backward=backward, grid=grid)

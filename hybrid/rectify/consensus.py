@@ -1,4 +1,4 @@
-"""Where several photos of one film together say that its print lies, better than each of them."""
+"""What several maps of one film agree on, from one photo or from several: more exact than most of them."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def to_common(shifts: Sequence[Float[np.ndarray, "gh gw 2"]]) -> list[Float[np.n
     where they place a point of the print errs less than each of them. It is the geometric median of the fields: of
     three photos one may be far off.
     """
-    middle = _geometric_median(np.stack(shifts))
+    middle = geometric_median(np.stack(shifts))
     nodes = film_nodes(middle.shape[:2])
     back = -middle
     for _ in range(3):  # the first film's point that lies in the middle at a node; the fields are smooth and small
@@ -31,7 +31,7 @@ def to_common(shifts: Sequence[Float[np.ndarray, "gh gw 2"]]) -> list[Float[np.n
     return [back + _between(shift, nodes + back) for shift in shifts]
 
 
-def _geometric_median(fields: Float[np.ndarray, "n gh gw 2"]) -> Float[np.ndarray, "gh gw 2"]:
+def geometric_median(fields: Float[np.ndarray, "n gh gw 2"]) -> Float[np.ndarray, "gh gw 2"]:
     """The field with the least sum of distances (root mean square) to all (Weiszfeld 1937); of two, their mean."""
     middle = fields.mean(axis=0)
     if len(fields) == 2:
@@ -48,4 +48,4 @@ def _between(field: Float[np.ndarray, "gh gw 2"], uv: Float[np.ndarray, "*n 2"])
     return BackwardMap(field).photo_from_film(uv)
 
 
-__all__ = ["read_beside", "to_common"]
+__all__ = ["geometric_median", "read_beside", "to_common"]

@@ -106,7 +106,7 @@ def _step(total: Sum, sheet: Sheet, damping: float, config: SheetConfig) -> Floa
 
     A sheet that is bent along a straight line of coefficients stretches with the square of the step; a second-order
     term takes that back (geodesic acceleration: Transtrum and Sethna 2012, "Improvements to the Levenberg-Marquardt
-    algorithm for nonlinear least-squares minimization", equation 13), of the strain alone, where it counts most.
+    algorithm for nonlinear least-squares minimization"), of the strain alone, where it counts most.
     """
     damped = total.matrix + damping * np.diag(np.diag(total.matrix))
     factor = cho_factor(damped, check_finite=False)
