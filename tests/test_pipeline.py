@@ -10,10 +10,13 @@ from test_plane import flat_photo, plane_map
 
 import hybrid
 from data_gen.sample import SampleConfig, film_samples
-from hybrid.backward import Orientation, end_point_error, film_as_seen
+from hybrid.backward import BackwardMap, Orientation, end_point_error, film_as_seen
+from hybrid.coords import film_nodes
 from hybrid.errors import ConfigError, DataError, PhotoError
+from hybrid.geometry import middle
 from hybrid.pipeline import Effort, Rectifier, RectifyConfig
-from hybrid.records import StatusCode
+from hybrid.records import SliceGrid, StatusCode
+from hybrid.rectify.refine import Refinement
 
 EXAMPLE = Path(hybrid.__file__).parent / "examples" / "film.jpg"
 
@@ -68,6 +71,19 @@ def test_efforts_differ_in_what_runs(photo, result):
     far = np.linalg.norm(thorough.backward.nodes - result.backward.nodes, axis=-1).mean()
     near = np.linalg.norm(fast.backward.resized(result.backward.nodes.shape[:2]).nodes - result.backward.nodes, axis=-1)
     assert far < near.mean()
+
+
+def test_the_middle_of_refinements_leaves_out_the_one_that_is_far_off():
+    true, vertices = film_nodes((33, 33)) * [400.0, 500.0], film_nodes((4, 5))
+    refinements = [
+        Refinement(BackwardMap(true + off), SliceGrid(3, 4, vertices, vertices * 500.0, 1.0), (), expected_px=off)
+        for off in (1.0, -1.0, 60.0)
+    ]
+    found = middle(refinements)
+    assert np.abs(found.backward.nodes - true).max() < 1.01
+    assert found.expected_px in (1.0, -1.0)
+    assert found.grid is not None
+    assert found.grid.vertices_photo == pytest.approx(found.backward.photo_from_film(vertices))
 
 
 def test_the_efforts_are_those_of_the_type_and_no_other():
