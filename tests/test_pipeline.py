@@ -52,6 +52,13 @@ def test_the_example_is_flattened(result, photo):
     assert nodes.max() < 1.1 * max(photo.shape)
 
 
+def test_the_corners_of_the_example_are_where_they_are_seen(result):
+    """As read off the photo, to a few of its 1,400 pixels: a sheet that is bent too sharply there rounds them off."""
+    seen = np.array([[338.0, 319.0], [1291.0, 487.0], [148.0, 1125.0], [1192.0, 1322.0]])
+    corners = result.backward.photo_from_film(np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]]))
+    assert np.linalg.norm(corners - seen, axis=1).max() < 5.0
+
+
 def test_every_stage_reports(result):
     names = [stage.name for stage in result.stages]
     geometry = "network check plane sides outline grid sheet spline again flat verdict"

@@ -70,11 +70,11 @@ class RefineConfig:
     sheet_blurs_px: tuple[float, ...] = (1.0, 1.0, 1.0)
     """Most rounds from the unstretched sheet that explains best what the last round saw, as CongealConfig.blurs_px."""
     as_good: tuple[float, float] = (1.15, 0.92)
-    """Where their end is doubtful, it counts if what is seen disagrees with it by less than this ratio, and its cells
-    look at least so much as alike."""
+    """Their end counts if what is seen disagrees with it by less than this ratio, and its cells look at least so much
+    as alike."""
     doubtful: float = 1.2
-    """An end is doubtful with which held-out sightings disagree by more than this, in their stated deviations. Then,
-    and where no sheet explains the print, the sheet that the edges alone tell is started from too."""
+    """Where held-out sightings disagree with the end by more than this, in their stated deviations, or no sheet
+    explains the print, the sheet that the edges alone tell is started from too."""
     no_worse: tuple[float, float] = (1.0, 1.0)
     """As ``as_good``, for what comes of that."""
     max_residual: float = 2.5

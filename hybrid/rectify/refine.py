@@ -142,10 +142,7 @@ def _course(begun: Progress, config: RefineConfig, clock: Clock) -> Course | Non
         sheet = unstretched(sheet, blur_px, config, clock)
         if sheet is None or sheet.settled:
             break
-    course = sheet and ended(sheet, config, clock)
-    if course is not None and course.believed and course.after <= config.doubtful:
-        return course
-    return _better(ended(progress, config, clock), course, config.as_good, clock)
+    return _better(ended(progress, config, clock), sheet and ended(sheet, config, clock), config.as_good, clock)
 
 
 def _better(one: Course | None, other: Course | None, asked: tuple[float, float], clock: Clock) -> Course | None:

@@ -44,10 +44,10 @@ class SheetConfig:
     bending: tuple[float, float] = (250.0, 25.0)
     """Weight of the mean squared second derivatives, in units of the film's height: of most films, and of those that
     are bent sharply."""
-    bent: float = 3.0
-    """Cost of bending from which on the lower weight is tried."""
-    sharper: float = 6.0
-    """It counts if the cost falls by this much: so much likelier films of the first kind are, with six ways to bend."""
+    bent_share: float = 0.25
+    """The lower weight is tried where bending makes more than this part of the cost."""
+    sharper: float = 0.6
+    """It counts if the cost is less than this part then."""
     focal: float = 1.1
     """Usual focal length of a phone, in sides of the photo."""
     focal_sigma: tuple[float, float] = (0.1, 0.5)

@@ -94,10 +94,10 @@ def _as_bent_as_needed(problem: Problem, start: State, steps: int) -> tuple[Stat
     """The sheet found with the lower weight of bending, and the problem with that weight, if it is worth it."""
     config = problem.config
     state = minimised(problem, start, steps)
-    if bending_cost(state.sheet, problem.bending) > config.bent:
+    if bending_cost(state.sheet, problem.bending) > config.bent_share * state.cost:
         softer = replace(problem, bending=config.bending[1])
         sharper = minimised(softer, state, steps)
-        if sharper.cost < state.cost - config.sharper:
+        if sharper.cost < config.sharper * state.cost:
             return sharper, softer
     return state, problem
 
