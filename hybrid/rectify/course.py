@@ -67,8 +67,8 @@ class RefineConfig:
     """Sightings of this robust weight and more count for the sheet that is fitted at last."""
     sheet_prior_px: float = 5.0
     """As SplineConfig.prior_px, for the displacement of that sheet."""
-    sheet_blurs_px: tuple[float, ...] = (1.0, 1.0, 1.0)
-    """Most rounds from the unstretched sheet that explains best what the last round saw, as CongealConfig.blurs_px."""
+    sheet_rounds: int = 3
+    """Most rounds from the unstretched sheet that explains best what the last round saw."""
     as_good: tuple[float, float] = (1.15, 0.92)
     """Their end counts if what is seen disagrees with it by less than this ratio, and its cells look at least so much
     as alike."""
@@ -207,7 +207,7 @@ def _round(
     return Progress(scene, outline, attempts, layout, settled, progress.sheet)
 
 
-def unstretched(progress: Progress, blur_px: float, config: RefineConfig, clock: Clock) -> Progress | None:
+def unstretched(progress: Progress, config: RefineConfig, clock: Clock) -> Progress | None:
     """One more round, from the map of the unstretched sheet that explains best what the last round saw; None where
     there is none."""
     attempt, scene = progress.attempts[-1], progress.scene
@@ -228,7 +228,7 @@ def unstretched(progress: Progress, blur_px: float, config: RefineConfig, clock:
     clock.lap("sheet")
     still = _Attempt(no_displacement(config.spline), tuple(Evidence(s) for s in outline))
     begun = Progress(scene, outline, (still,), layout, sheet=sheet)
-    return _round(begun, config.line_rounds, _registering(blur_px, config), config, clock)
+    return _round(begun, config.line_rounds, _matchers(config)[-1], config, clock)
 
 
 def ended(progress: Progress, config: RefineConfig, clock: Clock) -> Course:
@@ -254,12 +254,7 @@ def _matchers(config: RefineConfig) -> list[Callable[..., tuple[Sightings, ...]]
     """How cells are matched, round for round: ever less far and ever more exactly."""
     far = partial(match_to_one_cell, search=config.repeat.first, config=config.repeat)
     nearer = partial(match_cells, search=config.repeat.second, config=config.repeat)
-    return [far, nearer, *(_registering(blur_px, config) for blur_px in config.congeal.blurs_px)]
-
-
-def _registering(blur_px: float, config: RefineConfig) -> Callable[..., tuple[Sightings, ...]]:
-    """Cells matched to their template, details below a size smoothed away."""
-    return partial(register_cells, blur_px=blur_px, config=config.congeal)
+    return [far, nearer, *(partial(register_cells, blur_px=b, config=config.congeal) for b in config.congeal.blurs_px)]
 
 
 def _observe_print(

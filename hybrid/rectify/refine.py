@@ -138,8 +138,8 @@ def _course(begun: Progress, config: RefineConfig, clock: Clock) -> Course | Non
     if progress is None:
         return None
     sheet: Progress | None = progress
-    for blur_px in config.sheet_blurs_px:
-        sheet = unstretched(sheet, blur_px, config, clock)
+    for _ in range(config.sheet_rounds):
+        sheet = unstretched(sheet, config, clock)
         if sheet is None or sheet.settled:
             break
     return _better(ended(progress, config, clock), sheet and ended(sheet, config, clock), config.as_good, clock)
