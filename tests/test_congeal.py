@@ -1,5 +1,7 @@
 """Cells registered to their template: shifts come back, what is covered does not count, anatomy counts little."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -39,6 +41,37 @@ def test_one_step_finds_the_shift_of_a_dim_cell():
     assert shifts.good.mean() > 0.9
     assert np.abs(np.median(inner[4], axis=(0, 1)) - [0.4, -0.3]).max() < STEP
     assert np.abs(np.median(np.delete(inner, 4, axis=0), axis=(0, 1, 2))).max() < 0.05
+
+
+def print_of_cells(rng: np.random.Generator, spread: float) -> tuple[FilmView, np.ndarray]:
+    """A film of 4 x 4 cells that show the same letters, each beside its place; and by how much (x, y), in pixels."""
+    letters = np.zeros((SIDE, SIDE), np.uint8)
+    for row in range(3):
+        cv2.putText(letters, "IMA 41 SE7", (4, 24 + 28 * row), cv2.FONT_HERSHEY_SIMPLEX, 0.5, 90, 1, cv2.LINE_AA)
+    by = rng.uniform(-spread, spread, (16, 2))
+    cells = [moved(letters.astype(np.float32), xy) for xy in by]
+    film = np.vstack([np.hstack(cells[4 * row : 4 * row + 4]) for row in range(4)])[..., None]
+    at = film_centres_1d(4 * SIDE)
+    return FilmView(film + rng.normal(0, 1.0, film.shape).astype(np.float32), at, at, np.ones(film.shape[:2], bool)), by
+
+
+def test_later_steps_find_what_the_first_template_blurs():
+    """Letters that lie two strokes apart."""
+    view, by = print_of_cells(np.random.default_rng(5), 1.6)
+    columns, rows = Repeats(0, 0.0, 0.25, 4, 1.0), Repeats(1, 0.0, 0.25, 4, 1.0)
+
+    def error(steps: int) -> float:
+        apart = []
+        for s in register_cells(view, columns, rows, 1.0, replace(CONFIG, steps=steps)):
+            cell = np.floor(4.0 * s.places()).astype(int) @ [1, 4]
+            shift = 4.0 * SIDE * s.offsets()
+            found = np.array([np.median(shift[cell == k]) for k in range(16)])
+            apart.append((found - found.mean()) - (by[:, s.axis] - by[:, s.axis].mean()))
+        assert len(apart) == 2
+        return float(np.sqrt(np.mean(np.square(apart))))
+
+    assert error(2) < 0.6 * error(1)
+    assert error(4) < 0.15
 
 
 def test_a_covered_or_empty_cell_does_not_count():

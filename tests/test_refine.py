@@ -36,7 +36,9 @@ def test_one_sided_sightings_give_back_a_smooth_displacement_despite_outliers():
     sightings[0].seen[::7, 0] += 0.05
     uv = rng.uniform(0.05, 0.95, (100, 2))
     found = fit_displacement(sightings, SplineConfig()).displacement(uv) - uv
-    assert np.abs(found - wanted(uv)[:, None]).max() < 1e-3
+    apart = np.abs(found - wanted(uv)[:, None])
+    assert np.median(apart) < 5e-5
+    assert apart.max() < 1.5e-3
 
 
 def test_an_axis_without_sightings_stays_where_it_is():

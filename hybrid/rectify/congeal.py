@@ -2,9 +2,11 @@
 
 Corner texts, scale bars, tables and rules are the same in every cell; anatomy is not. Over all cells each pixel has a
 median, the template, and a spread. Blocks of each cell are shifted onto the template by least squares (Lucas & Kanade
-1981), pixels weighted by one over the squared spread: what all cells share counts, what differs does not. A shift says
-where a block's content lies against the other cells; what all cells have in common stays an unknown smooth function of
-the place in the cell, and the pitch is unknown too: the sheet's outline has to pin them.
+1981), pixels weighted by one over the squared spread: what all cells share counts, what differs does not. The template
+is made anew of the shifted blocks and they are shifted once more, as the median of texts that lie beside one another
+is a blur, on which no shift shows. A shift says where a block's content lies against the other cells; what all cells
+have in common stays an unknown smooth function of the place in the cell, and the pitch is unknown too: the sheet's
+outline has to pin them.
 """
 
 from __future__ import annotations
@@ -18,7 +20,7 @@ from jaxtyping import Bool, Float, Int
 
 from hybrid.coords import centres_1d
 from hybrid.rectify.film_view import FilmView
-from hybrid.rectify.repeat import Repeats, cell_image, detail, shrunk
+from hybrid.rectify.repeat import Repeats, detail, shrunk
 from hybrid.rectify.sightings import Sightings
 from hybrid.rectify.tps import MAD_TO_SIGMA
 
@@ -30,6 +32,11 @@ class CongealConfig:
     blurs_px: tuple[float, ...] = (3.0, 2.0, 1.5, 1.0, 1.0)
     """One round each: details below this size, in pixels of the view, are smoothed away. Coarse reaches far, fine is
     exact."""
+    light: tuple[float, float] = (2.0, 2.0)
+    """Scales above ``light[0]`` blurs and ``light[1]`` pixels of the view are light: strokes of letters are finer than
+    the edges of bones, which differ from cell to cell."""
+    steps: int = 2
+    """Least-squares steps of a round, each against a template of what the last one shifted."""
     block_px: float = 24.0
     """About the side of a block, in pixels of the view."""
     min_cells: int = 4
@@ -91,13 +98,52 @@ def register_cells(
         return ()
     shrink = 2 if blur_px >= config.shrink_blur_px else 1
     config = config.shrunk(shrink)
-    blur_px, light_px = blur_px / shrink, (4.0 * blur_px + 4.0) / shrink
+    blur_px, light_px = blur_px / shrink, (config.light[0] * blur_px + config.light[1]) / shrink
     image = detail(shrunk(view.image[..., 0], shrink), blur_px, light_px)
-    number = [(j, i) for i in range(rows.cells) for j in range(columns.cells)]
-    cells = np.stack([cell_image(image, columns, rows, j, i) for j, i in number])
-    shifts = block_shifts(cells, blur_px, config)
-    found = (_sightings(shifts, np.array(number), axis, (columns, rows), image.shape, config) for axis in (0, 1))
+    number = np.array([(j, i) for i in range(rows.cells) for j in range(columns.cells)])
+    shifts = _settled_shifts(image, columns, rows, number, blur_px, config)
+    found = (_sightings(shifts, number, axis, (columns, rows), image.shape, config) for axis in (0, 1))
     return tuple(s for s in found if s is not None)
+
+
+def _settled_shifts(
+    image: Float[np.ndarray, "h w"],
+    columns: Repeats,
+    rows: Repeats,
+    number: Int[np.ndarray, "n 2"],
+    blur_px: float,
+    config: CongealConfig,
+) -> _Shifts:
+    """Shifts of the blocks of all cells after all steps. number: (column, row) of each cell."""
+    h, w = image.shape
+    pitch, first = np.array([columns.pitch, rows.pitch]), np.array([columns.first, rows.first])
+    size = np.maximum(8, np.rint(pitch * (w, h)).astype(int))
+    corners = (first + (number + 0.5) * pitch) * (w, h) - 0.5 * size
+    wide, tall = (_block_edges(n, config.block_px) for n in size.tolist())
+    edges = tall, wide
+    shift = np.zeros((len(number), len(edges[0]) - 1, len(edges[1]) - 1, 2))
+    for _ in range(config.steps):
+        found = block_shifts(_shifted_cells(image, corners, edges, shift), blur_px, config)
+        shift += np.where(found.good[..., None], found.shift, 0.0)
+    return replace(found, shift=shift)
+
+
+def _shifted_cells(
+    image: Float[np.ndarray, "h w"],
+    corners: Float[np.ndarray, "n 2"],
+    edges: tuple[Int[np.ndarray, " k"], Int[np.ndarray, " l"]],
+    shift: Float[np.ndarray, "n by bx 2"],
+) -> Float[np.ndarray, "n ch cw"]:
+    """The cells with corners (x, y), in OpenCV's pixels, each block read from where ``shift`` has it."""
+    tall, wide = (np.diff(e) for e in edges)
+    across, down = np.arange(edges[1][-1]), np.arange(edges[0][-1])
+    x = (shift[..., 0].repeat(wide, axis=2) + (corners[:, 0, None, None] + across)).astype(np.float32)
+    y = shift[..., 1].repeat(tall, axis=1) + (corners[:, 1, None, None] + down[:, None])
+    y = y.astype(np.float32).repeat(wide, axis=2)
+    x = x.repeat(tall, axis=1)
+    n, ch, cw = x.shape
+    flat = (x.reshape(n * ch, cw), y.reshape(n * ch, cw))
+    return cv2.remap(image, *flat, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE).reshape(n, ch, cw)
 
 
 def block_shifts(cells: Float[np.ndarray, "n ch cw"], blur_px: float, config: CongealConfig) -> _Shifts:

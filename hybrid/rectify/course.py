@@ -69,7 +69,7 @@ class RefineConfig:
     """As SplineConfig.prior_px, for the displacement of that sheet."""
     sheet_rounds: int = 3
     """Most rounds from the unstretched sheet that explains best what the last round saw."""
-    as_good: tuple[float, float] = (1.15, 0.92)
+    as_good: tuple[float, float] = (2.0, 0.85)
     """Their end counts if what is seen disagrees with it by less than this ratio, and its cells look at least so much
     as alike."""
     doubtful: float = 1.2

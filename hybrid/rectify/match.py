@@ -169,7 +169,7 @@ def _match_sightings(
     number = t[:, 3 + axis]
     shared = np.column_stack([member, number - number.mean()])
     shared_sigma = np.append(np.full(len(windows), config.constant_sigma), config.pitch_sigma)
-    return Sightings(axis, seen, t[:, axis].copy(), sigma_px / pixels, shared, shared_sigma)
+    return Sightings(axis, seen, t[:, axis].copy(), sigma_px / pixels, shared, shared_sigma, t[:, 2].astype(int))
 
 
 __all__ = ["match_cells", "match_peaks", "match_to_one_cell"]

@@ -53,9 +53,9 @@ class RepeatConfig:
     """Least autocorrelation of the film at one pitch."""
     octave_ratio: float = 0.7
     """Of the pitches that correlate at least this well relative to the best, the smallest counts."""
-    first: MatchRound = MatchRound(9, 1.5, 0.22, 0.0, 2.0, 16, 1.0)
+    first: MatchRound = MatchRound(9, 1.5, 0.22, 0.0, 0.7, 30, 1.0)
     """What is done in the first round, against one cell."""
-    second: MatchRound = MatchRound(8, 1.5, 0.25, 1.0, 1.5, 12, 0.3)
+    second: MatchRound = MatchRound(8, 1.5, 0.25, 1.0, 0.5, 30, 0.3)
     """What is done in the second round, against the mean cell; then the cells are registered (congeal.py)."""
     min_match: float = 0.6
     """Least normalised correlation of a window with the mean cell."""

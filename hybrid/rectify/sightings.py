@@ -237,11 +237,14 @@ def _assemble(sightings: Sequence[Sightings], lattice: LatticeSpline) -> _System
 
 
 def _solve_robust(system: _System, config: SplineConfig) -> tuple[np.ndarray, np.ndarray, float]:
-    """Unknowns, weights and stiffness: Tukey's biweight with a tolerance that falls, stiffness by evidence."""
+    """Unknowns, weights and stiffness: Tukey's biweight with a tolerance that falls, stiffness by evidence.
+
+    It begins as stiff as can be: only then does the noise of what differs from cell to cell show, and is not followed.
+    """
     low, high, count = config.stiffness
     candidates = np.geomspace(low, high, count)
     weights = np.ones(len(system.right))
-    stiffness = float(candidates[count // 2])
+    stiffness = float(candidates[-1])
     noise = max(1.0, MAD_TO_SIGMA * float(np.median(np.abs(system.right) / system.sigma)))
     solution = np.zeros(system.rows.shape[1])
     sigma = system.sigma
@@ -250,12 +253,11 @@ def _solve_robust(system: _System, config: SplineConfig) -> tuple[np.ndarray, np
         whitened = system.rows * np.sqrt(scaled)[:, None]
         data = whitened.T @ whitened  # of one matrix with itself only half is computed
         right = system.rows.T @ (scaled * system.right)
-        if step == 1 and count > 1:
+        if 0 < step < config.reweightings - 1 and count > 1:
             stiffness = max(candidates.tolist(), key=lambda c: _log_evidence(system, data, right, c, config))
         solution, _ = _solve(system.posterior(data, stiffness, config), right)
         residual = system.rows @ solution - system.right
-        if step >= 1:
-            sigma = group_noise(system.sigma, system.group, residual)
+        sigma = group_noise(system.sigma, system.group, residual)
         residual = residual / sigma
         spread = MAD_TO_SIGMA * float(np.median(np.abs(residual)))
         noise = max(1.0, min(0.5 * noise, 1.5 * spread))
