@@ -253,7 +253,7 @@ def _solve_robust(system: _System, config: SplineConfig) -> tuple[np.ndarray, np
         whitened = system.rows * np.sqrt(scaled)[:, None]
         data = whitened.T @ whitened  # of one matrix with itself only half is computed
         right = system.rows.T @ (scaled * system.right)
-        if 0 < step < config.reweightings - 1 and count > 1:
+        if step % 2 == 1 and count > 1:
             stiffness = max(candidates.tolist(), key=lambda c: _log_evidence(system, data, right, c, config))
         solution, _ = _solve(system.posterior(data, stiffness, config), right)
         residual = system.rows @ solution - system.right
