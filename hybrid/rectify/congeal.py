@@ -29,7 +29,7 @@ from hybrid.rectify.tps import MAD_TO_SIGMA
 class CongealConfig:
     """Options of the registration of cells to their template."""
 
-    blurs_px: tuple[float, ...] = (3.0, 2.0, 1.5, 1.0, 1.0)
+    blurs_px: tuple[float, ...] = (2.0, 1.0)
     """One round each: details below this size, in pixels of the view, are smoothed away. Coarse reaches far, fine is
     exact."""
     light: tuple[float, float] = (2.0, 2.0)
