@@ -37,7 +37,8 @@ class RectifyConfig:
     exact: bool = True
     """Whether the network's map is made exact by what is seen of the film; else it is only searched for the grid."""
     again: bool = False
-    """Whether refinement is started from what the network saw of each side apart, too; the middle of all counts."""
+    """Whether refinement is started from what the network saw of each side apart, too; the middle of the
+    surest counts."""
     size: FilmSizeConfig = field(default_factory=FilmSizeConfig)
     resample: ResampleConfig = field(default_factory=ResampleConfig)
     upright: UprightConfig = field(default_factory=UprightConfig)

@@ -29,6 +29,9 @@ from hybrid.rectify.trust import expected_error_px, film_verdict, signs_of
 NETWORK_ERROR = 0.008
 """Median error of the network's map, in parts of the film's size."""
 
+AS_SURE = 1.6
+"""A refinement that expects more than this times the least error of all does not count for their middle."""
+
 
 @dataclass
 class Report:
@@ -145,9 +148,9 @@ def _exact(
         if not config.again:
             return first
         found = [first, *(exactly(side.backward) for side in sides)]
-        believed = [one for one in found if one.believed]
-        report.reason = f"from each of {len(sides)} sides: the middle of {len(believed)} that are believed"
-        return middle(believed) if believed else first
+        surest = as_sure(found)
+        report.reason = f"from each of {len(sides)} sides: the middle of the {len(surest)} that are surest"
+        return middle(surest) if surest else first
 
 
 def flat_itself(
@@ -199,6 +202,13 @@ def _on_copy(
     grid = found.grid and replace(found.grid, vertices_photo=found.grid.vertices_photo * np.array(up))
     left = None if found.expected_px is None else found.expected_px * up[0]
     return replace(found, backward=found.backward.cropped((0.0, 0.0), up), grid=grid, expected_px=left)
+
+
+def as_sure(refinements: Sequence[Refinement]) -> list[Refinement]:
+    """Those that are believed and expect hardly more error than the surest: most of what went astray shows it."""
+    expected = [one.expected_px for one in refinements if one.expected_px is not None]
+    most = AS_SURE * min(expected, default=0.0)
+    return [one for one in refinements if one.expected_px is not None and one.expected_px <= most]
 
 
 def middle(refinements: Sequence[Refinement]) -> Refinement:

@@ -13,7 +13,7 @@ from data_gen.sample import SampleConfig, film_samples
 from hybrid.backward import BackwardMap, Orientation, end_point_error, film_as_seen
 from hybrid.coords import film_nodes
 from hybrid.errors import ConfigError, DataError, PhotoError
-from hybrid.geometry import middle
+from hybrid.geometry import AS_SURE, as_sure, middle
 from hybrid.pipeline import Effort, Rectifier, RectifyConfig
 from hybrid.records import SliceGrid, StatusCode
 from hybrid.rectify.refine import Refinement
@@ -91,6 +91,14 @@ def test_the_middle_of_refinements_leaves_out_the_one_that_is_far_off():
     assert found.expected_px in (1.0, -1.0)
     assert found.grid is not None
     assert found.grid.vertices_photo == pytest.approx(found.backward.photo_from_film(vertices))
+
+
+def test_refinements_that_are_far_less_sure_than_the_best_do_not_count():
+    nodes = BackwardMap(film_nodes((33, 33)) * 400.0)
+    expected = [2.0, None, 1.99 * AS_SURE, 2.01 * AS_SURE, 2.1]
+    refinements = [Refinement(nodes, None, (), expected_px=px) for px in expected]
+    assert [one.expected_px for one in as_sure(refinements)] == [2.0, 1.99 * AS_SURE, 2.1]
+    assert as_sure([Refinement(nodes, None, ())]) == []
 
 
 def test_the_efforts_are_those_of_the_type_and_no_other():
