@@ -33,6 +33,7 @@ def test_a_film_that_all_signs_speak_for_is_flattened() -> None:
     [
         ({"grid": False}, "no grid seen"),
         ({"edges": 2}, "2 of 4 edges seen"),
+        ({"levels": 13.0}, "only 13 of 255 grey levels"),
         ({"corrected": False}, "not corrected"),
         ({"alike": 0.05}, "cells are not alike"),
         ({"overlap_before": 0.8, "overlap_after": 0.8, "alike": 0.3}, "more than 1.4 px"),

@@ -75,9 +75,7 @@ def survey_photo(photo: UInt8[np.ndarray, "H W 3"], config: SurveyConfig | None 
     height, width = photo.shape[:2]
     if min(height, width) < config.min_side_px:
         return Verdict(StatusCode.TOO_SMALL, f"{width} x {height} pixels; {config.min_side_px} a side are needed")
-    step = max(min(height, width) // 256, 1)
-    low, high = np.percentile(photo[::step, ::step], [0.5, 99.5], axis=(0, 1))
-    spread = float((high - low).max())
+    spread = grey_spread(photo)
     if spread < config.blank_spread:
         return Verdict(StatusCode.BLANK, f"99 % of the pixels lie within {spread:.0f} of 255 grey levels")
     return Verdict(StatusCode.OK, f"{width} x {height} pixels over {spread:.0f} of 255 grey levels")
@@ -109,6 +107,14 @@ def survey_maps(maps: CoarseMaps, inversion: Inversion | NotInverted, config: Su
     if failed:
         return Verdict(StatusCode.NO_FILM, evidence)
     return _shape_verdict(inversion.backward, evidence, config)
+
+
+def grey_spread(photo: UInt8[np.ndarray, "H W 3"]) -> float:
+    """Of how many grey levels (0 to 255) a photo makes use: the range of 99 % of its pixels, in the colour that has
+    most."""
+    step = max(min(photo.shape[:2]) // 256, 1)
+    low, high = np.percentile(photo[::step, ::step], [0.5, 99.5], axis=(0, 1))
+    return float((high - low).max())
 
 
 def survey_print(

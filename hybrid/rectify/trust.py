@@ -3,7 +3,7 @@
 Nothing here was used to make the map. The network looks once more, at the film as a plane sheet would be flattened by
 the finished map: what it now sees as film must fill the sheet. Cells must be alike, about as wide as they are high,
 and what was seen of edges and print must agree. A regression over photos with truth turns these signs into an error.
-Four signs are musts: without them, photos exist on which all the others speak for a map that is wrong.
+Five signs are musts: without them, photos exist on which all the others speak for a map that is wrong.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from hybrid.records import CoarseMaps, SliceGrid, StatusCode
 from hybrid.rectify.film_view import view_film
 from hybrid.rectify.refine import Refinement
 from hybrid.rectify.repeat import Repeats, cell_agreement
-from hybrid.rectify.survey import Verdict, mask_overlap
+from hybrid.rectify.survey import Verdict, grey_spread, mask_overlap
 
 REFERENCE_PX = 1080
 """Longer side of the photos that limits in pixels are stated for."""
@@ -56,6 +56,8 @@ class TrustConfig:
     """Least number of the sheet's edges that are seen: what only repeats tells neither place nor size."""
     min_alike: float = 0.12
     """Least agreement of the cells: noise repeats by chance, too."""
+    min_levels: float = 20.0
+    """Least number of grey levels that the photo makes use of: over fewer, gutters look like the sheet's edges."""
     constant: float = -0.07
     overlap_before: float = 0.11
     overlap_after: float = 0.41
@@ -81,6 +83,7 @@ class Signs:
     film_px, photo_px: side of a square of the film's area in the photo, and the photo's longer side.
     flat: whether the photo was found to be the flat film itself; nothing else counts then.
     stated: the error that refinement itself expects, in parts of the film's size.
+    levels: number of grey levels, of 255, that the photo makes use of.
     """
 
     overlap_before: float
@@ -96,6 +99,7 @@ class Signs:
     photo_px: int
     flat: bool = False
     stated: float = UNKNOWN_STATED
+    levels: float = 255.0
 
 
 def signs_of(
@@ -128,6 +132,7 @@ def signs_of(
         photo_px=max(pyramid.photo.shape[:2]),
         flat=flat,
         stated=UNKNOWN_STATED if refinement.expected_px is None else refinement.expected_px / max(film_px, 1e-9),
+        levels=grey_spread(pyramid.photo),
     )
 
 
@@ -161,6 +166,7 @@ def film_verdict(signs: Signs, config: TrustConfig | None = None) -> Verdict:
         for text, doubtful in (
             (f"{signs.edges} of 4 edges seen", config.exact and signs.edges < config.min_edges),
             ("no grid seen", not signs.grid),
+            (f"only {signs.levels:.0f} of 255 grey levels", signs.levels < config.min_levels),
             ("cells are not alike", signs.grid and signs.alike < config.min_alike),
             ("not corrected by what is seen on the film", config.exact and not signs.corrected),
             (f"more than {config.safety * limit:.1f} px", expected > config.safety * limit),
