@@ -20,7 +20,7 @@ from jaxtyping import Bool, Float, Int
 
 from hybrid.coords import centres_1d
 from hybrid.rectify.film_view import FilmView
-from hybrid.rectify.repeat import Repeats, detail, shrunk
+from hybrid.rectify.repeat import Repeats, cell_corners, detail, shrunk
 from hybrid.rectify.sightings import Sightings
 from hybrid.rectify.tps import MAD_TO_SIGMA
 
@@ -115,12 +115,8 @@ def _settled_shifts(
     config: CongealConfig,
 ) -> _Shifts:
     """Shifts of the blocks of all cells after all steps. number: (column, row) of each cell."""
-    h, w = image.shape
-    pitch, first = np.array([columns.pitch, rows.pitch]), np.array([columns.first, rows.first])
-    size = np.maximum(8, np.rint(pitch * (w, h)).astype(int))
-    corners = (first + (number + 0.5) * pitch) * (w, h) - 0.5 * size
-    wide, tall = (_block_edges(n, config.block_px) for n in size.tolist())
-    edges = tall, wide
+    (wide, tall), corners = cell_corners(image, columns, rows, number)
+    edges = _block_edges(tall, config.block_px), _block_edges(wide, config.block_px)
     shift = np.zeros((len(number), len(edges[0]) - 1, len(edges[1]) - 1, 2))
     for _ in range(config.steps):
         found = block_shifts(_shifted_cells(image, corners, edges, shift), blur_px, config)

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from hybrid.rectify.film_view import FilmView
 
@@ -165,14 +165,24 @@ def _autocorrelation(band: Float[np.ndarray, "h w"]) -> Float[np.ndarray, " n"]:
 # ---------------------------------------------------------------- cells
 
 
+def cell_corners(
+    image: Float[np.ndarray, "h w"], columns: Repeats, rows: Repeats, number: Int[np.ndarray, "n 2"]
+) -> tuple[tuple[int, int], Float[np.ndarray, "n 2"]]:
+    """Size (width, height) of all cells in pixels of the image, and the corners (x, y) of some, in OpenCV's pixels.
+
+    number: (column, row) of each of these.
+    """
+    h, w = image.shape
+    size = (max(8, round(columns.pitch * w)), max(8, round(rows.pitch * h)))
+    first, pitch = np.array([columns.first, rows.first]), np.array([columns.pitch, rows.pitch])
+    return size, (first + (number + 0.5) * pitch) * (w, h) - 0.5 * np.array(size)
+
+
 def cell_image(
     image: Float[np.ndarray, "h w"], columns: Repeats, rows: Repeats, column: int, row: int
 ) -> Float[np.ndarray, "ch cw"]:
     """One cell in pixels of the view, shifted by the fraction of a pixel that brings its corner to a pixel's."""
-    h, w = image.shape
-    size = (max(8, round(columns.pitch * w)), max(8, round(rows.pitch * h)))
-    x = (columns.first + (column + 0.5) * columns.pitch) * w - 0.5 * size[0]
-    y = (rows.first + (row + 0.5) * rows.pitch) * h - 0.5 * size[1]
+    size, ((x, y),) = cell_corners(image, columns, rows, np.array([[column, row]]))
     shift = np.array([[1.0, 0.0, x], [0.0, 1.0, y]])
     return cv2.warpAffine(
         image, shift, size, flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP, borderMode=cv2.BORDER_REPLICATE
@@ -207,6 +217,7 @@ __all__ = [
     "RepeatConfig",
     "Repeats",
     "cell_agreement",
+    "cell_corners",
     "cell_image",
     "cell_moments",
     "detail",
