@@ -66,8 +66,9 @@ class BackwardMap:
         inside = np.clip(uv, 0.0, 1.0)
         points = np.stack([s.ev(inside[..., 1], inside[..., 0]) for s in self._splines], axis=-1)
         beyond = np.asarray(uv, dtype=np.float64) - inside
-        if np.any(beyond):
-            points = points + np.einsum("...ij,...j->...i", self.jacobian(inside), beyond)
+        outside = np.any(beyond, axis=-1)
+        if np.any(outside):
+            points[outside] += np.einsum("...ij,...j->...i", self.jacobian(inside[outside]), beyond[outside])
         return points
 
     def jacobian(self, uv: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n 2 2"]:

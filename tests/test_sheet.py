@@ -108,7 +108,7 @@ class Residuals(Sum):
         self.residual: list[np.ndarray] = []
         self.rows: list[np.ndarray] = []
 
-    def add(self, residual: np.ndarray, rows: np.ndarray | None, weight: np.ndarray | float = 1.0) -> None:
+    def add(self, residual: np.ndarray, rows: np.ndarray | None) -> None:
         assert rows is not None
         self.residual.append(residual)
         self.rows.append(rows)

@@ -72,7 +72,7 @@ class RefineConfig:
     as_good: tuple[float, float] = (2.0, 0.85)
     """Their end counts if what is seen disagrees with it by less than this ratio, and its cells look at least so much
     as alike."""
-    doubtful: float = 1.2
+    doubtful: float = 1.7
     """Where held-out sightings disagree with the end by more than this, in their stated deviations, or no sheet
     explains the print, the sheet that the edges alone tell is started from too."""
     no_worse: tuple[float, float] = (1.0, 1.0)
@@ -111,7 +111,8 @@ class Course:
     displacement: of the start; zero where no better is believed. layout: of the grid. evidence: what was seen, through
     the start. before, after: held-out residual of the start and of the end, in stated deviations. believed: whether
     what was seen bears the end out. sheet: that it goes on from, if that explains the print. verdict: why or why
-    not.
+    not. apart: mean distance between where the rounds and where that sheet end, in parts of the film; None where there
+    is no such sheet.
     """
 
     scene: Scene
@@ -123,6 +124,7 @@ class Course:
     believed: bool
     sheet: FittedSheet | None
     verdict: str
+    apart: float | None = None
 
     @property
     def edges(self) -> int:

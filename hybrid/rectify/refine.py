@@ -44,23 +44,25 @@ UNSTRETCHED = (
 class _Trend:
     """Logarithm of the error that is left, as a linear function of what is known: a constant and slopes.
 
-    moved: by the logarithm of how far the film was moved, in percent. residual: by that of the held-out residual.
-    alike: by the least correlation of the cells. unseen: added where there are none. whole: by the number of axes of
-    which all lines were seen. sheet: added where an unstretched sheet explains what is seen.
+    apart: by the logarithm of how far apart the two ends are, in percent of the film. residual: by that of the
+    held-out residual. unseen: added where no cells were matched. whole: by the number of axes of which all lines were
+    seen. sheet: added where an unstretched sheet explains what is seen.
     """
 
     constant: float
-    moved: float
+    apart: float
     residual: float
-    alike: float
     unseen: float
     whole: float
     sheet: float
 
 
-EXPECTED = _Trend(-4.84, 0.61, 1.46, -0.73, 1.02, -0.38, -0.95)
-"""Ridge regression (of absolute deviations) over 272 simulated photos of the training scans, a fifth of them damaged.
-Half of the errors are smaller than it says; the logarithm spreads by 1.3, so one in ten is over six times as large."""
+EXPECTED = _Trend(-4.66, 0.88, 0.86, 0.64, -0.22, -0.51)
+"""Ridge regression (of absolute deviations) over 250 simulated photos of the training scans, a fifth of them damaged.
+Half of the errors are smaller than it says; the logarithm spreads by 1.2, so one in ten is over four times as large."""
+
+UNKNOWN_APART = 0.008
+"""Stands for how far apart two ends are where there is only one, in parts of the film."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,7 +121,7 @@ def refine(photo: UInt8[np.ndarray, "H W 3"], coarse: BackwardMap, config: Refin
         StageReport("sheet", course.sheet is not None, UNSTRETCHED[course.sheet is not None], clock["sheet"]),
         StageReport("spline", changed, course.verdict, clock["spline"]),
     )
-    share = _expected_share(_distance(backward, coarse), course)
+    share = _expected_share(course)
     return Refinement(
         backward,
         course.layout.slice_grid(backward, share if course.believed else np.inf),
@@ -142,7 +144,9 @@ def _course(begun: Progress, config: RefineConfig, clock: Clock) -> Course | Non
         sheet = unstretched(sheet, config, clock)
         if sheet is None or sheet.settled:
             break
-    return _better(ended(progress, config, clock), sheet and ended(sheet, config, clock), config.as_good, clock)
+    ends = ended(progress, config, clock), sheet and ended(sheet, config, clock)
+    best = _better(*ends, config.as_good, clock)
+    return best and replace(best, apart=None if ends[1] is None else _distance(ends[0], ends[1]))
 
 
 def _better(one: Course | None, other: Course | None, asked: tuple[float, float], clock: Clock) -> Course | None:
@@ -159,11 +163,11 @@ def _better(one: Course | None, other: Course | None, asked: tuple[float, float]
     return other if other.after <= asked[0] * one.after and alike[1] >= asked[1] * alike[0] else one
 
 
-def _distance(one: BackwardMap, other: BackwardMap) -> float:
-    """Mean distance between two maps, in parts of the film's longer side."""
-    points = film_nodes((9, 9))
-    apart = np.linalg.norm(one.photo_from_film(points) - other.photo_from_film(points), axis=-1).mean()
-    return float(apart / max(other.mean_film_pixels()))
+def _distance(one: Course, other: Course) -> float:
+    """Mean distance between the maps that two courses end with, in parts of the film's longer side."""
+    ends = [end.scene.coarse.photo_from_film(end.displacement(film_nodes((9, 9)))) for end in (one, other)]
+    apart = np.linalg.norm(ends[0] - ends[1], axis=-1).mean()
+    return float(apart / max(one.scene.coarse.mean_film_pixels()))
 
 
 def _from_sheet(scene: Scene, outline: Sequence[Sightings], config: RefineConfig, clock: Clock) -> Progress | None:
@@ -180,20 +184,21 @@ def _from_sheet(scene: Scene, outline: Sequence[Sightings], config: RefineConfig
     return begin(bent, outline, config)
 
 
-def _expected_share(moved: float, course: Course) -> float:
+def _expected_share(course: Course) -> float:
     """The error that is left, in parts of the film's longer side, by what is known at the end of a course.
 
-    moved: how far the film was moved from the coarse map, in the same parts. EXPECTED says how this was calibrated.
+    Where the rounds and the unstretched sheet end tells most: what leads the one astray seldom leads the other the same
+    way. EXPECTED says how this was calibrated.
     """
     layout, trend = course.layout, EXPECTED
     whole = sum(comb is not None and len(comb.seen) > comb.cells for comb in layout.combs)
-    correlations = [r.correlation for r in layout.repeats if r is not None]
+    apart = UNKNOWN_APART if course.apart is None else float(np.clip(course.apart, 3e-4, 0.1))
     return float(
         np.exp(
             trend.constant
-            + trend.moved * np.log(max(moved, 1e-3) / 0.01)
+            + trend.apart * np.log(apart / 0.01)
             + trend.residual * np.log(np.clip(course.after, 0.4, 3.0))
-            + (trend.alike * (min(correlations) - 0.5) if layout.settled else trend.unseen)
+            + trend.unseen * (not layout.settled)
             + trend.whole * whole
             + trend.sheet * (course.sheet is not None)
         )

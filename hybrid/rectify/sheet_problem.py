@@ -52,20 +52,26 @@ class Problem:
         nodes = node_weights(sheet.intervals)
         shown = project(sheet, nodes @ sheet.control)
         sigma = 1e-3 * config.network_px * np.sqrt(len(nodes) / 6.0)
-        for k in (0, 1):
-            parts = (shown.by_point[:, k] / sigma, shown.by_focal[:, k] / sigma, shown.by_lens[:, k] / sigma)
-            total.add((shown.point[:, k] - self.target[:, k]) / sigma, _rows(nodes, *parts) if derivatives else None)
+        rows = None
+        if derivatives:
+            rows = np.empty((2, len(nodes), 3 * n + CAMERA))
+            for k in (0, 1):
+                _by_surface(rows[k], nodes, shown.by_point[:, k] / sigma)
+                _by_camera(rows[k], n, shown.by_focal[:, k] / sigma, shown.by_lens[:, k] / sigma)
+            rows = rows.reshape(-1, rows.shape[2])
+        total.add((shown.point - self.target).T.ravel() / sigma, rows)
         shown = project(sheet, curves.weights @ sheet.control)
         residual = np.sum((shown.point - self.seen.point) * curves.normal, axis=1)
         residual += curves.pull * (self.seen.shared @ (state.constants - curves.constants))
+        root = np.sqrt(tukey_weights(residual / curves.tolerance))
         rows = None
         if derivatives:
-            parts = (
-                np.einsum("nk,nkj->nj", curves.normal, shown.by_point),
-                *(np.sum(x * curves.normal, axis=1) for x in (shown.by_focal, shown.by_lens)),
-            )
-            rows = np.hstack([_rows(curves.weights, *parts), curves.pull[:, None] * self.seen.shared])
-        total.add(residual, rows, tukey_weights(residual / curves.tolerance))
+            normal = curves.normal * root[:, None]
+            rows = np.empty((len(root), 3 * n + CAMERA + len(state.constants)))
+            _by_surface(rows, curves.weights, np.einsum("nk,nkj->nj", normal, shown.by_point))
+            _by_camera(rows, n, *(np.sum(x * normal, axis=1) for x in (shown.by_focal, shown.by_lens)))
+            np.multiply(self.seen.shared, (curves.pull * root)[:, None], out=rows[:, 3 * n + CAMERA :])
+        total.add(residual * root, rows)
         add_strain(total, sheet, config)
         _add_bending(total, sheet, self.bending)
         _add_camera(total, sheet, config, config.focal_sigma[len(self.seen.along) > 0])
@@ -108,8 +114,9 @@ def _step(total: Sum, sheet: Sheet, damping: float, config: SheetConfig) -> Floa
     term takes that back (geodesic acceleration: Transtrum and Sethna 2012, "Improvements to the Levenberg-Marquardt
     algorithm for nonlinear least-squares minimization"), of the strain alone, where it counts most.
     """
-    damped = total.matrix + damping * np.diag(np.diag(total.matrix))
-    factor = cho_factor(damped, check_finite=False)
+    damped = total.matrix.copy()
+    damped.flat[:: len(damped) + 1] *= 1.0 + damping
+    factor = cho_factor(damped, overwrite_a=True, check_finite=False)
     first = -cho_solve(factor, total.right, check_finite=False)
     second = -0.5 * cho_solve(factor, strain_curvature(sheet, first, config), check_finite=False)
     n = 3 * len(sheet.control)
@@ -125,19 +132,13 @@ class Sum:
         size = unknowns if derivatives else 0
         self.matrix, self.right = np.zeros((size, size)), np.zeros(size)
 
-    def add(
-        self,
-        residual: Float[np.ndarray, " m"],
-        rows: Float[np.ndarray, "m u"] | None,
-        weight: np.ndarray | float = 1.0,
-    ) -> None:
-        """Residuals in deviations, their derivatives by the first unknowns, and weights."""
-        self.cost += 0.5 * float(np.sum(weight * residual * residual))
+    def add(self, residual: Float[np.ndarray, " m"], rows: Float[np.ndarray, "m u"] | None) -> None:
+        """Residuals in deviations, and their derivatives by the first unknowns."""
+        self.cost += 0.5 * float(residual @ residual)
         if rows is not None:
             used = rows.shape[1]
-            scaled = rows * np.sqrt(np.broadcast_to(weight, residual.shape))[:, None]
-            self.matrix[:used, :used] += scaled.T @ scaled
-            self.right[:used] += rows.T @ (weight * residual)
+            self.matrix[:used, :used] += rows.T @ rows  # of one matrix with itself only half is computed
+            self.right[:used] += residual @ rows
 
     def add_prior(self, k: int, residual: float, slope: float) -> None:
         """What is known of one unknown beforehand."""
@@ -147,37 +148,43 @@ class Sum:
             self.right[k] += slope * residual
 
 
-def _rows(
-    weights: Float[np.ndarray, "m n"],
-    by_point: Float[np.ndarray, "m 3"],
-    by_focal: Float[np.ndarray, " m"],
-    by_lens: Float[np.ndarray, " m"],
-) -> Float[np.ndarray, "m u"]:
-    """Derivatives of residuals by the sheet's unknowns, given those by the point in space and by the camera."""
+def _by_surface(
+    rows: Float[np.ndarray, "m u"], weights: Float[np.ndarray, "m n"], by_point: Float[np.ndarray, "m 3"]
+) -> None:
+    """Writes derivatives of residuals by the coefficients, given those by the point in space that these weigh."""
     n = weights.shape[1]
-    rows = np.empty((len(weights), 3 * n + CAMERA))
     for k in range(3):
         np.multiply(weights, by_point[:, k : k + 1], out=rows[:, k * n : (k + 1) * n])
-    rows[:, 3 * n :] = np.stack([by_focal, np.zeros_like(by_focal), by_lens], axis=1)
-    return rows
+
+
+def _by_camera(
+    rows: Float[np.ndarray, "m u"], n: int, by_focal: Float[np.ndarray, " m"], by_lens: Float[np.ndarray, " m"]
+) -> None:
+    """Writes derivatives by the camera, after those by n coefficients; the ratio of sides moves no point."""
+    for k, values in enumerate((by_focal, 0.0, by_lens)):
+        rows[:, 3 * n + k] = values
 
 
 def add_strain(total: Sum, sheet: Sheet, config: SheetConfig) -> None:
     """Residuals of the lengths of film along u and v, and of the right angle between them."""
     across, down = slopes(sheet.intervals)
     a, b, aspect = across @ sheet.control, down @ sheet.control, float(np.exp(sheet.log_aspect))
-    sigma = config.strain * np.sqrt(len(across) / 40.0)
+    (m, n), sigma = across.shape, config.strain * np.sqrt(len(across) / 40.0)
     stretch_a = np.sum(a * a, axis=1) / aspect**2
     shear = np.sum(a * b, axis=1) / (aspect * sigma)
-    none = np.zeros((len(across), 1))
-    rows_a = rows_b = rows_s = None
+    rows = None
     if total.derivatives:
-        rows_a = np.hstack([_by(across, a) / (aspect**2 * sigma), none, -stretch_a[:, None] / sigma, none])
-        rows_b = np.hstack([_by(down, b) / sigma, none, none, none])
-        rows_s = np.hstack([(_by(across, b) + _by(down, a)) / (aspect * sigma), none, -shear[:, None], none])
-    total.add((stretch_a - 1.0) / (2.0 * sigma), rows_a)
-    total.add((np.sum(b * b, axis=1) - 1.0) / (2.0 * sigma), rows_b)
-    total.add(shear, rows_s)
+        rows = np.empty((3, m, 3 * n + CAMERA))
+        _by_surface(rows[0], across, a / (aspect**2 * sigma))
+        _by_surface(rows[1], down, b / sigma)
+        _by_surface(rows[2], across, b / (aspect * sigma))
+        for k in range(3):
+            rows[2, :, k * n : (k + 1) * n] += down * (a[:, k : k + 1] / (aspect * sigma))
+        rows[:, :, 3 * n :] = 0.0
+        rows[0, :, 3 * n + 1], rows[2, :, 3 * n + 1] = -stretch_a / sigma, -shear
+        rows = rows.reshape(3 * m, -1)
+    longer = ((stretch - 1.0) / (2.0 * sigma) for stretch in (stretch_a, np.sum(b * b, axis=1)))
+    total.add(np.concatenate([*longer, shear]), rows)
 
 
 def strain_curvature(sheet: Sheet, step: Float[np.ndarray, " m"], config: SheetConfig) -> Float[np.ndarray, " m"]:
@@ -223,11 +230,6 @@ def _add_camera(total: Sum, sheet: Sheet, config: SheetConfig, focal_sigma: floa
     if beyond:
         total.add_prior(first, beyond / config.beyond_sigma, 1.0 / config.beyond_sigma)
     total.add_prior(first + 2, sheet.distortion / config.distortion, 1.0 / config.distortion)
-
-
-def _by(weights: Float[np.ndarray, "m n"], vector: Float[np.ndarray, "m 3"]) -> Float[np.ndarray, "m k"]:
-    """``weights`` three times side by side, times the three components."""
-    return np.hstack([weights * vector[:, k : k + 1] for k in range(3)])
 
 
 __all__ = ["Problem", "State", "Sum", "add_strain", "bending_cost", "minimised", "strain_curvature"]

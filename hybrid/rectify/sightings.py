@@ -197,15 +197,19 @@ class _System:
     group: Int[np.ndarray, " n"]
     lattice: LatticeSpline
 
-    def posterior(
-        self, data: Float[np.ndarray, "m m"], stiffness: float, config: SplineConfig
-    ) -> Float[np.ndarray, "m m"]:
-        """Precision of the unknowns: ``data`` from the observations, and what is known before any of them."""
-        n, m = len(self.lattice.nodes), len(data)
-        precision = data.copy()
-        precision[:n, :n] += stiffness * self.lattice.bending
+    def precision(self, scaled: Float[np.ndarray, " n"], config: SplineConfig) -> Float[np.ndarray, "m m"]:
+        """Of the unknowns, from the observations, given their precisions, and from what is known before any of them."""
+        whitened = self.rows * np.sqrt(scaled)[:, None]
+        precision = whitened.T @ whitened  # of one matrix with itself only half is computed
+        n, m = len(self.lattice.nodes), len(precision)
         precision.flat[:: m + 1] += np.append(np.full(n, _ridge(n, config)), 1.0 / self.shared_sigma**2)
         return precision
+
+    def stiffened(self, precision: Float[np.ndarray, "m m"], stiffness: float) -> Float[np.ndarray, "m m"]:
+        """The same with the prior on bending."""
+        n, stiff = len(self.lattice.nodes), precision.copy()
+        stiff[:n, :n] += stiffness * self.lattice.bending
+        return stiff
 
 
 def _ridge(n_nodes: int, config: SplineConfig) -> float:
@@ -250,12 +254,11 @@ def _solve_robust(system: _System, config: SplineConfig) -> tuple[np.ndarray, np
     sigma = system.sigma
     for step in range(config.reweightings):
         scaled = weights / (noise * sigma) ** 2
-        whitened = system.rows * np.sqrt(scaled)[:, None]
-        data = whitened.T @ whitened  # of one matrix with itself only half is computed
+        precision = system.precision(scaled, config)
         right = system.rows.T @ (scaled * system.right)
         if step % 2 == 1 and count > 1:
-            stiffness = max(candidates.tolist(), key=lambda c: _log_evidence(system, data, right, c, config))
-        solution, _ = _solve(system.posterior(data, stiffness, config), right)
+            stiffness = max(candidates.tolist(), key=lambda c: _log_evidence(system, precision, right, c, config))
+        solution, _ = _solve(system.stiffened(precision, stiffness), right)
         residual = system.rows @ solution - system.right
         sigma = group_noise(system.sigma, system.group, residual)
         residual = residual / sigma
@@ -308,10 +311,10 @@ def _bending_eigenvalues(size: tuple[int, int]) -> np.ndarray:
 
 
 def _log_evidence(
-    system: _System, data: np.ndarray, right: np.ndarray, stiffness: float, config: SplineConfig
+    system: _System, precision: np.ndarray, right: np.ndarray, stiffness: float, config: SplineConfig
 ) -> float:
     """Log marginal likelihood of the stiffness, up to a constant (the noise is stated, so this is not scale-free)."""
-    solution, log_det = _solve(system.posterior(data, stiffness, config), right)
+    solution, log_det = _solve(system.stiffened(precision, stiffness), right)
     ridge = _ridge(len(system.lattice.nodes), config)
     log_prior = np.sum(np.log(stiffness * _bending_eigenvalues(config.lattice) + ridge))
     return float(0.5 * (log_prior - log_det + right @ solution))

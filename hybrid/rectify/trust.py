@@ -42,13 +42,13 @@ UNKNOWN_STATED = 0.01
 class TrustConfig:
     """From which error on a film is not called flattened, and how that error is predicted.
 
-    The weights are those of a least-squares fit of the logarithm of the error, in parts of the film's size, to photos
-    of training scans with truth, as they are and damaged.
+    The weights are those of a fit (of absolute deviations) of the logarithm of the error, in parts of the film, to
+    photos of training scans with truth, as they are and damaged.
     """
 
     limit_px: float = 5.0
     """Largest error of a film that is called flattened, in pixels of a photo of 1080; at least one of its own."""
-    safety: float = 0.28
+    safety: float = 0.26
     """The expected error must be below this part of the limit: single errors are up to several times as large."""
     exact: bool = True
     """Whether a map counts only if it was corrected by what is seen on the film."""
@@ -58,14 +58,14 @@ class TrustConfig:
     """Least agreement of the cells: noise repeats by chance, too."""
     min_levels: float = 20.0
     """Least number of grey levels that the photo makes use of: over fewer, gutters look like the sheet's edges."""
-    constant: float = -0.07
-    overlap_before: float = 0.11
-    overlap_after: float = 0.41
-    shift: float = 0.26
+    constant: float = 0.13
+    overlap_before: float = 0.07
+    overlap_after: float = 0.27
+    shift: float = 0.24
     held_out: float = 0.52
-    unlike: float = 0.75
-    oblong: float = 0.34
-    stated: float = 0.45
+    unlike: float = 0.74
+    oblong: float = 0.44
+    stated: float = 0.65
 
 
 @dataclass(frozen=True)
