@@ -149,7 +149,8 @@ def _exact(
             return first
         found = [first, *(exactly(side.backward) for side in sides)]
         surest = as_sure(found)
-        report.reason = f"from each of {len(sides)} sides: the middle of the {len(surest)} that are surest"
+        counts = "the surest" if len(surest) == 1 else f"the middle of the {len(surest)} that are surest"
+        report.reason = f"from each of {len(sides)} sides: {counts}"
         return middle(surest) if surest else first
 
 
@@ -205,10 +206,14 @@ def _on_copy(
 
 
 def as_sure(refinements: Sequence[Refinement]) -> list[Refinement]:
-    """Those that are believed and expect hardly more error than the surest: most of what went astray shows it."""
-    expected = [one.expected_px for one in refinements if one.expected_px is not None]
-    most = AS_SURE * min(expected, default=0.0)
-    return [one for one in refinements if one.expected_px is not None and one.expected_px <= most]
+    """Those that are believed and expect hardly more error than the surest: most of what went astray shows it.
+
+    Of two nobody knows which is astray: then only the surest.
+    """
+    known = [(one.expected_px, one) for one in refinements if one.expected_px is not None]
+    known.sort(key=lambda pair: pair[0])
+    sure = [one for expected, one in known if expected <= AS_SURE * known[0][0]]
+    return sure if len(sure) > 2 else sure[:1]
 
 
 def middle(refinements: Sequence[Refinement]) -> Refinement:

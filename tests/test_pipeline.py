@@ -97,7 +97,8 @@ def test_refinements_that_are_far_less_sure_than_the_best_do_not_count():
     nodes = BackwardMap(film_nodes((33, 33)) * 400.0)
     expected = [2.0, None, 1.99 * AS_SURE, 2.01 * AS_SURE, 2.1]
     refinements = [Refinement(nodes, None, (), expected_px=px) for px in expected]
-    assert [one.expected_px for one in as_sure(refinements)] == [2.0, 1.99 * AS_SURE, 2.1]
+    assert [one.expected_px for one in as_sure(refinements)] == [2.0, 2.1, 1.99 * AS_SURE]
+    assert as_sure(refinements[2:4]) == refinements[2:3]  # of two the surest, not the middle
     assert as_sure([Refinement(nodes, None, ())]) == []
 
 

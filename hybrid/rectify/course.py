@@ -241,12 +241,12 @@ def ended(progress: Progress, config: RefineConfig, clock: Clock) -> Course:
     return course
 
 
-def agreement(course: Course, layout: Layout) -> float:
-    """How alike the cells of a layout look through a course's map, in [0, 1]; 0 where the layout has no cells."""
-    columns, rows = layout.repeats
-    if columns is None or rows is None:
-        return 0.0
-    return cell_agreement(view_of(halved(course.scene), course.displacement), columns, rows)
+def agreement(course: Course, layouts: Sequence[Layout]) -> float:
+    """How alike the cells look through a course's map, in [0, 1], in that of the layouts of which they are most; 0
+    where none has cells."""
+    view = view_of(halved(course.scene), course.displacement)
+    known = [(columns, rows) for columns, rows in (layout.repeats for layout in layouts) if columns and rows]
+    return max((cell_agreement(view, *cells) for cells in known), default=0.0)
 
 
 # ---------------------------------------------------------------- steps

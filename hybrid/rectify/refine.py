@@ -157,8 +157,7 @@ def _better(one: Course | None, other: Course | None, asked: tuple[float, float]
     """
     if one is None or other is None or one.believed != other.believed:
         return other if one is None or (other is not None and other.believed) else one
-    layouts = (one.layout, other.layout)
-    alike = [max(agreement(course, layout) for layout in layouts) for course in (one, other)]
+    alike = [agreement(course, (one.layout, other.layout)) for course in (one, other)]
     clock.lap("spline")
     return other if other.after <= asked[0] * one.after and alike[1] >= asked[1] * alike[0] else one
 
