@@ -36,9 +36,9 @@ class RectifyConfig:
     plane: PlaneConfig = field(default_factory=PlaneConfig)
     exact: bool = True
     """Whether the network's map is made exact by what is seen of the film; else it is only searched for the grid."""
-    again: bool = False
-    """Whether refinement is started from what the network saw of each side apart, too; the middle of the
-    surest counts."""
+    again_above: float = float("inf")
+    """Expected error of a refinement, in parts of the film's longer side, above which it is started from what the
+    network saw of each side apart, too; the middle of the surest counts."""
     size: FilmSizeConfig = field(default_factory=FilmSizeConfig)
     resample: ResampleConfig = field(default_factory=ResampleConfig)
     upright: UprightConfig = field(default_factory=UprightConfig)
@@ -52,7 +52,7 @@ class RectifyConfig:
 
         fast: the network's map of one side as it is, unless the film is flat, and the photo read bilinearly; a film
         counts as flattened if it is right to 20 pixels of a photo of 1080. default: the options' own values. thorough:
-        refinement from each side's map, too.
+        refinement from each side's map, too, unless the first is sure to about a pixel of a photo of 1080.
 
         Raises:
             ConfigError: there is no such effort.
@@ -65,7 +65,7 @@ class RectifyConfig:
                 trust=TrustConfig(limit_px=20.0, safety=0.8, exact=False),
             ),
             "default": RectifyConfig(),
-            "thorough": RectifyConfig(again=True),
+            "thorough": RectifyConfig(again_above=0.0013),
         }
         if effort not in efforts:
             raise ConfigError(

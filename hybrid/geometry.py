@@ -144,8 +144,11 @@ def _exact(
     first = exactly(coarse)
     clock.reports += first.stages
     with clock.stage("again") as report:
-        report.ran, report.reason = config.again, "one refinement is enough in this effort"
-        if not config.again:
+        expected = np.inf if first.expected_px is None else first.expected_px / max(first.backward.mean_film_pixels())
+        report.ran = bool(expected > config.again_above)
+        if not report.ran:
+            sure = f"one refinement is sure to {expected:.2%} of the film"
+            report.reason = "one refinement is enough in this effort" if np.isinf(config.again_above) else sure
             return first
         found = [first, *(exactly(side.backward) for side in sides)]
         surest = as_sure(found)

@@ -111,8 +111,8 @@ class Course:
     displacement: of the start; zero where no better is believed. layout: of the grid. evidence: what was seen, through
     the start. before, after: held-out residual of the start and of the end, in stated deviations. believed: whether
     what was seen bears the end out. sheet: that it goes on from, if that explains the print. verdict: why or why
-    not. apart: mean distance between where the rounds and where that sheet end, in parts of the film; None where there
-    is no such sheet.
+    not. apart: mean distance between where the rounds and where that sheet end, but for a shift, in parts of the film;
+    None where there is no such sheet.
     """
 
     scene: Scene

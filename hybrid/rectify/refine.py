@@ -57,7 +57,7 @@ class _Trend:
     sheet: float
 
 
-EXPECTED = _Trend(-4.66, 0.88, 0.86, 0.64, -0.22, -0.51)
+EXPECTED = _Trend(-4.37, 1.0, 0.75, 0.55, -0.25, -0.43)
 """Ridge regression (of absolute deviations) over 250 simulated photos of the training scans, a fifth of them damaged.
 Half of the errors are smaller than it says; the logarithm spreads by 1.2, so one in ten is over four times as large."""
 
@@ -146,7 +146,7 @@ def _course(begun: Progress, config: RefineConfig, clock: Clock) -> Course | Non
             break
     ends = ended(progress, config, clock), sheet and ended(sheet, config, clock)
     best = _better(*ends, config.as_good, clock)
-    return best and replace(best, apart=None if ends[1] is None else _distance(ends[0], ends[1]))
+    return best and replace(best, apart=None if ends[1] is None else _apart(*ends))
 
 
 def _better(one: Course | None, other: Course | None, asked: tuple[float, float], clock: Clock) -> Course | None:
@@ -162,11 +162,13 @@ def _better(one: Course | None, other: Course | None, asked: tuple[float, float]
     return other if other.after <= asked[0] * one.after and alike[1] >= asked[1] * alike[0] else one
 
 
-def _distance(one: Course, other: Course) -> float:
-    """Mean distance between the maps that two courses end with, in parts of the film's longer side."""
+def _apart(one: Course, other: Course) -> float:
+    """Mean distance between the maps that two courses end with, but for a shift of the whole film, in parts of its
+    longer side: where between its margins the grid lies only the sheet tells."""
     ends = [end.scene.coarse.photo_from_film(end.displacement(film_nodes((9, 9)))) for end in (one, other)]
-    apart = np.linalg.norm(ends[0] - ends[1], axis=-1).mean()
-    return float(apart / max(one.scene.coarse.mean_film_pixels()))
+    apart = ends[1] - ends[0]
+    apart -= apart.mean(axis=(0, 1))
+    return float(np.linalg.norm(apart, axis=-1).mean() / max(one.scene.coarse.mean_film_pixels()))
 
 
 def _from_sheet(scene: Scene, outline: Sequence[Sightings], config: RefineConfig, clock: Clock) -> Progress | None:
@@ -191,7 +193,7 @@ def _expected_share(course: Course) -> float:
     """
     layout, trend = course.layout, EXPECTED
     whole = sum(comb is not None and len(comb.seen) > comb.cells for comb in layout.combs)
-    apart = UNKNOWN_APART if course.apart is None else float(np.clip(course.apart, 3e-4, 0.1))
+    apart = UNKNOWN_APART if course.apart is None else float(np.clip(course.apart, 2e-4, 0.1))
     return float(
         np.exp(
             trend.constant

@@ -48,7 +48,7 @@ class TrustConfig:
 
     limit_px: float = 5.0
     """Largest error of a film that is called flattened, in pixels of a photo of 1080; at least one of its own."""
-    safety: float = 0.24
+    safety: float = 0.26
     """The expected error must be below this part of the limit: single errors are up to several times as large."""
     exact: bool = True
     """Whether a map counts only if it was corrected by what is seen on the film."""
@@ -58,14 +58,14 @@ class TrustConfig:
     """Least agreement of the cells: noise repeats by chance, too."""
     min_levels: float = 20.0
     """Least number of grey levels that the photo makes use of: over fewer, gutters look like the sheet's edges."""
-    constant: float = 0.13
-    overlap_before: float = 0.07
-    overlap_after: float = 0.27
-    shift: float = 0.24
-    held_out: float = 0.52
-    unlike: float = 0.74
-    oblong: float = 0.44
-    stated: float = 0.65
+    constant: float = 0.42
+    overlap_before: float = 0.08
+    overlap_after: float = 0.22
+    shift: float = 0.25
+    held_out: float = 0.51
+    unlike: float = 0.56
+    oblong: float = 0.41
+    stated: float = 0.7
 
 
 @dataclass(frozen=True)
