@@ -37,6 +37,11 @@ def describe_run(command: list[str]) -> dict[str, Any]:
     }
 
 
+def shown_sources(*paths: Path | None) -> str:
+    """Folders and files that decide results, as they are shown in reports; empty without any."""
+    return relative_command([str(path.absolute()) for path in paths if path is not None])
+
+
 def relative_command(command: list[str]) -> str:
     """The command in one line, without this machine's folders: paths are as seen from the working directory.
 

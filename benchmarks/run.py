@@ -21,7 +21,7 @@ from tqdm import tqdm
 from benchmarks.cases import Case, photo_cases, sample_cases
 from benchmarks.command import run_command
 from benchmarks.lineup import CONFIGURATIONS, lineup
-from benchmarks.machine import commit, describe_run, relative_command, use_threads
+from benchmarks.machine import commit, describe_run, shown_sources, use_threads
 from benchmarks.measure import forward_times, measure, peak_memory
 from benchmarks.methods import Method
 from benchmarks.own_photos import make_photos
@@ -29,7 +29,7 @@ from benchmarks.page import write_page
 from benchmarks.page_tables import figures_text
 from benchmarks.pictures import write_gallery, write_pictures
 from benchmarks.results import Forward, Measured, Memory, MethodNote, Report, Settings
-from benchmarks.schema import kept, read_record, write_record
+from benchmarks.schema import keep_settings, kept, write_record
 from benchmarks.summary import spread
 from benchmarks.traits import note_of
 from hybrid.errors import ConfigError, describe
@@ -124,7 +124,7 @@ class Options:
 def run(options: Options, command: list[str]) -> Report:
     """Measure what is not measured yet; write and return the report."""
     settings = _settings(options)
-    _keep_settings(options.out / "settings.json", settings)
+    keep_settings(options.out / "settings.json", settings)
     cases = load_cases(options)
     methods = make_methods(options)
     measured = tuple(_all_measured(options, methods, cases))
@@ -183,19 +183,11 @@ def make_methods(options: Options) -> dict[str, Method]:
 
 
 def _settings(options: Options) -> Settings:
-    source = [str(path) for path in (options.photos, *options.data) if path is not None]
-    shown = relative_command([str(Path(path).absolute()) for path in source]) if source else "made for this"
-    weights = "" if options.weights is None else relative_command([str(options.weights.absolute())])
+    source, weights = shown_sources(options.photos, *options.data), shown_sources(options.weights)
     sizes, counts = options.sizes, options.counts
-    return Settings(sizes, counts, options.repeats, options.threads, options.seed, shown, weights, commit())
-
-
-def _keep_settings(path: Path, settings: Settings) -> None:
-    """Refuse to go on with results that were made otherwise."""
-    if path.exists() and read_record(path, Settings) != settings:
-        do = "Name another folder by --out, or run with the options and the commit that are in that file."
-        raise ConfigError(describe(what="--out", where=path, got="results of other settings", do=do))
-    write_record(path, settings)
+    return Settings(
+        sizes, counts, options.repeats, options.threads, options.seed, source or "made for this", weights, commit()
+    )
 
 
 def _all_measured(options: Options, methods: dict[str, Method], cases: Sequence[Case]) -> Iterator[Measured]:

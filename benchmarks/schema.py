@@ -9,7 +9,7 @@ from dataclasses import MISSING, asdict, fields, is_dataclass
 from pathlib import Path
 from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
 
-from hybrid.errors import DataError, describe
+from hybrid.errors import ConfigError, DataError, describe
 from hybrid.image_io import write_bytes
 from hybrid.outputs import make_folder
 
@@ -86,6 +86,18 @@ def write_record(path: Path, record: Any) -> None:
     """A dataclass as a JSON file, whole or not at all; its folder is made."""
     make_folder(path.parent)
     write_bytes(path, (json.dumps(asdict(record), indent=1, allow_nan=False) + "\n").encode())
+
+
+def keep_settings(path: Path, settings: Any) -> None:
+    """Writes what decides the results beside it.
+
+    Raises:
+        ConfigError: results that were made otherwise are there; they are not put together with others.
+    """
+    if path.exists() and read_record(path, type(settings)) != settings:
+        do = "Name another folder by --out, or run with the options and the commit that are in that file."
+        raise ConfigError(describe(what="--out", where=path, got="results of other settings", do=do))
+    write_record(path, settings)
 
 
 def read_record(path: Path, kind: type[Record]) -> Record:

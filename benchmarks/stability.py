@@ -3,8 +3,8 @@
 Random problems for the solver, the spline, the inversion and the grid; then photos damaged at random, each rectified
 in a process that is watched: it may refuse with a reason, but neither die, nor hang, nor give a number that is not
 finite, nor call a film flattened whose points lie elsewhere (it may say that it is not sure), nor refuse one whose
-points it knows. Every result is kept in DIR as it comes: a run that was
-cut off goes on with the same command.
+points it knows. Every result is kept in DIR as it comes: a run that was cut off goes on with the same command, but not
+with results of another commit.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ from tqdm import tqdm
 from benchmarks.cases import Case, read_alike, sample_cases
 from benchmarks.command import run_command
 from benchmarks.damage import CUT_OFF, Damaged, cut_file, damaged, visible_error_px
-from benchmarks.machine import describe_run, use_threads
+from benchmarks.machine import commit, describe_run, shown_sources, use_threads
 from benchmarks.own_photos import make_photos
 from benchmarks.problems import PROBLEMS, ended, part_of
-from benchmarks.schema import kept, write_record
-from benchmarks.stress_records import DamagedPhoto, Part, StabilityReport
+from benchmarks.schema import keep_settings, kept, write_record
+from benchmarks.stress_records import DamagedPhoto, Part, StabilityReport, StressSettings
 from hybrid.backward import BackwardMap
 from hybrid.errors import ConfigError, PhotoError, describe
 from hybrid.image_io import write_bytes
@@ -92,7 +92,14 @@ class Options:
 
 
 def run(options: Options, command: list[str]) -> StabilityReport:
-    """Try everything that was not tried yet; write and return the report."""
+    """Try everything that was not tried yet; write and return the report.
+
+    Raises:
+        ConfigError: the results in ``options.out`` were made with other settings, or at another commit.
+    """
+    source = shown_sources(*options.data) or "made for this"
+    settings = StressSettings(options.seed, options.threads, source, shown_sources(options.weights), commit())
+    keep_settings(options.out / "settings.json", settings)
     parts = tuple(_part(options, name) for name in PROBLEMS) if options.problems else ()
     report = StabilityReport(describe_run(command), options.seed, TRUTHFUL_PX, parts, tuple(_photos(options)))
     write_record(options.out / "stability.json", report)

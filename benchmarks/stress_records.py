@@ -15,6 +15,17 @@ GOOD = OUTCOMES[:3]
 
 
 @dataclass(frozen=True)
+class StressSettings:
+    """What decides the results; those of others are not put together. How many there are does not count."""
+
+    seed: int
+    threads: int
+    source: str
+    weights: str
+    commit: str | None
+
+
+@dataclass(frozen=True)
 class Part:
     """Random problems for one part of the code.
 

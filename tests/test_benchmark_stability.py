@@ -195,6 +195,8 @@ def test_a_stability_run_is_whole_and_goes_on(dataset: Path, tmp_path: Path) -> 
     (tmp_path / "damaged" / "0_1.json").unlink()
     again = run(replace(options, damaged=1), ["x"])
     assert again.photos == report.photos[:1]
+    with pytest.raises(ConfigError, match="results of other settings"):
+        run(replace(options, seed=1), ["x"])
     with pytest.raises(ConfigError, match="--damaged -1"):
         Options(tmp_path, damaged=-1)
 

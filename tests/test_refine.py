@@ -1,6 +1,7 @@
 """Refinement: better where the photo tells, the same map where it does not, never worse."""
 
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,8 +9,12 @@ import pytest
 from synthetic_film import FilmDrawing, disturbed, make_photo
 
 from hybrid.backward import BackwardMap, end_point_error
-from hybrid.rectify.refine import RefineConfig, refine
-from hybrid.rectify.sightings import Sightings, SplineConfig, fit_displacement
+from hybrid.coords import film_nodes
+from hybrid.rectify.course import Course
+from hybrid.rectify.layout import Layout
+from hybrid.rectify.refine import RefineConfig, _apart, refine
+from hybrid.rectify.scene import working_scene
+from hybrid.rectify.sightings import Sightings, SplineConfig, fit_displacement, no_displacement
 
 CONFIG = RefineConfig()
 
@@ -101,6 +106,28 @@ def test_a_right_map_stays_right(rules):
     """To half a pixel: the drawn film stretches, which the sheet that is started from does not."""
     photo, true = make_photo(FilmDrawing(rules=rules, margin=0.03), np.random.default_rng(4))
     assert mean_error(refine(photo, true, CONFIG).backward, true) < 0.5
+
+
+def test_the_farther_apart_the_two_ends_the_more_error_is_expected(monkeypatch):
+    rng = np.random.default_rng(0)
+    photo, true = make_photo(FilmDrawing(margin=0.03), rng)
+    coarse, expected = disturbed(true, 4.0, rng), []
+    for apart in (1e-3, 1e-2):
+        monkeypatch.setattr("hybrid.rectify.refine._apart", lambda *_, apart=apart: apart)
+        expected.append(refine(photo, coarse, CONFIG).expected_px)
+    assert expected[1] > 5 * expected[0]
+
+
+def test_ends_that_a_shift_parts_are_not_apart():
+    coarse, still = BackwardMap(film_nodes((9, 9)) * 400.0 + 50.0), no_displacement(CONFIG.spline)
+    scene = working_scene(np.zeros((500, 500, 3), np.uint8), coarse, CONFIG.working_px)
+
+    def end(values: np.ndarray) -> Course:
+        return Course(scene, replace(still, values=values), Layout(), (), 0.0, 0.0, True, None, "")
+
+    unmoved, shifted = end(still.values), end(np.full_like(still.values, 0.01))
+    assert _apart(unmoved, shifted) == pytest.approx(0.0, abs=1e-6)
+    assert _apart(unmoved, end(0.02 * (still.lattice.nodes - 0.5))) == pytest.approx(0.008, abs=0.001)
 
 
 def test_refining_twice_gives_the_same_bits():

@@ -144,9 +144,9 @@ def _course(begun: Progress, config: RefineConfig, clock: Clock) -> Course | Non
         sheet = unstretched(sheet, config, clock)
         if sheet is None or sheet.settled:
             break
-    ends = ended(progress, config, clock), sheet and ended(sheet, config, clock)
-    best = _better(*ends, config.as_good, clock)
-    return best and replace(best, apart=None if ends[1] is None else _apart(*ends))
+    free, bound = ended(progress, config, clock), sheet and ended(sheet, config, clock)
+    best = _better(free, bound, config.as_good, clock)
+    return best and replace(best, apart=bound and _apart(free, bound))
 
 
 def _better(one: Course | None, other: Course | None, asked: tuple[float, float], clock: Clock) -> Course | None:
