@@ -142,4 +142,4 @@ def threads() -> dict[str, int | str | None]:
     }
 
 
-__all__ = ["commit", "describe_run", "memory_mib", "relative_command", "use_threads"]
+__all__ = ["commit", "describe_run", "memory_mib", "relative_command", "shown_sources", "use_threads"]

@@ -58,7 +58,7 @@ def print_of_cells(rng: np.random.Generator, spread: float) -> tuple[FilmView, n
 def test_later_steps_find_what_the_first_template_blurs():
     """Letters that lie two strokes apart."""
     view, by = print_of_cells(np.random.default_rng(5), 1.6)
-    columns, rows = Repeats(0, 0.0, 0.25, 4, 1.0), Repeats(1, 0.0, 0.25, 4, 1.0)
+    columns, rows = Repeats(0, 0.0, 0.25, 4), Repeats(1, 0.0, 0.25, 4)
 
     def error(steps: int) -> float:
         apart = []
@@ -89,7 +89,7 @@ def test_too_few_cells_share_nothing(cells):
     view = FilmView(
         np.zeros((64, 64, 1), np.float32), film_centres_1d(64), film_centres_1d(64), np.ones((64, 64), bool)
     )
-    columns, rows = Repeats(0, 0.0, 1.0 / cells, cells, 1.0), Repeats(1, 0.0, 1.0, 1, 1.0)
+    columns, rows = Repeats(0, 0.0, 1.0 / cells, cells), Repeats(1, 0.0, 1.0, 1)
     assert register_cells(view, columns, rows, 1.0, CONFIG) == ()
 
 
@@ -97,7 +97,7 @@ def test_a_blank_film_gives_no_sightings():
     blank = FilmView(
         np.full((300, 300, 1), 9.0, np.float32), film_centres_1d(300), film_centres_1d(300), np.ones((300, 300), bool)
     )
-    assert register_cells(blank, Repeats(0, 0.0, 1 / 3, 3, 1.0), Repeats(1, 0.0, 1 / 3, 3, 1.0), 1.0, CONFIG) == ()
+    assert register_cells(blank, Repeats(0, 0.0, 1 / 3, 3), Repeats(1, 0.0, 1 / 3, 3), 1.0, CONFIG) == ()
 
 
 def test_what_agrees_outweighs_what_does_not():

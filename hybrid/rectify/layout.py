@@ -127,7 +127,7 @@ def _in_step(repeat: Repeats | None, comb: Comb | None) -> Repeats | None:
     """The cells that repeat, between the lines where there are lines: repetition does not tell where cells begin."""
     if comb is None or repeat is None:
         return repeat
-    return Repeats(comb.axis, comb.first, comb.pitch, comb.cells, repeat.correlation)
+    return Repeats(comb.axis, comb.first, comb.pitch, comb.cells)
 
 
 def _plausible(comb: Comb, repeat: Repeats | None, config: GridConfig) -> bool:

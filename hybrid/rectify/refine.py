@@ -59,7 +59,7 @@ class _Trend:
 
 EXPECTED = _Trend(-4.37, 1.0, 0.75, 0.55, -0.25, -0.43)
 """Ridge regression (of absolute deviations) over 250 simulated photos of the training scans, a fifth of them damaged.
-Half of the errors are smaller than it says; the logarithm spreads by 1.2, so one in ten is over four times as large."""
+Half of the errors are smaller than it says; the logarithm spreads by 1.2: one in ten is over 3.8 times as large."""
 
 UNKNOWN_APART = 0.008
 """Stands for how far apart two ends are where there is only one, in parts of the film."""

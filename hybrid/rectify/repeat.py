@@ -77,7 +77,6 @@ class Repeats:
     first: float
     pitch: float
     cells: int
-    correlation: float
 
     def lines(self) -> Float[np.ndarray, " n"]:
         """Film coordinates of the cells' ends."""
@@ -118,9 +117,9 @@ def find_repeats(grey: Float[np.ndarray, "h w"], axis: int, config: RepeatConfig
     top = max((f[0] for f in found), default=0.0)
     if top < config.min_correlation:
         return None
-    correlation, cells, pitch = [f for f in found if f[0] >= config.octave_ratio * top][-1]
+    _, cells, pitch = [f for f in found if f[0] >= config.octave_ratio * top][-1]
     pitch = 1.0 / cells if pitch * cells > config.snug else pitch
-    return Repeats(axis, 0.5 * (1.0 - cells * pitch), pitch, cells, min(correlation, 1.0))
+    return Repeats(axis, 0.5 * (1.0 - cells * pitch), pitch, cells)
 
 
 def _peak_chain(curve: Float[np.ndarray, " n"], cells: int, config: RepeatConfig) -> tuple[float, float] | None:

@@ -203,7 +203,7 @@ def _repeats(grid: SliceGrid, axis: int) -> Repeats:
     """The grid along one axis as cells that repeat."""
     lines = grid.vertices[0, :, 0] if axis == 0 else grid.vertices[:, 0, 1]
     cells = len(lines) - 1
-    return Repeats(axis, float(lines[0]), float(lines[-1] - lines[0]) / cells, cells, 1.0)
+    return Repeats(axis, float(lines[0]), float(lines[-1] - lines[0]) / cells, cells)
 
 
 def _miss(overlap: float) -> float:
