@@ -16,6 +16,7 @@ from time import perf_counter
 import numpy as np
 from jaxtyping import Float
 
+from hybrid.rectify.cells import CellsConfig, Reading, read_cells
 from hybrid.rectify.congeal import CongealConfig, register_cells
 from hybrid.rectify.film_view import FilmView
 from hybrid.rectify.grid import GridConfig
@@ -45,6 +46,7 @@ class RefineConfig:
     sheet: SheetConfig = field(default_factory=SheetConfig)
     grid: GridConfig = field(default_factory=GridConfig)
     repeat: RepeatConfig = field(default_factory=RepeatConfig)
+    cells: CellsConfig = field(default_factory=CellsConfig)
     congeal: CongealConfig = field(default_factory=CongealConfig)
     spline: SplineConfig = field(default_factory=SplineConfig)
     working_px: int = 1000
@@ -188,7 +190,8 @@ def _round(
     scene, outline, displacement = progress.scene, progress.outline, progress.attempts[-1].displacement
     looking = number < config.line_rounds
     view = view_of(scene, displacement)
-    layout, lines = find_layout(view, progress.layout, looking, config.grid, config.repeat)
+    reading = read_view(view, progress.layout, config) if number == 0 else None
+    layout, lines = find_layout(view, progress.layout, looking, reading, config.grid, config.repeat)
     found = _observe_print(view, layout, lines, matcher, outline, config)
     clock.lap("grid")
     evidence = tuple(e.lifted(displacement) for e in found)
@@ -247,6 +250,13 @@ def agreement(course: Course, layouts: Sequence[Layout]) -> float:
     view = view_of(halved(course.scene), course.displacement)
     known = [(columns, rows) for columns, rows in (layout.repeats for layout in layouts) if columns and rows]
     return max((cell_agreement(view, *cells) for cells in known), default=0.0)
+
+
+def read_view(view: FilmView, layout: Layout, config: RefineConfig, aspect: float | None = None) -> Reading | None:
+    """The cells of the film in a view of it. aspect: its height over its width, where the view does not tell it."""
+    grey = view.image[..., 0]
+    shape = grey.shape[0] / grey.shape[1] if aspect is None else aspect
+    return read_cells(grey, shape, layout.pitches(), config.grid, config.cells)
 
 
 # ---------------------------------------------------------------- steps
@@ -358,5 +368,6 @@ __all__ = [
     "begin",
     "ended",
     "followed",
+    "read_view",
     "unstretched",
 ]

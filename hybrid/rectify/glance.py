@@ -11,6 +11,7 @@ from jaxtyping import UInt8
 from hybrid.backward import BackwardMap
 from hybrid.coords import film_centres_1d
 from hybrid.records import StageReport
+from hybrid.rectify.course import read_view
 from hybrid.rectify.film_view import view_film
 from hybrid.rectify.layout import Layout, find_layout
 from hybrid.rectify.refine import RefineConfig, Refinement
@@ -32,8 +33,9 @@ def glance(
     size = (max(64, round(down * scale)), max(64, round(across * scale)))
     grey = cv2.cvtColor(photo, cv2.COLOR_RGB2GRAY)
     view = view_film(grey, backward, film_centres_1d(size[1]), film_centres_1d(size[0]))
-    layout, _ = find_layout(view, Layout(), True, config.grid, config.repeat)
-    grid = layout.slice_grid(backward, expected)
+    reading = read_view(view, Layout(), config)
+    layout, _ = find_layout(view, Layout(), True, reading, config.grid, config.repeat)
+    grid = layout.slice_grid(reading, backward, expected)
     seconds = perf_counter() - start
     stages = (
         StageReport("outline", False, why, 0.0),

@@ -187,7 +187,7 @@ def _find_lines(image: Float[np.ndarray, "h n"], config: GridConfig) -> list[lis
     tells in how many strips the line is seen.
     """
     h = len(image)
-    votes = np.concatenate([_votes(line_response(image, width), config) for width in config.widths_px], axis=2)
+    votes = np.concatenate([line_votes(image, width, config) for width in config.widths_px], axis=2)
     kernel = np.ones((2 * config.slack_px + 1, 1), np.uint8)
     middle = config.strips // 2
     sums = votes  # best sum of a path from the nearer end of the film to this place
@@ -209,8 +209,9 @@ def _find_lines(image: Float[np.ndarray, "h n"], config: GridConfig) -> list[lis
     return lines
 
 
-def _votes(response: Float[np.ndarray, "h n"], config: GridConfig) -> Float[np.ndarray, "s h 2"]:
-    """How clearly each row of each strip shows a bright line, and a dark one."""
+def line_votes(image: Float[np.ndarray, "h n"], width: int, config: GridConfig) -> Float[np.ndarray, "s h 2"]:
+    """How clearly each row of each strip shows a bright line of this width, and a dark one: from -0.5 to 1."""
+    response = line_response(image, width)
     strips = cv2.resize(
         np.clip(response, -config.cap_levels, config.cap_levels),
         (config.strips, len(response)),
@@ -314,4 +315,4 @@ def _match_comb(
     return _Match(anchor + pitch * int(index[0]), pitch, len(index) - 1, np.flatnonzero(met), nearest[met], strength)
 
 
-__all__ = ["Comb", "GridConfig", "find_comb", "line_response", "narrowed"]
+__all__ = ["Comb", "GridConfig", "find_comb", "line_response", "line_votes", "narrowed"]

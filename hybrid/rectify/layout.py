@@ -9,11 +9,18 @@ import numpy as np
 
 from hybrid.backward import BackwardMap
 from hybrid.records import SliceGrid
+from hybrid.rectify.cells import Reading
 from hybrid.rectify.film_view import FilmView
 from hybrid.rectify.follow import follow_comb
 from hybrid.rectify.grid import Comb, GridConfig, find_comb
 from hybrid.rectify.repeat import RepeatConfig, Repeats, find_repeats
 from hybrid.rectify.sightings import Displacement, Sightings
+
+LEAST_PROBABILITY = 0.3
+"""A grid less probable than this is none."""
+
+SAME_PLACE = 0.012
+"""Cells of which the first begin this near to each other are the same, in film units."""
 
 GOOD_SHARE = 0.0025
 """Expected error of the map, in parts of the film, from which on a grid is trusted less: about 2 px of a photo."""
@@ -77,38 +84,47 @@ class Layout:
             found.append(f"{best.cells} {name} by {how}" if best is not None else f"no {name} seen")
         return ", ".join(found)
 
-    def slice_grid(self, backward: BackwardMap, expected: float) -> SliceGrid | None:
-        """The grid of slices; None where an axis shows neither lines nor repetition.
+    def pitches(self) -> tuple[list[float], list[float]]:
+        """What lines and repetition tell of the pitch along u and along v."""
+        columns, rows = (
+            [one.pitch for one in along if one is not None] for along in zip(self.combs, self.repeats, strict=True)
+        )
+        return columns, rows
 
+    def slice_grid(self, reading: Reading | None, backward: BackwardMap, expected: float) -> SliceGrid | None:
+        """The grid of slices as the film was read; None where it could not be.
+
+        Where lines or repetition that were fitted tell the same cells, they tell more exactly where these lie.
         expected: error of the map, in parts of the film: vertices lie no better than that.
         """
-        columns, rows = (self.along(axis) for axis in (0, 1))
-        if columns is None or rows is None:
+        if reading is None or reading.probability < LEAST_PROBABILITY:
             return None
+        read = (reading.columns, reading.rows)
+        columns, rows = (_fitted(one, self.along(axis)) for axis, one in enumerate(read))
         u, v = np.meshgrid(np.clip(columns.lines(), 0.0, 1.0), np.clip(rows.lines(), 0.0, 1.0))
         vertices = np.stack([u, v], axis=-1)
-        trust = min(_trust(columns), _trust(rows)) * min(1.0, GOOD_SHARE / expected)
+        trust = reading.probability * min(1.0, GOOD_SHARE / expected)
         return SliceGrid(rows.cells, columns.cells, vertices, backward.photo_from_film(vertices), trust)
 
 
-def _trust(best: Comb | Repeats) -> float:
-    """How sure the cells along one axis are, in [0, 1]: lines of which one is missing say less, and repetition tells
-    where cells begin only where they fill the film."""
-    if isinstance(best, Comb):
-        return best.strength if len(best.seen) > best.cells else 0.7 * best.strength
-    return 0.75 if best.cells * best.pitch > 0.998 else 0.4
+def _fitted(read: Repeats, fitted: Comb | Repeats | None) -> Comb | Repeats:
+    """The cells along one axis as they were fitted, if these are the ones that were read."""
+    if fitted is None or fitted.cells != read.cells or abs(fitted.first - read.first) > SAME_PLACE:
+        return read
+    return fitted
 
 
 def find_layout(
-    view: FilmView, known: Layout, looking: bool, grid: GridConfig, repeat: RepeatConfig
+    view: FilmView, known: Layout, looking: bool, reading: Reading | None, grid: GridConfig, repeat: RepeatConfig
 ) -> tuple[Layout, tuple[Sightings | None, Sightings | None]]:
     """What is found of the grid in this view, added to what was known, and the sightings of the lines of each axis.
 
-    Lines are only followed unless ``looking`` for them. Lines that contradict the repeats are dropped: tables and
-    bones make lines too.
+    reading: the cells as they were read in this view, if they were: repetition counts only if it tells as many. Lines
+    are only followed unless ``looking`` for them. Lines that contradict the repeats are dropped: tables and bones make
+    lines too.
     """
     grey = view.image[..., 0]
-    repeats = [r or find_repeats(grey, axis, repeat) for axis, r in enumerate(known.repeats)]
+    repeats = [r or _as_read(find_repeats(grey, axis, repeat), axis, reading) for axis, r in enumerate(known.repeats)]
     combs, followed = list(known.combs), []
     for axis, repeated in enumerate(repeats):
         comb = combs[axis]
@@ -121,6 +137,20 @@ def find_layout(
         combs[axis] = comb if followed[axis] is not None else None
         repeats[axis] = _in_step(repeated, combs[axis])
     return Layout((combs[0], combs[1]), (repeats[0], repeats[1])), (followed[0], followed[1])
+
+
+def _as_read(repeat: Repeats | None, axis: int, reading: Reading | None) -> Repeats | None:
+    """The cells that repeat along one axis, as many as were read there; as texts do not tell their place, centred.
+
+    Repetition tells the pitch better, but its peaks are mistaken for one another where the map is crooked yet.
+    """
+    if reading is None or reading.probability < LEAST_PROBABILITY:
+        return repeat
+    read = (reading.columns, reading.rows)[axis]
+    if repeat is not None and repeat.cells == read.cells:
+        return repeat
+    pitch = min(read.pitch, 1.0 / read.cells)
+    return Repeats(axis, 0.5 * (1.0 - read.cells * pitch), pitch, read.cells)
 
 
 def _in_step(repeat: Repeats | None, comb: Comb | None) -> Repeats | None:

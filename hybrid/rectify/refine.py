@@ -26,10 +26,11 @@ from hybrid.rectify.course import (
     begin,
     ended,
     followed,
+    read_view,
     unstretched,
 )
 from hybrid.rectify.outline import find_outline
-from hybrid.rectify.scene import Scene, working_scene
+from hybrid.rectify.scene import Scene, halved, view_of, working_scene
 from hybrid.rectify.sheet_fit import fit_sheet
 from hybrid.rectify.sightings import Sightings
 
@@ -115,6 +116,9 @@ def refine(photo: UInt8[np.ndarray, "H W 3"], coarse: BackwardMap, config: Refin
         start = course.scene.coarse.cropped((0.0, 0.0), scale) if is_bent else coarse
         rows, columns = (max(33, n) for n in coarse.nodes.shape[:2])
         backward = course.displacement.composed(start, (rows, columns))
+    aspect = None if course.sheet is None else float(np.exp(-course.sheet.sheet.log_aspect))
+    reading = read_view(view_of(halved(course.scene), course.displacement), course.layout, config, aspect)
+    clock.lap("grid")
     stages = (
         StageReport("outline", course.edges > 0, f"{course.edges} of 4 edges", clock["outline"]),
         StageReport("grid", course.layout.any_found, course.layout.reason(), clock["grid"]),
@@ -124,12 +128,12 @@ def refine(photo: UInt8[np.ndarray, "H W 3"], coarse: BackwardMap, config: Refin
     share = _expected_share(course)
     return Refinement(
         backward,
-        course.layout.slice_grid(backward, share if course.believed else np.inf),
+        course.layout.slice_grid(reading, backward, share if course.believed else np.inf),
         stages,
         expected_px=share * max(backward.mean_film_pixels()) if changed else None,
         edges=course.edges,
         held_out=course.after,
-        aspect=float(np.exp(-course.sheet.sheet.log_aspect)) if changed and course.sheet is not None else None,
+        aspect=aspect if changed else None,
     )
 
 

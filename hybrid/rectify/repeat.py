@@ -108,7 +108,7 @@ def detail(image: Float[np.ndarray, "h w"], fine: float, coarse: float) -> Float
 def find_repeats(grey: Float[np.ndarray, "h w"], axis: int, config: RepeatConfig) -> Repeats | None:
     """The pitch at which the flat film looks like itself along one axis; None where it does not."""
     band = detail(shrunk(grey, 2), 2.0, 8.0)
-    curve = _autocorrelation(band if axis == 0 else band.T)
+    curve = autocorrelation(band if axis == 0 else band.T)
     found = []
     for cells in range(2, config.max_cells + 1):
         chain = _peak_chain(curve, cells, config)
@@ -149,7 +149,7 @@ def _peak_chain(curve: Float[np.ndarray, " n"], cells: int, config: RepeatConfig
     return (first, min(pitch, 1.0 / cells)) if round(0.98 / pitch) == cells else None
 
 
-def _autocorrelation(band: Float[np.ndarray, "h w"]) -> Float[np.ndarray, " n"]:
+def autocorrelation(band: Float[np.ndarray, "h w"]) -> Float[np.ndarray, " n"]:
     """Correlation of the image with itself shifted by 0, 1, ... w - 1 columns, over what overlaps."""
     w = band.shape[1]
     size = 2 * cv2.getOptimalDFTSize(w)
@@ -215,6 +215,7 @@ __all__ = [
     "MatchRound",
     "RepeatConfig",
     "Repeats",
+    "autocorrelation",
     "cell_agreement",
     "cell_corners",
     "cell_image",

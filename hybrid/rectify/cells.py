@@ -1,0 +1,271 @@
+"""The cells of a film that lies nearly flat: of all regular grids the one that explains the print best.
+
+Combs of lines (grid.py) and repetition (repeat.py) look at one axis and at one kind of evidence; how many cells there
+are and where the first begins is decided here, of both axes at once. Every regular grid that something speaks for is
+weighed: by the lines seen between its cells, or the gaps that the print leaves there, by how well the film repeats at
+its pitch, by the print that it leaves out, by its margins, and by how square its cells are. The weights are those of a
+conditional logit (McFadden 1974) over simulated films whose grids are known, so that what it says is a probability.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.ndimage import maximum_filter1d, minimum_filter1d
+
+from hybrid.rectify.grid import GridConfig, line_votes, narrowed
+from hybrid.rectify.repeat import Repeats, autocorrelation, detail
+
+
+@dataclass(frozen=True)
+class Weights:
+    """By how much each sign of a grid along one axis raises the logarithm of its odds, for a sign of 1.
+
+    line: share of the film's length on which the lines between its cells are seen. clear: strength of the print there,
+    where 1 is the film's mean. outside: share of the print beyond the grid. echo, half: correlation of the film with
+    itself, shifted by a cell and by half a cell. best: the former, beside the largest there is. centre: how far the
+    grid's middle is from the film's, in tenths of the film. wide: the wider margin, in tenths. least: print in the
+    emptiest row of cells, beside the mean. cells: the logarithm of their number. beyond: by how much the grid is larger
+    than the film, in fiftieths.
+    """
+
+    line: float = 7.67
+    clear: float = -4.46
+    outside: float = -7.98
+    echo: float = 4.91
+    half: float = -5.26
+    best: float = 4.16
+    centre: float = -3.69
+    wide: float = -1.45
+    least: float = 2.75
+    cells: float = 1.31
+    beyond: float = -3.56
+
+
+@dataclass(frozen=True)
+class CellsConfig:
+    """Options of the reading of the cells."""
+
+    side_px: int = 400
+    """Longer side of the view of the film."""
+    widths_px: tuple[int, ...] = (1, 2, 4, 8)
+    """Widths of lines looked for, in pixels of the view."""
+    detail_px: tuple[float, float] = (1.0, 5.0)
+    """Scales between which the print's detail lies, in pixels of the view."""
+    max_cells: int = 10
+    """Most cells along one side."""
+    least_filled: float = 0.62
+    """Least share of the film that the grid covers along each axis."""
+    weights: Weights = Weights()
+    oblong: tuple[tuple[float, float], ...] = ((1.0, -1.24), (0.15, -4.03), (0.05, -3.70))
+    """Weights of the logarithm of the ratio of a cell's sides, each with the value from which on it counts no more."""
+    same: float = 0.012
+    """Grids of as many cells whose first ones begin this near to each other are one, in film units."""
+    kept: int = 48
+    """Grids along one axis that are weighed together with those along the other: those best by themselves."""
+
+
+@dataclass(frozen=True, eq=False)
+class Reading:
+    """The cells along both axes, and the probability that these are they."""
+
+    columns: Repeats
+    rows: Repeats
+    probability: float
+
+
+@dataclass(frozen=True, eq=False)
+class Profile:
+    """What the flat film shows along one axis, in equal steps from one edge to the other.
+
+    lines: share of the film's length on which a line of each kind is seen. ink: strength of the print's detail, 1 on
+    average. echo: correlation of the film with itself, shifted by so many steps.
+    """
+
+    lines: Float[np.ndarray, "n k"]
+    ink: Float[np.ndarray, " n"]
+    echo: Float[np.ndarray, " n"]
+
+
+def read_cells(
+    grey: Float[np.ndarray, "h w"],
+    aspect: float,
+    pitches: tuple[Sequence[float], Sequence[float]],
+    grid: GridConfig,
+    config: CellsConfig,
+) -> Reading | None:
+    """The most probable cells of a film; None where its view is too small to tell.
+
+    grey: view of [0, 1]^2, grey levels. aspect: the film's height over its width. pitches: of columns and of rows, that
+    are known from elsewhere, in film units; others are tried, too.
+    """
+    scale = config.side_px / max(grey.shape)
+    if scale < 1:
+        grey = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    if min(grey.shape) < 4 * config.max_cells:
+        return None
+    profiles = [profile_of(grey, axis, grid, config) for axis in (0, 1)]
+    grids, scores = [], []
+    for profile, known in zip(profiles, pitches, strict=True):
+        tried = candidates(profile, known, config)
+        score = scores_of(profile, tried, config)
+        best = np.argsort(-score)[: config.kept]
+        grids.append(tried[best])
+        scores.append(score[best])
+    oblong = np.abs(np.log(grids[0][:, None, 2] / (aspect * grids[1][None, :, 2])))
+    odds = scores[0][:, None] + scores[1][None]
+    odds += sum(weight * np.minimum(oblong, most) for most, weight in config.oblong)
+    chance = np.exp(odds - odds.max())
+    best = np.unravel_index(int(chance.argmax()), chance.shape)
+    alike = [_alike(tried, tried[k], config) for tried, k in zip(grids, best, strict=True)]
+    probability = float(chance[np.ix_(*alike)].sum() / chance.sum())
+    columns, rows = (
+        Repeats(axis, float(first), float(pitch), int(cells))
+        for axis, (cells, first, pitch) in enumerate(tried[k] for tried, k in zip(grids, best, strict=True))
+    )
+    return Reading(columns, rows, probability)
+
+
+def profile_of(grey: Float[np.ndarray, "h w"], axis: int, grid: GridConfig, config: CellsConfig) -> Profile:
+    """What a view shows of borders across one axis."""
+    image = grey if axis == 1 else np.ascontiguousarray(grey.T)
+    band = detail(image, *config.detail_px)
+    ink = np.abs(band).mean(axis=1)
+    narrow, near = narrowed(image, 1), np.ones((3, 1), np.uint8)
+    votes = [line_votes(narrow, width, grid) for width in config.widths_px]
+    shares = np.concatenate([np.mean([cv2.dilate(strip, near) for strip in kind], axis=0) for kind in votes], axis=1)
+    ink = minimum_filter1d(ink / max(float(ink.mean()), 1e-6), 3)
+    return Profile(maximum_filter1d(shares, 3, axis=0), ink, autocorrelation(band.T))
+
+
+def candidates(profile: Profile, known: Sequence[float], config: CellsConfig) -> Float[np.ndarray, "c 3"]:
+    """Grids along one axis that something speaks for: number of cells, where the first begins, pitch."""
+    n, line = len(profile.ink), profile.lines.max(axis=1)
+    found = []
+    for pitch in _pitches(profile, known, config):
+        for cells in range(max(1, int(config.least_filled / pitch)), int(1.015 / pitch) + 1):
+            slack = 1.0 - cells * pitch
+            firsts = [0.5 * slack, 0.0, slack]
+            if cells > 1:
+                first = np.arange(min(0.0, slack) - 0.004, max(slack, 0.0) + 0.004, 1.0 / n)
+                inner = _step(first[:, None] + pitch * np.arange(1, cells), n)
+                clear, seen = -profile.ink[inner].mean(axis=1), line[inner].mean(axis=1)
+                for score, number in ((clear, 3), (seen, 3), (seen + clear, 2)):
+                    firsts += first[_best_apart(first, score, number, 0.01)].tolist()
+            at = np.array(firsts)
+            order = _best_apart(at, -np.arange(len(at)), len(at), 0.003)
+            found += [(cells, value, pitch) for value in at[order].tolist()]
+    return np.array(found)
+
+
+def scores_of(profile: Profile, grids: Float[np.ndarray, "c 3"], config: CellsConfig) -> Float[np.ndarray, " c"]:
+    """Logarithm of the odds of each grid along one axis, but for a constant."""
+    signs = signs_of(profile, grids, config)
+    return np.asarray(sum(getattr(config.weights, name) * sign for name, sign in signs.items()))
+
+
+def signs_of(
+    profile: Profile, grids: Float[np.ndarray, "c 3"], config: CellsConfig
+) -> dict[str, Float[np.ndarray, " c"]]:
+    """What speaks for each grid and against it, by the names that Weights explains."""
+    n, (cells, first, pitch) = len(profile.ink), grids.T
+    border, end = np.arange(config.max_cells + 1), first + cells * pitch
+    at = first[:, None] + pitch[:, None] * border
+    inner = (border >= 1) & (border < cells[:, None])
+    count, several = np.maximum(inner.sum(axis=1), 1), cells > 1
+    step = _step(at, n)
+    line = ((profile.lines[step] * inner[..., None]).sum(axis=1) / count[:, None]).max(axis=1)
+    clear = (profile.ink[step] * inner).sum(axis=1) / count
+    total = np.concatenate([[0.0], np.cumsum(profile.ink)]) / max(float(profile.ink.sum()), 1e-9)
+    edges = np.linspace(0.0, 1.0, n + 1)
+    outside = 1.0 - np.interp(end + 0.004, edges, total) + np.interp(first - 0.004, edges, total)
+    in_cells = np.diff(np.interp(at, edges, total), axis=1) / pitch[:, None]
+    least = np.where(border[:-1] < cells[:, None], in_cells, np.inf).min(axis=1)
+    echo, half = (maximum_filter1d(profile.echo, 3)[_lag(part * pitch, n)] for part in (1.0, 0.5))
+    shortest, longest = n // (config.max_cells + 1), int(0.56 * n)
+    echo = np.where(pitch < 0.75, echo, 0.0)
+    return {
+        "line": np.where(several, line, 0.0),
+        "clear": np.where(several, clear, 1.0),
+        "outside": outside,
+        "echo": echo,
+        "half": np.where(cells < 6, half, 0.0),
+        "best": echo / max(float(profile.echo[shortest:longest].max()), 0.02),
+        "centre": 10 * np.minimum(np.abs(0.5 * (first + end) - 0.5), 0.1),
+        "wide": 10 * np.clip(np.maximum(first, 1.0 - end), 0.0, 0.3),
+        "least": np.clip(least, 0.0, 1.0),
+        "cells": np.log(cells),
+        "beyond": 50 * np.clip(-np.minimum(first, 1.0 - end), 0.0, 0.02),
+    }
+
+
+# ---------------------------------------------------------------- steps
+
+
+def _pitches(profile: Profile, known: Sequence[float], config: CellsConfig) -> list[float]:
+    """Pitches worth a try: those known, the peaks of the autocorrelation, and those of grids that fill the film."""
+    echo, n = profile.echo, len(profile.echo)
+    lags = np.arange(max(4, int(n / (config.max_cells + 0.8))), int(0.56 * n))
+    peaks = lags[(echo[lags] >= maximum_filter1d(echo, 7)[lags]) & (echo[lags] > 0.03)]
+    found = [factor * pitch for pitch in known for factor in (0.5, 1.0, 2.0)]
+    found += [_sharpened(echo, int(lag)) / n for lag in peaks[np.argsort(-echo[peaks])][:8]]
+    found += [1.0 / cells for cells in range(1, config.max_cells + 1)]
+    kept = [0.0]
+    for pitch in sorted(found):
+        if 1.0 / (config.max_cells + 0.6) <= pitch <= 1.005 and pitch > 1.004 * kept[-1]:
+            kept.append(pitch)
+    return kept[1:]
+
+
+def _sharpened(echo: Float[np.ndarray, " n"], lag: int) -> float:
+    """A lag at which the film correlates with itself, to a fraction of a step, by its multiples where these do, too."""
+    pitch = _vertex(echo, lag)
+    for multiple in (2, 3, 4, 5):
+        near = round(multiple * pitch)
+        if near + 5 > 0.8 * len(echo):
+            break
+        peak = near - 3 + int(np.argmax(echo[near - 3 : near + 4]))
+        if abs(peak - near) == 3 or echo[peak] < 0.5 * echo[lag]:
+            break
+        pitch = _vertex(echo, peak) / multiple
+    return pitch
+
+
+def _vertex(curve: Float[np.ndarray, " n"], peak: int) -> float:
+    """Where the parabola through a peak and its neighbours is highest."""
+    left, here, right = (float(c) for c in curve[peak - 1 : peak + 2])
+    return peak + float(np.clip(0.5 * (left - right) / min(left - 2 * here + right, -1e-9), -1.0, 1.0))
+
+
+def _best_apart(
+    at: Float[np.ndarray, " n"], score: Float[np.ndarray, " n"] | Int[np.ndarray, " n"], number: int, apart: float
+) -> list[int]:
+    """Which places have the best scores, no two of them nearer to each other than ``apart``."""
+    best: list[int] = []
+    for k in np.argsort(-score, kind="stable").tolist():
+        if all(abs(at[k] - at[other]) > apart for other in best):
+            best.append(k)
+            if len(best) == number:
+                break
+    return best
+
+
+def _step(at: Float[np.ndarray, "*n"], n: int) -> Int[np.ndarray, "*n"]:
+    """The step of a profile in which a film coordinate lies."""
+    return np.clip((at * n).astype(np.intp), 0, n - 1)
+
+
+def _lag(pitch: Float[np.ndarray, " c"], n: int) -> Int[np.ndarray, " c"]:
+    return np.clip(np.round(pitch * n).astype(np.intp), 1, n - 2)
+
+
+def _alike(grids: Float[np.ndarray, "c 3"], one: Float[np.ndarray, "3"], config: CellsConfig) -> Bool[np.ndarray, " c"]:
+    """Which grids are the same as one, but for where exactly its cells lie."""
+    return (grids[:, 0] == one[0]) & (np.abs(grids[:, 1] - one[1]) < config.same)
+
+
+__all__ = ["CellsConfig", "Reading", "Weights", "candidates", "profile_of", "read_cells", "signs_of"]
