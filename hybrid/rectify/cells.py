@@ -127,7 +127,7 @@ def read_cells(
         Repeats(axis, float(first), float(pitch), int(cells))
         for axis, (cells, first, pitch) in enumerate(tried[k] for tried, k in zip(grids, best, strict=True))
     )
-    return Reading(columns, rows, probability)
+    return Reading(columns, rows, min(1.0, probability))
 
 
 def profile_of(grey: Float[np.ndarray, "h w"], axis: int, grid: GridConfig, config: CellsConfig) -> Profile:

@@ -20,7 +20,7 @@ LEAST_PROBABILITY = 0.3
 """A grid less probable than this is none."""
 
 SAME_PLACE = 0.012
-"""Cells of which the first begin this near to each other are the same, in film units."""
+"""Cells whose lines lie this near to each other are the same, in film units."""
 
 GOOD_SHARE = 0.0025
 """Expected error of the map, in parts of the film, from which on a grid is trusted less: about 2 px of a photo."""
@@ -109,9 +109,9 @@ class Layout:
 
 def _fitted(read: Repeats, fitted: Comb | Repeats | None) -> Comb | Repeats:
     """The cells along one axis as they were fitted, if these are the ones that were read."""
-    if fitted is None or fitted.cells != read.cells or abs(fitted.first - read.first) > SAME_PLACE:
+    if fitted is None or fitted.cells != read.cells:
         return read
-    return fitted
+    return fitted if np.abs(fitted.lines() - read.lines()).max() < SAME_PLACE else read
 
 
 def find_layout(
