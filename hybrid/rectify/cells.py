@@ -18,7 +18,11 @@ from jaxtyping import Bool, Float, Int
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from hybrid.rectify.grid import GridConfig, line_votes, narrowed
-from hybrid.rectify.repeat import Repeats, autocorrelation, detail
+from hybrid.rectify.repeat import Repeats, autocorrelation, detail, highest
+
+
+SAME_PLACE = 0.012
+"""Grids of as many cells whose borders lie this near to each other are one, in film units."""
 
 
 @dataclass(frozen=True)
@@ -63,8 +67,6 @@ class CellsConfig:
     weights: Weights = Weights()
     oblong: tuple[tuple[float, float], ...] = ((1.0, -1.24), (0.15, -4.03), (0.05, -3.70))
     """Weights of the logarithm of the ratio of a cell's sides, each with the value from which on it counts no more."""
-    same: float = 0.012
-    """Grids of as many cells whose first ones begin this near to each other are one, in film units."""
     kept: int = 48
     """Grids along one axis that are weighed together with those along the other: those best by themselves."""
 
@@ -121,7 +123,7 @@ def read_cells(
     odds += sum(weight * np.minimum(oblong, most) for most, weight in config.oblong)
     chance = np.exp(odds - odds.max())
     best = np.unravel_index(int(chance.argmax()), chance.shape)
-    alike = [_alike(tried, tried[k], config) for tried, k in zip(grids, best, strict=True)]
+    alike = [_alike(tried, tried[k]) for tried, k in zip(grids, best, strict=True)]
     probability = float(chance[np.ix_(*alike)].sum() / chance.sum())
     columns, rows = (
         Repeats(axis, float(first), float(pitch), int(cells))
@@ -185,7 +187,8 @@ def signs_of(
     outside = 1.0 - np.interp(end + 0.004, edges, total) + np.interp(first - 0.004, edges, total)
     in_cells = np.diff(np.interp(at, edges, total), axis=1) / pitch[:, None]
     least = np.where(border[:-1] < cells[:, None], in_cells, np.inf).min(axis=1)
-    echo, half = (maximum_filter1d(profile.echo, 3)[_lag(part * pitch, n)] for part in (1.0, 0.5))
+    near = maximum_filter1d(profile.echo, 3)
+    echo, half = (near[_lag(part * pitch, n)] for part in (1.0, 0.5))
     shortest, longest = n // (config.max_cells + 1), int(0.56 * n)
     echo = np.where(pitch < 0.75, echo, 0.0)
     return {
@@ -223,7 +226,7 @@ def _pitches(profile: Profile, known: Sequence[float], config: CellsConfig) -> l
 
 def _sharpened(echo: Float[np.ndarray, " n"], lag: int) -> float:
     """A lag at which the film correlates with itself, to a fraction of a step, by its multiples where these do, too."""
-    pitch = _vertex(echo, lag)
+    pitch = highest(echo, lag)
     for multiple in (2, 3, 4, 5):
         near = round(multiple * pitch)
         if near + 5 > 0.8 * len(echo):
@@ -231,14 +234,8 @@ def _sharpened(echo: Float[np.ndarray, " n"], lag: int) -> float:
         peak = near - 3 + int(np.argmax(echo[near - 3 : near + 4]))
         if abs(peak - near) == 3 or echo[peak] < 0.5 * echo[lag]:
             break
-        pitch = _vertex(echo, peak) / multiple
+        pitch = highest(echo, peak) / multiple
     return pitch
-
-
-def _vertex(curve: Float[np.ndarray, " n"], peak: int) -> float:
-    """Where the parabola through a peak and its neighbours is highest."""
-    left, here, right = (float(c) for c in curve[peak - 1 : peak + 2])
-    return peak + float(np.clip(0.5 * (left - right) / min(left - 2 * here + right, -1e-9), -1.0, 1.0))
 
 
 def _best_apart(
@@ -263,9 +260,9 @@ def _lag(pitch: Float[np.ndarray, " c"], n: int) -> Int[np.ndarray, " c"]:
     return np.clip(np.round(pitch * n).astype(np.intp), 1, n - 2)
 
 
-def _alike(grids: Float[np.ndarray, "c 3"], one: Float[np.ndarray, "3"], config: CellsConfig) -> Bool[np.ndarray, " c"]:
+def _alike(grids: Float[np.ndarray, "c 3"], one: Float[np.ndarray, "3"]) -> Bool[np.ndarray, " c"]:
     """Which grids are the same as one, but for where exactly its cells lie."""
-    return (grids[:, 0] == one[0]) & (np.abs(grids[:, 1] - one[1]) < config.same)
+    return (grids[:, 0] == one[0]) & (np.abs(grids[:, 1] - one[1]) < SAME_PLACE)
 
 
-__all__ = ["CellsConfig", "Reading", "Weights", "candidates", "profile_of", "read_cells", "signs_of"]
+__all__ = ["SAME_PLACE", "CellsConfig", "Reading", "Weights", "candidates", "profile_of", "read_cells", "signs_of"]

@@ -39,7 +39,7 @@ def glance(
     seconds = perf_counter() - start
     stages = (
         StageReport("outline", False, why, 0.0),
-        StageReport("grid", grid is not None, layout.reason(), seconds),
+        StageReport("grid", grid is not None, layout.reason(reading), seconds),
         StageReport("spline", False, why, 0.0),
     )
     return Refinement(backward, grid, stages)

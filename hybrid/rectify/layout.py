@@ -9,7 +9,7 @@ import numpy as np
 
 from hybrid.backward import BackwardMap
 from hybrid.records import SliceGrid
-from hybrid.rectify.cells import Reading
+from hybrid.rectify.cells import SAME_PLACE, Reading
 from hybrid.rectify.film_view import FilmView
 from hybrid.rectify.follow import follow_comb
 from hybrid.rectify.grid import Comb, GridConfig, find_comb
@@ -18,9 +18,6 @@ from hybrid.rectify.sightings import Displacement, Sightings
 
 LEAST_PROBABILITY = 0.3
 """A grid less probable than this is none."""
-
-SAME_PLACE = 0.012
-"""Cells whose lines lie this near to each other are the same, in film units."""
 
 GOOD_SHARE = 0.0025
 """Expected error of the map, in parts of the film, from which on a grid is trusted less: about 2 px of a photo."""
@@ -55,11 +52,6 @@ class Layout:
         """True where repetition was seen along both axes, so that cells can be matched."""
         return all(r is not None for r in self.repeats)
 
-    @property
-    def any_found(self) -> bool:
-        """True where lines or repetition were found along any axis."""
-        return any(x is not None for x in (*self.combs, *self.repeats))
-
     def along(self, axis: int) -> Comb | Repeats | None:
         """What is best known along one axis."""
         return self.combs[axis] if self.combs[axis] is not None else self.repeats[axis]
@@ -75,14 +67,19 @@ class Layout:
                 repeats[e.source.axis] = e.source.adjusted(constants)
         return Layout((combs[0], combs[1]), (repeats[0], repeats[1]))
 
-    def reason(self) -> str:
-        """What was found, for the report."""
-        found = []
-        for axis, name in ((0, "columns"), (1, "rows")):
-            best = self.along(axis)
-            how = "lines" if isinstance(best, Comb) else "repetition"
-            found.append(f"{best.cells} {name} by {how}" if best is not None else f"no {name} seen")
-        return ", ".join(found)
+    def reason(self, reading: Reading | None) -> str:
+        """How the film was read and what was fitted, for the report."""
+        if reading is None:
+            return "the view of the film is too small to count cells"
+        read = f"{reading.rows.cells} x {reading.columns.cells} cells are {reading.probability:.0%} probable"
+        if reading.probability < LEAST_PROBABILITY:
+            return f"no grid is likely: {read} at best"
+        how = []
+        for name, one in (("columns", reading.columns), ("rows", reading.rows)):
+            fitted = _fitted(one, self.along(one.axis))
+            by = "lines" if isinstance(fitted, Comb) else "what was read" if fitted is one else "repetition"
+            how.append(f"{name} by {by}")
+        return f"{read}; {', '.join(how)}"
 
     def pitches(self) -> tuple[list[float], list[float]]:
         """What lines and repetition tell of the pitch along u and along v."""
@@ -99,8 +96,7 @@ class Layout:
         """
         if reading is None or reading.probability < LEAST_PROBABILITY:
             return None
-        read = (reading.columns, reading.rows)
-        columns, rows = (_fitted(one, self.along(axis)) for axis, one in enumerate(read))
+        columns, rows = (_fitted(one, self.along(one.axis)) for one in (reading.columns, reading.rows))
         u, v = np.meshgrid(np.clip(columns.lines(), 0.0, 1.0), np.clip(rows.lines(), 0.0, 1.0))
         vertices = np.stack([u, v], axis=-1)
         trust = reading.probability * min(1.0, GOOD_SHARE / expected)

@@ -118,17 +118,18 @@ def refine(photo: UInt8[np.ndarray, "H W 3"], coarse: BackwardMap, config: Refin
         backward = course.displacement.composed(start, (rows, columns))
     aspect = None if course.sheet is None else float(np.exp(-course.sheet.sheet.log_aspect))
     reading = read_view(view_of(halved(course.scene), course.displacement), course.layout, config, aspect)
+    share = _expected_share(course)
+    grid = course.layout.slice_grid(reading, backward, share if course.believed else np.inf)
     clock.lap("grid")
     stages = (
         StageReport("outline", course.edges > 0, f"{course.edges} of 4 edges", clock["outline"]),
-        StageReport("grid", course.layout.any_found, course.layout.reason(), clock["grid"]),
+        StageReport("grid", grid is not None, course.layout.reason(reading), clock["grid"]),
         StageReport("sheet", course.sheet is not None, UNSTRETCHED[course.sheet is not None], clock["sheet"]),
         StageReport("spline", changed, course.verdict, clock["spline"]),
     )
-    share = _expected_share(course)
     return Refinement(
         backward,
-        course.layout.slice_grid(reading, backward, share if course.believed else np.inf),
+        grid,
         stages,
         expected_px=share * max(backward.mean_film_pixels()) if changed else None,
         edges=course.edges,

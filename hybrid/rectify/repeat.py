@@ -142,11 +142,17 @@ def _peak_chain(curve: Float[np.ndarray, " n"], cells: int, config: RepeatConfig
             break
         height = max(height, here)
         first = here if multiple == 1 else first
-        lag, count = peak + 0.5 * (left - right) / min(left - 2 * here + right, -1e-9), multiple
+        lag, count = highest(curve, peak), multiple
     if first == 0.0:
         return None
     pitch = lag / count / n
     return (first, min(pitch, 1.0 / cells)) if round(0.98 / pitch) == cells else None
+
+
+def highest(curve: Float[np.ndarray, " n"], peak: int) -> float:
+    """Where the parabola through a peak and its neighbours is highest."""
+    left, here, right = (float(c) for c in curve[peak - 1 : peak + 2])
+    return peak + float(np.clip(0.5 * (left - right) / min(left - 2 * here + right, -1e-9), -1.0, 1.0))
 
 
 def autocorrelation(band: Float[np.ndarray, "h w"]) -> Float[np.ndarray, " n"]:
@@ -222,5 +228,6 @@ __all__ = [
     "cell_moments",
     "detail",
     "find_repeats",
+    "highest",
     "shrunk",
 ]
