@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 from benchmarks.lineup import MAIN
 from benchmarks.page_tables import (
@@ -114,8 +115,7 @@ def _how(report: Report) -> str:
     lines = [
         f"To make this page again:\n\n```bash\n{run['command']}\n```",
         f"{machine['processor']}, {machine['usable_processors']} usable processors, {machine['memory_gib']} GiB; "
-        f"threads for every method: {settings.threads}; Python {run['python']}, {versions}; commit "
-        f"{run['commit']}; {run['time_utc'][:10]}.",
+        f"threads for every method: {settings.threads}; Python {run['python']}, {versions}; {_made(run)}.",
         f"**Equal footing.** {len(report.cases)} photos whose true geometry is known ({settings.source}). Every method "
         "sees the same photos in memory and ends with the flat film in memory; the methods take turns on each photo. "
         "Those that give a map have the photo read through it as `hybrid` reads it, to a film of the size that the "
@@ -144,6 +144,11 @@ def _how(report: Report) -> str:
             "there are, which are not the authors', and the run time of a network of that width."
         )
     return "\n\n".join(lines)
+
+
+def _made(run: dict[str, Any]) -> str:
+    """With which code and when: parts of the page may be older than others."""
+    return f"commit {run['commit']}; {run['time_utc'][:10]}"
 
 
 def _warnings(report: Report) -> list[str]:
@@ -182,7 +187,7 @@ def _stability_text(stability: StabilityReport) -> str:
         for d in stability.by_damage()
     ]
     return (
-        f"```bash\n{stability.run['command']}\n```\n\n"
+        f"```bash\n{stability.run['command']}\n```\n\n{_made(stability.run).capitalize()}.\n\n"
         + table(("part", "what", "tried", "refused", "failed", "worst residual"), rows)
         + f"\n\n{verdict}\n\n"
         + table(("damage", "photos", "ok", "unsure", "refused", "failed"), damages)
@@ -191,7 +196,7 @@ def _stability_text(stability: StabilityReport) -> str:
 
 def _soak_text(soak: SoakReport) -> str:
     return (
-        f"```bash\n{soak.run['command']}\n```\n\n"
+        f"```bash\n{soak.run['command']}\n```\n\n{_made(soak.run).capitalize()}.\n\n"
         f"{soak.films} films in one process: memory {soak.memory_mib[0]:.0f} MiB after {soak.settled} films, "
         f"{soak.memory_mib[-1]:.0f} MiB at the end ({100 * soak.memory_growth():+.1f} %); a film takes "
         f"{100 * soak.time_drift():+.1f} % longer in the last fifth than in the first (processor seconds); "

@@ -20,7 +20,6 @@ from scipy.ndimage import maximum_filter1d, minimum_filter1d
 from hybrid.rectify.grid import GridConfig, line_votes, narrowed
 from hybrid.rectify.repeat import Repeats, autocorrelation, detail, highest
 
-
 SAME_PLACE = 0.012
 """Grids of as many cells whose borders lie this near to each other are one, in film units."""
 
