@@ -19,6 +19,7 @@ from jaxtyping import Float
 from hybrid.rectify.cells import CellsConfig, Reading, read_cells
 from hybrid.rectify.congeal import CongealConfig, register_cells
 from hybrid.rectify.film_view import FilmView
+from hybrid.rectify.foreshortening import EVEN, ForeshorteningConfig, even, foreshortening
 from hybrid.rectify.grid import GridConfig
 from hybrid.rectify.held_out import held_out_residuals
 from hybrid.rectify.layout import Evidence, Layout, find_layout
@@ -46,6 +47,7 @@ class RefineConfig:
     sheet: SheetConfig = field(default_factory=SheetConfig)
     grid: GridConfig = field(default_factory=GridConfig)
     repeat: RepeatConfig = field(default_factory=RepeatConfig)
+    foreshortening: ForeshorteningConfig = field(default_factory=ForeshorteningConfig)
     cells: CellsConfig = field(default_factory=CellsConfig)
     congeal: CongealConfig = field(default_factory=CongealConfig)
     spline: SplineConfig = field(default_factory=SplineConfig)
@@ -171,6 +173,18 @@ def begin(scene: Scene, outline: Sequence[Sightings], config: RefineConfig) -> P
     if outline:
         displacement = fit_displacement(outline, config.spline).displacement
     return Progress(scene, tuple(outline), (_Attempt(displacement, tuple(Evidence(s) for s in outline)),))
+
+
+def evened(progress: Progress, config: RefineConfig, clock: Clock) -> Progress:
+    """Before the first round, from the map through which what is printed evenly is even."""
+    scene, displacement = progress.scene, progress.attempts[-1].displacement
+    bends = foreshortening(view_of(halved(scene), displacement).image[..., 0], config.foreshortening)
+    clock.lap("grid")
+    if bends == (EVEN, EVEN):
+        return progress
+    coarse = even(displacement.composed(scene.coarse), bends)
+    outline = [carried(s, scene.coarse, coarse) for s in progress.outline]
+    return begin(replace(scene, coarse=coarse), outline, config)
 
 
 def followed(progress: Progress, config: RefineConfig, clock: Clock) -> Progress | None:
@@ -367,6 +381,7 @@ __all__ = [
     "agreement",
     "begin",
     "ended",
+    "evened",
     "followed",
     "read_view",
     "unstretched",

@@ -25,6 +25,7 @@ from hybrid.rectify.course import (
     agreement,
     begin,
     ended,
+    evened,
     followed,
     read_view,
     unstretched,
@@ -102,7 +103,7 @@ def refine(photo: UInt8[np.ndarray, "H W 3"], coarse: BackwardMap, config: Refin
     scene = working_scene(photo, coarse, config.working_px)
     outline = find_outline(scene.photo, scene.coarse, config.outline)
     clock.lap("outline")
-    course = _course(begin(scene, outline, config), config, clock)
+    course = _course(evened(begin(scene, outline, config), config, clock), config, clock)
     if course is None or not course.believed or course.sheet is None or course.after > config.doubtful:
         bent = _from_sheet(scene, outline, config, clock)
         course = _better(course, bent and _course(bent, config, clock), config.no_worse, clock)
