@@ -31,8 +31,8 @@ class AugmentConfig:
     """
 
     empty_share: float = 0.04
-    whole_share: float = 0.3
-    plane_share: float = 0.35
+    whole_share: float = 0.25
+    plane_share: float = 0.65
     zoom: tuple[float, float] = (0.55, 1.25)
     roll_deg: float = 8.0
     shift: float = 0.03
