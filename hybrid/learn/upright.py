@@ -125,7 +125,7 @@ def orientation_chances(
 class UprightConfig:
     """When a film is turned or mirrored.
 
-    turned, mirrored: shares of films that are photographed turned by quarters, and from behind; the others lie right.
+    turned, mirrored: shares of films that are photographed turned by quarters, and from behind.
     min_probability: a film is moved only where it is this sure, these shares counted in. min_film_px: nothing is read
     on films whose longer side is less.
     """
@@ -137,9 +137,9 @@ class UprightConfig:
 
     @property
     def prior(self) -> Float[np.ndarray, " 8"]:
-        """Probability of each of the eight ways before anything was read."""
-        right = 1 - self.turned - self.mirrored
-        return np.array([right, *[self.turned / 3] * 3, *[self.mirrored / 4] * 4])
+        """Probability of each of the eight ways before anything was read; turning and mirroring are independent."""
+        turns = np.array([1 - self.turned, *[self.turned / 3] * 3])
+        return np.concatenate([(1 - self.mirrored) * turns, self.mirrored * turns])
 
 
 def upright_way(chances: Float32[np.ndarray, " 8"], config: UprightConfig) -> tuple[Orientation, str]:

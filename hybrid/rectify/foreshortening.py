@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from hybrid.backward import BackwardMap
-from hybrid.coords import film_nodes, node_centres_1d
+from hybrid.coords import film_centres_1d, film_nodes, node_centres_1d
 from hybrid.rectify.repeat import detail
 
 Bend = tuple[float, float]
@@ -147,7 +147,7 @@ def _curves(bends: tuple[Bend, ...], config: ForeshorteningConfig) -> Int[np.nda
     """For each spacing and pitch, where in the matrix of likeness a column meets the one a pitch on."""
     n, (shortest, longest, number) = config.side_px, config.pitches
     pitch = np.geomspace(shortest, longest, number)[:, None]
-    first = (np.arange(config.places) + 0.5) / config.places * (1.0 - pitch)
+    first = film_centres_1d(config.places) * (1.0 - pitch)
     a, b = np.array(bends).T[..., None, None]
     here, there = (np.clip((_spaced(t, a, b) * n).astype(np.int32), 0, n - 1) for t in (first, first + pitch))
     return here * n + there
