@@ -79,9 +79,8 @@ def test_a_map_with_right_edges_and_an_inside_half_a_slice_off_is_put_right(axis
     photo, true = make_photo(FilmDrawing(5, 4, rules=False), np.random.default_rng(3))
     bends = ((-0.35, 0.1), EVEN) if axis == 0 else (EVEN, (-0.35, 0.1))
     coarse = even(true, bends)
-    before, after = (
-        float(end_point_error(one, true.nodes).mean())
-        for one in (coarse, refine(photo, coarse, RefineConfig()).backward)
-    )
+    refined = refine(photo, coarse, RefineConfig())
+    before, after = (float(end_point_error(one, true.nodes).mean()) for one in (coarse, refined.backward))
     assert before > 20
     assert after < 2
+    assert "foreshortening" in next(stage.reason for stage in refined.stages if stage.name == "grid")

@@ -1,9 +1,10 @@
 """A coarse backward map made exact to a fraction of a pixel by what the photo shows of the sheet and its print.
 
-From the network's map the sheet's edges and what is printed on it are looked for, round for round, and fitted by a
-smooth displacement (course.py). Then one bent sheet that does not stretch is fitted to all that was seen
-(sheet_fit.py), and all is looked for again through its map: that counts if it explains what is seen as well. Where the
-end is in doubt, the same is tried from the sheet that the edges alone tell, and the better end counts.
+From the network's map, made even where the print shows that it is not (foreshortening.py), the sheet's edges and what
+is printed on it are looked for, round for round, and fitted by a smooth displacement (course.py). Then one bent sheet
+that does not stretch is fitted to all that was seen (sheet_fit.py), and all is looked for again through its map: that
+counts if it explains what is seen as well. Where the end is in doubt, the same is tried from the sheet that the edges
+alone tell, and the better end counts.
 """
 
 from __future__ import annotations
@@ -103,7 +104,9 @@ def refine(photo: UInt8[np.ndarray, "H W 3"], coarse: BackwardMap, config: Refin
     scene = working_scene(photo, coarse, config.working_px)
     outline = find_outline(scene.photo, scene.coarse, config.outline)
     clock.lap("outline")
-    course = _course(evened(begin(scene, outline, config), config, clock), config, clock)
+    begun = begin(scene, outline, config)
+    straightened = evened(begun, config, clock)
+    course = _course(straightened, config, clock)
     if course is None or not course.believed or course.sheet is None or course.after > config.doubtful:
         bent = _from_sheet(scene, outline, config, clock)
         course = _better(course, bent and _course(bent, config, clock), config.no_worse, clock)
@@ -122,9 +125,12 @@ def refine(photo: UInt8[np.ndarray, "H W 3"], coarse: BackwardMap, config: Refin
     share = _expected_share(course)
     grid = course.layout.slice_grid(reading, backward, share if course.believed else np.inf)
     clock.lap("grid")
+    evidence = course.layout.reason(reading)
+    if straightened is not begun:
+        evidence += "; foreshortening was read off the print first"
     stages = (
         StageReport("outline", course.edges > 0, f"{course.edges} of 4 edges", clock["outline"]),
-        StageReport("grid", grid is not None, course.layout.reason(reading), clock["grid"]),
+        StageReport("grid", grid is not None, evidence, clock["grid"]),
         StageReport("sheet", course.sheet is not None, UNSTRETCHED[course.sheet is not None], clock["sheet"]),
         StageReport("spline", changed, course.verdict, clock["spline"]),
     )
