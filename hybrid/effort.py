@@ -10,6 +10,7 @@ from hybrid.errors import ConfigError, describe
 from hybrid.learn.predict import PredictConfig
 from hybrid.learn.upright import UprightConfig
 from hybrid.rectify.deilluminate import DeilluminateConfig
+from hybrid.rectify.edge_paths import EdgeConfig
 from hybrid.rectify.film_size import FilmSizeConfig
 from hybrid.rectify.fuse import FuseConfig
 from hybrid.rectify.invert import InvertConfig
@@ -32,6 +33,7 @@ class RectifyConfig:
     survey: SurveyConfig = field(default_factory=SurveyConfig)
     predict: PredictConfig = field(default_factory=PredictConfig)
     invert: InvertConfig = field(default_factory=InvertConfig)
+    edges: EdgeConfig = field(default_factory=EdgeConfig)
     refine: RefineConfig = field(default_factory=RefineConfig)
     plane: PlaneConfig = field(default_factory=PlaneConfig)
     exact: bool = True

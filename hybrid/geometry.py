@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
@@ -18,6 +18,7 @@ from hybrid.learn.views import film_view, plane_of, whole_view
 from hybrid.pyramid import Photo, Pyramid
 from hybrid.records import CoarseMaps, StageReport
 from hybrid.rectify.consensus import geometric_median
+from hybrid.rectify.edge_paths import edge_support, put_on_edges, read_edges
 from hybrid.rectify.flat import already_flat
 from hybrid.rectify.glance import VIEW_PX, glance
 from hybrid.rectify.invert import Inversion, NotInverted, agreed, change, fit_backward
@@ -25,6 +26,7 @@ from hybrid.rectify.plane import flat_film
 from hybrid.rectify.refine import Refinement, refine
 from hybrid.rectify.survey import Verdict, expected_error
 from hybrid.rectify.trust import expected_error_px, film_verdict, signs_of
+from hybrid.strips import EdgeReader
 
 NETWORK_ERROR = 0.008
 """Median error of the network's map, in parts of the film's size."""
@@ -112,14 +114,25 @@ def see_from_sides(network: FilmNet, seen: Seen, config: RectifyConfig, clock: C
 
 
 def shape_of(
-    pyramid: Pyramid, coarse: BackwardMap, sides: Callable[[], Sequence[Inversion]], config: RectifyConfig, clock: Clock
+    pyramid: Pyramid,
+    coarse: BackwardMap,
+    reader: EdgeReader,
+    sides: Callable[[], Sequence[Inversion]],
+    config: RectifyConfig,
+    clock: Clock,
 ) -> Refinement:
     """The exact map of the film and its grid, by the shortest way that it allows.
 
-    coarse: the network's map of one side. sides: gives those of all sides; called where they are needed.
+    coarse: the network's map of one side. reader: reads the film's edges. sides: gives the maps of all sides; called
+    where they are needed.
     """
+    with clock.stage("edges") as report:
+        read = read_edges(pyramid, coarse, reader, config.edges)
+        on_edges = partial(put_on_edges, read=read, config=config.edges)
+        start = on_edges(coarse)
+        report.reason = f"{len(read.sightings)} of 4 edges read, up to {read.off:.1%} of the film beside the network's"
     by_edges = partial(flat_film, refine=config.refine, config=config.plane)
-    flat = _on_copy(pyramid, coarse, config.refine.working_px, by_edges)
+    flat = _on_copy(pyramid, start, config.refine.working_px, by_edges)
     clock.reports += flat.stages
     if flat.believed:
         return flat
@@ -127,17 +140,17 @@ def shape_of(
     mean = agreed(every)
     assert isinstance(mean, Inversion)  # the last of the sides is
     if config.exact:
-        return _exact(pyramid, mean.backward, every, config, clock)
+        return _exact(pyramid, on_edges(mean.backward), (on_edges(side.backward) for side in every), config, clock)
     look_at = partial(
         glance, expected=NETWORK_ERROR, config=config.refine, why="the network's map is kept in this effort"
     )
-    found = _on_copy(pyramid, mean.backward, VIEW_PX, look_at)
+    found = _on_copy(pyramid, on_edges(mean.backward), VIEW_PX, look_at)
     clock.reports += found.stages
     return found
 
 
 def _exact(
-    pyramid: Pyramid, coarse: BackwardMap, sides: Sequence[Inversion], config: RectifyConfig, clock: Clock
+    pyramid: Pyramid, coarse: BackwardMap, sides: Iterable[BackwardMap], config: RectifyConfig, clock: Clock
 ) -> Refinement:
     """The network's map made exact by what is seen of the film; where the effort says so, from each side's map too."""
     exactly = partial(_exactly, pyramid, config)
@@ -150,10 +163,10 @@ def _exact(
             sure = f"one refinement is sure to {expected:.2%} of the film"
             report.reason = "one refinement is enough in this effort" if np.isinf(config.again_above) else sure
             return first
-        found = [first, *(exactly(side.backward) for side in sides)]
+        found = [first, *map(exactly, sides)]
         surest = as_sure(found)
         counts = "the surest" if len(surest) == 1 else f"the middle of the {len(surest)} that are surest"
-        report.reason = f"from each of {len(sides)} sides: {counts}"
+        report.reason = f"from each of {len(found) - 1} sides: {counts}"
         return middle(surest) if surest else first
 
 
@@ -169,6 +182,7 @@ def flat_itself(
 
 def trusted(
     network: FilmNet,
+    reader: EdgeReader,
     pyramid: Pyramid,
     seen: Seen,
     refinement: Refinement,
@@ -176,7 +190,7 @@ def trusted(
     config: RectifyConfig,
     clock: Clock,
 ) -> tuple[Verdict, float]:
-    """Whether the map is as good as certain, and the error to be expected in pixels; the network looks once more.
+    """Whether the map is as good as certain, and the error to be expected in pixels; the networks look once more.
 
     flat: whether the photo was found to be the flat film itself.
     """
@@ -185,7 +199,8 @@ def trusted(
     with clock.stage("verdict") as report:
         plane = plane_of(refinement.backward.cropped((0.0, 0.0), (1 / seen.factor, 1 / seen.factor)))
         (again,) = look(network, seen.photo, [film_view(plane, config.predict.margin)])
-        signs = signs_of(pyramid, seen.maps, coarse.backward, refinement, again.enlarged(seen.factor), flat)
+        edges = edge_support(pyramid, refinement.backward, reader, config.edges)
+        signs = signs_of(pyramid, seen.maps, coarse.backward, refinement, again.enlarged(seen.factor), edges, flat)
         verdict = film_verdict(signs, config.trust)
         report.reason = verdict.reason
     return verdict, expected_error_px(signs, config.trust)

@@ -15,9 +15,10 @@ from hybrid.effort import Effort, RectifyConfig
 from hybrid.errors import FusionError, describe
 from hybrid.geometry import Clock, Report, flat_itself, see, see_from_sides, shape_of, trusted
 from hybrid.image_io import as_photo
+from hybrid.learn.edges import edge_reader
 from hybrid.learn.network import FilmNet, FilmNetConfig, fused
 from hybrid.learn.upright import UprightNet, orientation_chances, upright_way
-from hybrid.learn.weights import load_weights, packaged_film_net, packaged_upright_net
+from hybrid.learn.weights import load_weights, packaged_edge_net, packaged_film_net, packaged_upright_net
 from hybrid.pyramid import Pyramid
 from hybrid.records import CoarseMaps, RectifyResult, SliceGrid, Status, StatusCode
 from hybrid.rectify.deilluminate import deilluminate
@@ -27,6 +28,7 @@ from hybrid.rectify.invert import Inversion, NotInverted, agreed
 from hybrid.rectify.refine import Refinement
 from hybrid.rectify.resample import Rectified, rectify_photo
 from hybrid.rectify.survey import survey_maps, survey_photo, survey_print
+from hybrid.strips import EdgeReader
 
 
 class Rectifier:
@@ -42,6 +44,7 @@ class Rectifier:
         self._network: FilmNet = fused(
             packaged_film_net() if weights is None else load_weights(weights, FilmNet, FilmNetConfig)
         )
+        self._edges: EdgeReader = edge_reader(fused(packaged_edge_net()))
         self._reader: UprightNet = fused(packaged_upright_net())
 
     def __call__(self, source: str | Path | np.ndarray) -> RectifyResult:
@@ -119,10 +122,12 @@ class Rectifier:
             code = StatusCode.NO_FILM if verdict.ok else verdict.code
             return RectifyResult(Status(code), clock.reports)
         sides = partial(see_from_sides, self._network, seen, self.config, clock)
-        refinement = shape_of(pyramid, inversion.backward, sides, self.config, clock)
+        refinement = shape_of(pyramid, inversion.backward, self._edges, sides, self.config, clock)
         flat = flat_itself(pyramid, inversion.backward, refinement, self.config, clock)
         refinement = flat or refinement
-        verdict, expected = trusted(self._network, pyramid, seen, refinement, flat is not None, self.config, clock)
+        verdict, expected = trusted(
+            self._network, self._edges, pyramid, seen, refinement, flat is not None, self.config, clock
+        )
         result = self._finish(pyramid, maps, refinement, clock)
         return replace(result, status=Status(verdict.code), expected_error_px=expected)
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from hybrid.coords import film_centres_1d
+from hybrid.film_view import FilmView
 from hybrid.rectify.congeal import CongealConfig, block_shifts, median_image, register_cells
-from hybrid.rectify.film_view import FilmView
 from hybrid.rectify.repeat import Repeats
 from hybrid.rectify.sightings import Sightings, SplineConfig, fit_displacement
 

@@ -5,7 +5,7 @@ import pytest
 from synthetic_film import FilmDrawing, draw_print, make_photo
 
 from hybrid.coords import film_centres_1d
-from hybrid.rectify.film_view import FilmView, extended_weights, lattice_points, view_film
+from hybrid.film_view import FilmView, extended_weights, lattice_points, view_film
 from hybrid.rectify.follow import follow_comb
 from hybrid.rectify.grid import GridConfig, find_comb
 from hybrid.rectify.match import match_cells

@@ -10,7 +10,7 @@ from hybrid.coords import linear_from_srgb, srgb_from_linear
 from hybrid.rectify.curves import best_paths, smooth_curve_weights
 from hybrid.rectify.outline import OutlineConfig, Strip, find_outline, subpixel_edge
 
-CONFIG = OutlineConfig()
+CONFIG = OutlineConfig(band=0.03)
 RULE_PX = 2.0
 """The same where a rule on the edge is as bright as what lies behind: the step is then the inner side of the rule."""
 EDGE_PX = 0.5

@@ -15,7 +15,7 @@ from hybrid.learn.network import FilmNetConfig
 from hybrid.learn.paper_targets import PaperTargets
 from hybrid.learn.presets import PRESETS, preset, weighted_sum
 
-PAPERS = [name for name in PRESETS if name not in ("filmnet", "upright")]
+PAPERS = [name for name in PRESETS if name not in ("filmnet", "upright", "edges")]
 
 
 def small(name: str):

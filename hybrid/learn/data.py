@@ -31,8 +31,8 @@ class AugmentConfig:
     """
 
     empty_share: float = 0.04
-    whole_share: float = 0.25
-    plane_share: float = 0.65
+    whole_share: float = 0.35
+    plane_share: float = 0.55
     zoom: tuple[float, float] = (0.55, 1.25)
     roll_deg: float = 8.0
     shift: float = 0.03
@@ -120,9 +120,9 @@ def random_view(
     else:
         seen = film_as_seen(film)
         if kind < config.whole_share + config.plane_share:
-            seen = _disturbed_map(plane_of(seen), 2, _log_uniform(rng, config.plane_error), rng)
+            seen = disturbed_map(plane_of(seen), 2, log_uniform(rng, config.plane_error), rng)
         else:
-            seen = _disturbed_map(seen, BEND_ERROR_NODES, _log_uniform(rng, config.bend_error), rng)
+            seen = disturbed_map(seen, BEND_ERROR_NODES, log_uniform(rng, config.bend_error), rng)
         view = film_view(seen, rng.uniform(*config.margin))
     return _turned_anyhow(view, rng), WHOLE_WEIGHT if kind < config.whole_share else FLATTENED_WEIGHT
 
@@ -151,7 +151,7 @@ def random_window(size: tuple[int, int], rng: np.random.Generator, config: Augme
     return square_view((x, y), side, float(rng.normal(0, np.deg2rad(config.roll_deg))))
 
 
-def _disturbed_map(film: BackwardMap, nodes: int, error: float, rng: np.random.Generator) -> BackwardMap:
+def disturbed_map(film: BackwardMap, nodes: int, error: float, rng: np.random.Generator) -> BackwardMap:
     """A film's map with a smooth random error: of one sigma ``error`` (parts of the film) on ``nodes``^2 points."""
     lattice = film_nodes(VIEW_NODES)
     at_nodes = rng.normal(0, error, (nodes, nodes, 2))
@@ -164,7 +164,8 @@ def _disturbed_map(film: BackwardMap, nodes: int, error: float, rng: np.random.G
     return BackwardMap(film.photo_from_film(lattice + offset))
 
 
-def _log_uniform(rng: np.random.Generator, bounds: tuple[float, float]) -> float:
+def log_uniform(rng: np.random.Generator, bounds: tuple[float, float]) -> float:
+    """A number between bounds whose logarithm is as likely anywhere between theirs."""
     return float(np.exp(rng.uniform(*np.log(bounds))))
 
 

@@ -15,6 +15,8 @@ import torch
 from torch import Tensor, nn
 
 from hybrid.learn.data import AugmentConfig, batch_of, training_view
+from hybrid.learn.edge_data import EdgeAugment, edge_view
+from hybrid.learn.edges import EdgeNetConfig, EdgeTargets, strips_tensor
 from hybrid.learn.losses import Targets, masked_mean
 from hybrid.learn.paper_data import PaperView, paper_batch
 from hybrid.learn.paper_targets import PaperTargets
@@ -185,3 +187,37 @@ def print_feed(config: UprightNetConfig) -> Feed:
         return {"test_upright": float(film), "test_patch": float(patch), "test_bits": float(bits)}
 
     return Feed(_open_prints, batch, test)
+
+
+# ---------------------------------------------------------------- EdgeNet
+
+
+def edge_feed(config: EdgeNetConfig) -> Feed:
+    """Strips across the edges of films, for a network of that configuration; four of each sample."""
+
+    def views(places: Sequence[Any], px: int, rng: np.random.Generator, augment: EdgeAugment):
+        strip = replace(config, input_px=px).strip
+        images, inside, rows = zip(*(edge_view(place, strip, rng, augment) for place in places), strict=True)
+        truth = torch.from_numpy(np.concatenate(rows)).float()
+        return strips_tensor(np.concatenate(images), np.concatenate(inside)), EdgeTargets(truth)
+
+    def batch(places: Sequence[Any], px: int, rng: np.random.Generator) -> tuple[Tensor, EdgeTargets]:
+        return views(places, px, rng, EdgeAugment())
+
+    @torch.inference_mode()
+    def test(network: nn.Module, places: Sequence[Any], px: int, device: str) -> dict[str, float]:
+        """Of the columns that show the edge: mean of the distance of the likeliest row, in % of the film, and the share
+        that is further off than three rows; of all, the share that is rightly said to show it or not."""
+        rng, rows = np.random.default_rng(0), []
+        per_row = 100 * 2 * config.strip.reach / px
+        for part in _test_batches(places):
+            strips, truth = views(part, px, rng, EdgeAugment(colours=False))
+            logits = network(strips.to(device)).float().cpu()
+            shown = ~truth.row.isnan()
+            off = (logits[:, :-1].argmax(dim=1) - truth.row).abs()[shown]
+            said = logits.softmax(dim=1)[:, -1] < 0.5
+            rows.append([per_row * off.mean(), (off > 3).float().mean(), (said == shown).float().mean()])
+        percent, wrong, told = np.mean(rows, axis=0)
+        return {"test_percent": float(percent), "test_wrong": float(wrong), "test_shown": float(told)}
+
+    return Feed(open_places, batch, test)

@@ -12,7 +12,8 @@ from torch import Tensor, nn
 from hybrid.errors import ConfigError, describe
 from hybrid.learn import paper_losses
 from hybrid.learn.dewarpnet import NODES, BackwardNet, DewarpNet, DewarpNetConfig, ShapeNet, coordinate_code
-from hybrid.learn.feeds import FILM_FEED, Feed, paper_feed, print_feed
+from hybrid.learn.edges import EdgeNet, EdgeNetConfig, edge_losses
+from hybrid.learn.feeds import FILM_FEED, Feed, edge_feed, paper_feed, print_feed
 from hybrid.learn.firenet import MULTI_MAP, UV_ONLY, FiReNet, FiReNetConfig
 from hybrid.learn.losses import LossWeights, loss_terms
 from hybrid.learn.network import FilmNet, FilmNetConfig
@@ -61,7 +62,7 @@ class Preset:
     can train, if that is less. batch, learning_rate: as published.
     """
 
-    config: FilmNetConfig | UprightNetConfig | PaperConfig
+    config: FilmNetConfig | UprightNetConfig | EdgeNetConfig | PaperConfig
     build: Callable[[Any], nn.Module]
     losses: Callable[[Any, Any], dict[str, Tensor]]
     fields: tuple[str, ...]
@@ -149,6 +150,15 @@ PRESETS: dict[str, Preset] = {
         own_feed=print_feed(UprightNetConfig()),
         batch=8,
         learning_rate=3e-3,
+    ),
+    "edges": Preset(
+        EdgeNetConfig(),
+        EdgeNet,
+        edge_losses,
+        fields=(),
+        own_feed=edge_feed(EdgeNetConfig()),
+        batch=16,
+        learning_rate=2e-3,
     ),
     "firenet": _FIRENET,
     "firenet_multimap": replace(_FIRENET, config=MULTI_MAP, fields=(*_MAPS, "normal"), nodes=no_nodes),

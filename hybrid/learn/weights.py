@@ -15,6 +15,7 @@ from torch import Tensor, nn
 
 from hybrid.coords import CONVENTIONS_VERSION
 from hybrid.errors import DataError, describe
+from hybrid.learn.edges import EdgeNet, EdgeNetConfig
 from hybrid.learn.network import FilmNet, FilmNetConfig, Network
 from hybrid.learn.upright import UprightNet, UprightNetConfig
 
@@ -75,6 +76,11 @@ def packaged_film_net() -> FilmNet:
 def packaged_upright_net() -> UprightNet:
     """The UprightNet that the package ships."""
     return load_weights(packaged_path("upright"), UprightNet, UprightNetConfig)
+
+
+def packaged_edge_net() -> EdgeNet:
+    """The EdgeNet that the package ships."""
+    return load_weights(packaged_path("edges"), EdgeNet, EdgeNetConfig)
 
 
 def notes_of(path: Path) -> dict[str, Any]:

@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from hybrid.coords import centres_1d
-from hybrid.rectify.film_view import FilmView
+from hybrid.film_view import FilmView
 from hybrid.rectify.repeat import Repeats, cell_corners, detail, shrunk
 from hybrid.rectify.sightings import Sightings
 from hybrid.rectify.tps import MAD_TO_SIGMA

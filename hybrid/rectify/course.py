@@ -16,9 +16,9 @@ from time import perf_counter
 import numpy as np
 from jaxtyping import Float
 
+from hybrid.film_view import FilmView
 from hybrid.rectify.cells import CellsConfig, Reading, read_cells
 from hybrid.rectify.congeal import CongealConfig, register_cells
-from hybrid.rectify.film_view import FilmView
 from hybrid.rectify.foreshortening import EVEN, ForeshorteningConfig, even, foreshortening
 from hybrid.rectify.grid import GridConfig
 from hybrid.rectify.held_out import held_out_residuals

@@ -7,8 +7,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from hybrid.coords import film_centres_1d
+from hybrid.film_view import FilmView
 from hybrid.rectify.curves import best_paths, smooth_curve_weights
-from hybrid.rectify.film_view import FilmView
 from hybrid.rectify.grid import Comb, GridConfig, line_response, narrowed
 from hybrid.rectify.sightings import Sightings
 

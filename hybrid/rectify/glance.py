@@ -10,9 +10,9 @@ from jaxtyping import UInt8
 
 from hybrid.backward import BackwardMap
 from hybrid.coords import film_centres_1d
+from hybrid.film_view import view_film
 from hybrid.records import StageReport
 from hybrid.rectify.course import read_view
-from hybrid.rectify.film_view import view_film
 from hybrid.rectify.layout import Layout, find_layout
 from hybrid.rectify.refine import RefineConfig, Refinement
 

@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hybrid.backward import BackwardMap
+from hybrid.film_view import FilmView
 from hybrid.records import SliceGrid
 from hybrid.rectify.cells import SAME_PLACE, Reading
-from hybrid.rectify.film_view import FilmView
 from hybrid.rectify.follow import follow_comb
 from hybrid.rectify.grid import Comb, GridConfig, find_comb
 from hybrid.rectify.repeat import RepeatConfig, Repeats, find_repeats

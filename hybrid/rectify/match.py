@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from hybrid.coords import opencv_from_photo
-from hybrid.rectify.film_view import FilmView
+from hybrid.film_view import FilmView
 from hybrid.rectify.repeat import MatchRound, RepeatConfig, Repeats, cell_image, cell_moments, detail, shrunk
 from hybrid.rectify.sightings import Sightings
 

@@ -18,16 +18,17 @@ from scipy.ndimage import gaussian_filter1d, uniform_filter1d
 
 from hybrid.backward import BackwardMap
 from hybrid.coords import film_centres_1d, linear_from_srgb
+from hybrid.film_view import view_film
 from hybrid.rectify.curves import best_paths, parabola_peak, smooth_curve_weights
-from hybrid.rectify.film_view import view_film
 from hybrid.rectify.sightings import Sightings
+from hybrid.strips import SIDES, Side
 
 
 @dataclass(frozen=True)
 class OutlineConfig:
     """Options of the search for the sheet's edges."""
 
-    band: float = 0.05
+    band: float = 0.01
     """Half width of the search band, as a fraction of the film's size across the edge."""
     profiles: int = 80
     """Profiles per side."""
@@ -51,27 +52,10 @@ class OutlineConfig:
     """Fraction of the film's size at which a path's distance from the prediction costs as much as half a score."""
 
 
-@dataclass(frozen=True)
-class Side:
-    """One side of the sheet. ``axis``: the coordinate that is known on it; ``edge``: its value; ``inward``: +-1."""
-
-    name: str
-    axis: int
-    edge: float
-    inward: float
-
-
 _NOWHERE = -10.0
 """Score of rows that may not be chosen: so low that no path goes there while there is another way."""
 RULE_HALF_PX = 0.35
 """Distance from the middle of a thin rule printed on the edge to the edge itself: half of such a rule's width."""
-
-SIDES = (
-    Side("top", 1, 0.0, 1.0),
-    Side("bottom", 1, 1.0, -1.0),
-    Side("left", 0, 0.0, 1.0),
-    Side("right", 0, 1.0, -1.0),
-)
 
 
 @dataclass(frozen=True, eq=False)
@@ -251,4 +235,4 @@ def _line_excess(
     return np.maximum(local.mean(axis=2) - np.maximum(outer.mean(axis=1), inner.mean(axis=1)), 0.0)
 
 
-__all__ = ["SIDES", "OutlineConfig", "Side", "Strip", "edge_score", "find_outline", "sample_strip", "subpixel_edge"]
+__all__ = ["OutlineConfig", "Strip", "edge_score", "find_outline", "sample_strip", "subpixel_edge"]

@@ -15,11 +15,12 @@ from hybrid.records import StageReport
 from hybrid.rectify.glance import glance
 from hybrid.rectify.held_out import MOST_RESIDUAL
 from hybrid.rectify.invert import fit_homography, project
-from hybrid.rectify.outline import SIDES, find_outline
+from hybrid.rectify.outline import find_outline
 from hybrid.rectify.refine import RefineConfig, Refinement
 from hybrid.rectify.sightings import Sightings
 from hybrid.rectify.survey import survey_plane
 from hybrid.rectify.tps import MAD_TO_SIGMA, tukey_weights
+from hybrid.strips import SIDES
 
 PARTS = 8
 """Parts of an edge that must each lie on its line: an arc, a wave or a curled corner shows in some of them."""

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float, Int
 
-from hybrid.rectify.film_view import FilmView
+from hybrid.film_view import FilmView
 
 
 @dataclass(frozen=True)

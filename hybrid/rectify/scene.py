@@ -10,7 +10,7 @@ from jaxtyping import UInt8
 
 from hybrid.backward import BackwardMap
 from hybrid.coords import film_centres_1d
-from hybrid.rectify.film_view import FilmView, view_film
+from hybrid.film_view import FilmView, view_film
 from hybrid.rectify.sightings import Displacement
 
 

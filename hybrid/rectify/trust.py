@@ -12,12 +12,13 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from jaxtyping import Float
 
 from hybrid.backward import BackwardMap
 from hybrid.coords import film_centres_1d
+from hybrid.film_view import view_film
 from hybrid.pyramid import Pyramid
 from hybrid.records import CoarseMaps, SliceGrid, StatusCode
-from hybrid.rectify.film_view import view_film
 from hybrid.rectify.refine import Refinement
 from hybrid.rectify.repeat import Repeats, cell_agreement
 from hybrid.rectify.survey import Verdict, grey_spread, mask_overlap
@@ -84,6 +85,7 @@ class Signs:
     flat: whether the photo was found to be the flat film itself; nothing else counts then.
     stated: the error that refinement itself expects, in parts of the film's size.
     levels: number of grey levels, of 255, that the photo makes use of.
+    support: least mean probability, over the sides, that the sheet's edge lies where the finished map puts it.
     """
 
     overlap_before: float
@@ -100,6 +102,7 @@ class Signs:
     flat: bool = False
     stated: float = UNKNOWN_STATED
     levels: float = 255.0
+    support: float = 1.0
 
 
 def signs_of(
@@ -108,12 +111,13 @@ def signs_of(
     coarse: BackwardMap,
     refinement: Refinement,
     again: CoarseMaps,
+    support: Float[np.ndarray, " 4"],
     flat: bool = False,
 ) -> Signs:
     """What speaks for a refined map.
 
     seen, coarse: what the network saw last before refinement, and the map made of it. again: what it sees of the film
-    as the refined map flattens it (as a plane sheet).
+    as the refined map flattens it (as a plane sheet). support: of each edge by what is read in strips across it.
     """
     backward, grid = refinement.backward, refinement.grid
     held_out = UNKNOWN_HELD_OUT if refinement.held_out is None else refinement.held_out
@@ -133,6 +137,7 @@ def signs_of(
         flat=flat,
         stated=UNKNOWN_STATED if refinement.expected_px is None else refinement.expected_px / max(film_px, 1e-9),
         levels=grey_spread(pyramid.photo),
+        support=float(support.min()),
     )
 
 

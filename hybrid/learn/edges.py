@@ -1,0 +1,125 @@
+"""EdgeNet: says where, in strips of the photo across the edges that a map predicts, the sheet's edges really are.
+
+FilmNet sees a film some 110 pixels wide; strips along its edges show them four times as finely. Near an edge lie other
+straight lines: rules of the print, other films, bars of the light box. Which of them ends the sheet is told by what is
+on both sides, over the whole length, and that can be learnt.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, UInt8
+from torch import Tensor, nn
+from torch.nn import functional
+
+from hybrid.learn.network import local_contrast, view_coordinates
+from hybrid.learn.tensors import Tensors
+from hybrid.strips import EdgeReader, StripConfig
+
+
+@dataclass(frozen=True)
+class EdgeNetConfig:
+    """widths: channels at 1/2, 1/4 and 1/8 of a strip. input_px: rows of the strips; columns are two thirds of that."""
+
+    widths: tuple[int, int, int] = (16, 32, 64)
+    input_px: int = 96
+
+    @property
+    def strip(self) -> StripConfig:
+        """How strips are cut for it."""
+        return StripConfig(rows=self.input_px, columns=2 * self.input_px // 3)
+
+
+@dataclass(frozen=True, eq=False)
+class EdgeTargets(Tensors):
+    """row: where the edge crosses each output column, in rows of the strip; NaN where the strip does not show it."""
+
+    row: Float[Tensor, "b c"]
+
+
+class _Norm(nn.Sequential):
+    def __init__(self, inputs: int, outputs: int, kernel: int, stride: int, relu: bool = True) -> None:
+        super().__init__(
+            nn.Conv2d(inputs, outputs, kernel, stride, kernel // 2, bias=False),
+            nn.BatchNorm2d(outputs),
+            nn.ReLU(inplace=True) if relu else nn.Identity(),
+        )
+
+
+class _Mix(nn.Module):
+    def __init__(self, channels: int) -> None:
+        super().__init__()
+        self.first, self.second = _Norm(channels, channels, 3, 1), _Norm(channels, channels, 3, 1, relu=False)
+
+    def forward(self, x: Tensor) -> Tensor:
+        return functional.relu(x + self.second(self.first(x)))
+
+
+class EdgeNet(nn.Module):
+    """An encoder to 1/8 of the strip, and a decoder to all of its rows and half of its columns."""
+
+    def __init__(self, config: EdgeNetConfig) -> None:
+        super().__init__()
+        self.config = config
+        w2, w4, w8 = config.widths
+        self.down2 = nn.Sequential(_Norm(8, w2, 5, 2), _Mix(w2))
+        self.down4 = nn.Sequential(_Norm(w2, w4, 3, 2), _Mix(w4), _Mix(w4))
+        self.down8 = nn.Sequential(_Norm(w4, w8, 3, 2), _Mix(w8), _Mix(w8), _Mix(w8))
+        self.lateral4, self.lateral2 = nn.Conv2d(w8, w4, 1), nn.Conv2d(w4, w2, 1)
+        self.up4, self.up2 = _Mix(w4), _Mix(w2)
+        self.head = nn.Conv2d(w2, 2, 3, 1, 1)
+        self.unseen = nn.Conv1d(w8, 4, 3, 1, 1)
+
+    def forward(self, strips: Float[Tensor, "b 4 r c"]) -> Float[Tensor, "b r+1 c2"]:
+        """Logits of the rows at which the edge crosses each pair of columns; the last: it is not in the strip.
+
+        strips: sRGB in [0, 1] and 1 where the photo covers the strip."""
+        grey = strips[:, :3].mean(dim=1, keepdim=True)
+        dark = torch.log2(grey * 8 + 0.125) / 4
+        seen = [strips[:, :3] - 0.4, local_contrast(strips[:, :3]), dark, strips[:, 3:], view_coordinates(strips)]
+        x2 = self.down2(torch.cat(seen, dim=1))
+        x4 = self.down4(x2)
+        x8 = self.down8(x4)
+        y4 = self.up4(x4 + functional.interpolate(self.lateral4(x8), scale_factor=2, mode="nearest"))
+        y2 = self.up2(x2 + functional.interpolate(self.lateral2(y4), scale_factor=2, mode="nearest"))
+        rows = self.head(y2)  # (b, 2, r / 2, c / 2)
+        rows = rows.transpose(1, 2).flatten(1, 2)
+        unseen = self.unseen(x8.mean(dim=2)).transpose(1, 2).flatten(1, 2)  # (b, c / 2)
+        return torch.cat([rows, unseen[:, None]], dim=1)
+
+
+SOFT_ROWS = 0.7
+"""Rows by which the truth is blurred for the loss."""
+
+
+def edge_losses(logits: Float[Tensor, "b r1 c"], truth: EdgeTargets) -> dict[str, Tensor]:
+    """Cross-entropy of the row of each column, against the true row blurred."""
+    rows = logits.shape[1] - 1
+    row = truth.row
+    none = torch.isnan(row)
+    at = torch.arange(rows, device=row.device)[:, None]
+    soft = torch.exp(-0.5 * ((at - row.nan_to_num()[:, None]) / SOFT_ROWS) ** 2)
+    soft = soft / soft.sum(dim=1, keepdim=True).clamp(min=1e-6)
+    soft = torch.where(none[:, None], torch.zeros_like(soft), soft)
+    target = torch.cat([soft, none[:, None].float()], dim=1)
+    return {"row": -(target * functional.log_softmax(logits.float(), dim=1)).sum(dim=1).mean()}
+
+
+def strips_tensor(images: UInt8[np.ndarray, "b r c 3"], inside: Bool[np.ndarray, "b r c"]) -> Float[Tensor, "b 4 r c"]:
+    """Strips as the network reads them; 0 where the photo does not cover them."""
+    covered = torch.from_numpy(inside)[:, None].float()
+    colours = torch.from_numpy(images).permute(0, 3, 1, 2).float().div_(255)
+    return torch.cat([colours * covered, covered], dim=1)
+
+
+def edge_reader(network: EdgeNet) -> EdgeReader:
+    """The network as what reads strips in ``hybrid.rectify.edge_paths``."""
+
+    def logs(images: UInt8[np.ndarray, "b r c 3"], inside: Bool[np.ndarray, "b r c"]) -> Float[np.ndarray, "b r1 c2"]:
+        with torch.inference_mode():
+            return functional.log_softmax(network(strips_tensor(images, inside)), dim=1).numpy()
+
+    return EdgeReader(network.config.strip, logs)

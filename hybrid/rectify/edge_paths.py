@@ -1,0 +1,153 @@
+"""A coarse map put onto the sheet's edges by what EdgeNet reads in strips across them.
+
+The network gives the probability of each row of a strip, column for column; the likeliest path along each side is taken
+by dynamic programming, where its columns agree with it. The smooth displacement that brings the four edges there is all
+that is changed: what lies between the edges is for refinement to see.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from hybrid.backward import BackwardMap
+from hybrid.coords import film_centres_1d
+from hybrid.pyramid import Pyramid
+from hybrid.rectify.curves import best_paths
+from hybrid.rectify.sightings import Sightings, SplineConfig, carried, fit_displacement
+from hybrid.strips import SIDES, EdgeReader, StripConfig, edge_strips, strip_copy
+
+SUPPORT_ROWS = 2
+"""Rows on each side of an edge within which what was read agrees with it."""
+LEAST_SHOWN = 0.1
+"""Share of a side that the photo must show for it to be read."""
+
+
+@dataclass(frozen=True)
+class EdgeConfig:
+    """Options of reading the sheet's edges.
+
+    floor: least log-probability of a row: no column alone leads the path away. max_step, step_cost: most rows that a
+    path steps from column to column, and the log-probability that each costs. near: rows around the path that count
+    for it. min_mass: least probability of these rows, in columns that count. row_sigma: stated deviation of the
+    network's likeliest place, in rows. min_columns: of a side that counts. far: parts of the film by which edges
+    lie beside those predicted where they are looked at once more. spline: of the displacement.
+    """
+
+    floor: float = -9.0
+    max_step: int = 3
+    step_cost: float = 0.15
+    near: int = 3
+    min_mass: float = 0.35
+    row_sigma: float = 0.5
+    min_columns: int = 6
+    far: float = 0.02
+    spline: SplineConfig = field(default_factory=SplineConfig)
+
+
+@dataclass(frozen=True, eq=False)
+class EdgePaths:
+    """The likeliest edges in four strips. row: to a fraction, for each column. spread: in rows. mass: probability that
+    the edge crosses the column there."""
+
+    row: Float[np.ndarray, "4 c"]
+    spread: Float[np.ndarray, "4 c"]
+    mass: Float[np.ndarray, "4 c"]
+
+
+def read_paths(logs: Float[np.ndarray, "4 r1 c"], config: EdgeConfig) -> EdgePaths:
+    """The likeliest path of each side, and how likely it is where."""
+    path: Int[np.ndarray, "4 c"] = best_paths(np.maximum(logs[:, :-1], config.floor), config.max_step, config.step_cost)
+    near = config.near
+    chances = np.pad(np.exp(logs[:, :-1]), ((0, 0), (near, near), (0, 0)))
+    offset = np.arange(-near, near + 1)[None, :, None]
+    local = np.take_along_axis(chances, path[:, None] + offset + near, axis=1)
+    mass = local.sum(axis=1)
+    share = local / np.maximum(mass, 1e-9)[:, None]
+    mean = (share * offset).sum(axis=1)
+    spread = np.sqrt((share * (offset - mean[:, None]) ** 2).sum(axis=1))
+    return EdgePaths(path + mean, spread, mass)
+
+
+def edge_sightings(paths: EdgePaths, strip: StripConfig, config: EdgeConfig) -> list[Sightings]:
+    """The columns that show an edge, of the sides that have enough of them."""
+    depth = strip.depth_of(paths.row)
+    along, pitch = film_centres_1d(depth.shape[1]), float(np.diff(strip.depth[:2])[0])
+    sigma = pitch * np.hypot(config.row_sigma, paths.spread) / np.sqrt(np.maximum(paths.mass, 1e-9))
+    found = []
+    for k, side in enumerate(SIDES):
+        good = paths.mass[k] > config.min_mass
+        n = int(good.sum())
+        if n < config.min_columns:
+            continue
+        seen = np.empty((n, 2))
+        seen[:, side.axis], seen[:, 1 - side.axis] = side.edge + side.inward * depth[k, good], along[good]
+        found.append(Sightings(side.axis, seen, np.full(n, side.edge), sigma[k, good], np.zeros((n, 0)), np.zeros(0)))
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class EdgesRead:
+    """The sheet's edges as they were read. through: the map across whose edges was looked. sightings: through it, one
+    record for each side that was seen. off: how far beside the edges of the map asked for the farthest of them lies, in
+    parts of the film."""
+
+    through: BackwardMap
+    sightings: tuple[Sightings, ...]
+    off: float
+
+
+def read_edges(pyramid: Pyramid, film: BackwardMap, reader: EdgeReader, config: EdgeConfig) -> EdgesRead:
+    """What is read across the edges of a map; where that is far beside them, once more across those it says."""
+    read = _look(pyramid, film, reader, config)
+    if read.off <= config.far:
+        return read
+    return replace(_look(pyramid, put_on_edges(film, read, config), reader, config), off=read.off)
+
+
+def put_on_edges(film: BackwardMap, read: EdgesRead, config: EdgeConfig) -> BackwardMap:
+    """A map near the one that edges were read through, smoothly displaced so that its edges are those; as it is where
+    none were read, or where it would fold."""
+    if not read.sightings:
+        return film
+    seen = read.sightings if film is read.through else [carried(s, read.through, film) for s in read.sightings]
+    moved = fit_displacement(seen, config.spline).displacement.composed(film)
+    return film if moved.folds((17, 17)) else moved
+
+
+def _look(pyramid: Pyramid, film: BackwardMap, reader: EdgeReader, config: EdgeConfig) -> EdgesRead:
+    """What is read across the edges of a map, once."""
+    photo, on_copy = strip_copy(pyramid, film, reader.strip)
+    paths = read_paths(reader.logs(*edge_strips(photo, on_copy, reader.strip)), config)
+    sightings = edge_sightings(paths, reader.strip, config)
+    off = max((float(np.median(np.abs(s.offsets()))) for s in sightings), default=0.0)
+    return EdgesRead(film, tuple(sightings), off)
+
+
+def edge_support(
+    pyramid: Pyramid, film: BackwardMap, reader: EdgeReader, config: EdgeConfig
+) -> Float[np.ndarray, " 4"]:
+    """For SIDES, the mean probability that the sheet's edge lies where a map puts it, to a third of a percent of the
+    film or so; 1 for a side that the photo hardly shows."""
+    photo, on_copy = strip_copy(pyramid, film, reader.strip)
+    images, inside = edge_strips(photo, on_copy, reader.strip)
+    middle = reader.strip.rows // 2
+    near = slice(middle - SUPPORT_ROWS, middle + SUPPORT_ROWS)
+    chances = np.exp(reader.logs(images, inside))[:, near].sum(axis=1)
+    shown = inside[:, near].all(axis=1).reshape(*chances.shape, -1).all(axis=2)
+    seen = shown.mean(axis=1) > LEAST_SHOWN
+    return np.where(seen, (chances * shown).sum(axis=1) / np.maximum(shown.sum(axis=1), 1), 1.0)
+
+
+__all__ = [
+    "EdgeConfig",
+    "EdgePaths",
+    "EdgeReader",
+    "EdgesRead",
+    "edge_support",
+    "put_on_edges",
+    "read_edges",
+    "read_paths",
+]

@@ -1,0 +1,96 @@
+"""The sheet's four sides, and strips of the photo across them as a map predicts them: what EdgeNet reads."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, UInt8
+
+from hybrid.backward import BackwardMap
+from hybrid.coords import film_centres_1d
+from hybrid.film_view import view_film
+from hybrid.pyramid import Photo, Pyramid
+
+
+@dataclass(frozen=True)
+class Side:
+    """One side of the sheet. ``axis``: the coordinate that is known on it; ``edge``: its value; ``inward``: +-1."""
+
+    name: str
+    axis: int
+    edge: float
+    inward: float
+
+
+SIDES = (
+    Side("top", 1, 0.0, 1.0),
+    Side("bottom", 1, 1.0, -1.0),
+    Side("left", 0, 0.0, 1.0),
+    Side("right", 0, 1.0, -1.0),
+)
+
+
+@dataclass(frozen=True)
+class StripConfig:
+    """rows: across the edge, from ``reach`` (film units) outside its predicted place to as much inside. columns: along
+    it, each the mean of ``fine`` samples."""
+
+    rows: int = 96
+    columns: int = 64
+    reach: float = 0.096
+    fine: int = 4
+
+    @property
+    def depth(self) -> Float[np.ndarray, " rows"]:
+        """Film units by which the rows lie inside the predicted edge."""
+        return self.reach * (2 * film_centres_1d(self.rows) - 1)
+
+    def depth_of(self, row: np.ndarray) -> np.ndarray:
+        """The same at fractions of rows."""
+        return np.interp(row, np.arange(self.rows), self.depth)
+
+    def row_of(self, depth: np.ndarray) -> np.ndarray:
+        """Its inverse, going on beyond the strip."""
+        first, pitch = float(self.depth[0]), float(self.depth[1] - self.depth[0])
+        return (depth - first) / pitch
+
+
+@dataclass(frozen=True, eq=False)
+class EdgeReader:
+    """What reads strips. strip: how they are cut. logs: of strips, and of where the photo covers them, the
+    log-probabilities of the rows at which the edge crosses each column; the last: it is not in the strip."""
+
+    strip: StripConfig
+    logs: Callable[[UInt8[np.ndarray, "4 r c 3"], Bool[np.ndarray, "4 r c"]], Float[np.ndarray, "4 r1 c2"]]
+
+
+def strip_copy(pyramid: Pyramid, film: BackwardMap, config: StripConfig) -> tuple[Photo, BackwardMap]:
+    """The smallest copy of a photo that has a pixel for each row of a strip, and the map into it."""
+    photo, factor = pyramid.reduced(max(film.mean_film_pixels()) * 2 * config.reach / config.rows)
+    return photo, film.cropped((0.0, 0.0), (1 / factor, 1 / factor))
+
+
+def edge_strips(
+    photo: Photo, film: BackwardMap, config: StripConfig
+) -> tuple[UInt8[np.ndarray, "4 r c 3"], Bool[np.ndarray, "4 r c"]]:
+    """The strips of SIDES, outermost row first, and where the photo covers them."""
+    along = film_centres_1d(config.columns * config.fine)
+    images = np.empty((len(SIDES), config.rows, config.columns, 3), np.uint8)
+    inside = np.empty(images.shape[:3], bool)
+    for k, side in enumerate(SIDES):
+        across = side.edge + side.inward * config.depth
+        if side.axis == 1:
+            view = view_film(photo, film, along, across)
+            image, covered = view.image, view.inside
+        else:
+            view = view_film(photo, film, across, along)
+            image, covered = view.image.transpose(1, 0, 2), view.inside.T
+        images[k] = np.rint(cv2.resize(image, (config.columns, config.rows), interpolation=cv2.INTER_AREA))
+        inside[k] = covered.reshape(config.rows, config.columns, config.fine).all(axis=2)
+    return images, inside
+
+
+__all__ = ["SIDES", "EdgeReader", "Side", "StripConfig", "edge_strips", "strip_copy"]

@@ -1,0 +1,175 @@
+"""The sheet's edges as EdgeNet reads them: strips, paths through what was read, and maps put onto them."""
+
+import numpy as np
+import pytest
+import torch
+from synthetic_film import FilmDrawing, make_photo
+
+from hybrid.backward import BackwardMap
+from hybrid.coords import film_nodes
+from hybrid.learn.edge_data import true_rows
+from hybrid.learn.edges import EdgeNet, EdgeNetConfig, EdgeTargets, edge_losses, edge_reader
+from hybrid.learn.network import fused
+from hybrid.learn.weights import packaged_edge_net, parameter_count
+from hybrid.pyramid import Pyramid
+from hybrid.rectify.edge_paths import EdgeConfig, edge_support, put_on_edges, read_edges, read_paths
+from hybrid.strips import StripConfig, edge_strips, strip_copy
+
+STRIP = StripConfig()
+CONFIG = EdgeConfig()
+COLUMNS = STRIP.columns // 2
+
+
+def moved_edges(film: BackwardMap, outwards: float) -> BackwardMap:
+    """The map of a film with its edges so far outside of the true ones, in parts of the film."""
+    return BackwardMap(film.photo_from_film((film_nodes((17, 17)) - 0.5) * (1 + 2 * outwards) + 0.5))
+
+
+def sheet_photo(size: int = 700, black: int = 20, ground: int = 170) -> tuple[np.ndarray, BackwardMap]:
+    """A dark sheet without print, upright in the middle of a bright ground."""
+    photo = np.full((size, size, 3), ground, np.uint8)
+    photo[100:-100, 100:-100] = black
+    return photo, BackwardMap(100.0 + (size - 200) * film_nodes((9, 9)))
+
+
+def step_reader(images: np.ndarray, inside: np.ndarray) -> np.ndarray:
+    """Log-probabilities by the steepest fall from bright to dark, for the sheet above."""
+    grey = images.astype(float).mean(axis=3).reshape(*images.shape[:2], -1, 2).mean(axis=3)
+    fall = np.zeros_like(grey)
+    fall[:, 1:-1] = grey[:, :-2] - grey[:, 2:]
+    logits = np.concatenate([0.2 * fall, np.full((len(grey), 1, grey.shape[2]), 4.0)], axis=1)
+    return logits - np.log(np.exp(logits).sum(axis=1, keepdims=True))
+
+
+STEPS = EdgeReader(STRIP, step_reader)
+
+
+@pytest.fixture(scope="module")
+def reader() -> EdgeReader:
+    return edge_reader(fused(packaged_edge_net()))
+
+
+# ---------------------------------------------------------------- strips
+
+
+def test_rows_are_depths_and_back():
+    rows = np.array([0.0, 12.25, 95.0])
+    np.testing.assert_allclose(STRIP.row_of(STRIP.depth_of(rows)), rows, atol=1e-9)
+    np.testing.assert_allclose(STRIP.depth_of(np.array([47.5])), 0.0, atol=1e-12)
+
+
+def test_strips_are_outside_first_and_the_predicted_edge_is_their_middle():
+    photo, film = sheet_photo()
+    images, inside = edge_strips(photo, film, STRIP)
+    assert inside.all()
+    assert (images[:, : STRIP.rows // 2 - 1] > 150).all()
+    assert (images[:, STRIP.rows // 2 + 1 :, 2:-2] < 40).all()
+
+
+def test_what_the_photo_does_not_cover_is_said():
+    photo, film = sheet_photo()
+    cut = np.ascontiguousarray(photo[:, 90:])
+    _, inside = edge_strips(cut, film.cropped((90.0, 0.0)), STRIP)
+    assert not inside[2, : STRIP.rows // 2 - 12].any()
+    assert inside[2, STRIP.rows // 2 :].all()
+
+
+def test_large_photos_are_read_on_a_smaller_copy():
+    photo, film = sheet_photo(2600)
+    copy, on_copy = strip_copy(Pyramid(photo), film, STRIP)
+    np.testing.assert_allclose(on_copy.nodes * 4, film.nodes)
+    assert copy.shape[0] == photo.shape[0] // 4
+
+
+def test_true_rows_are_where_the_edge_is_and_nan_where_it_is_not_shown():
+    _, film = sheet_photo()
+    rows = true_rows(film, moved_edges(film, 0.02), (700, 700), STRIP)
+    np.testing.assert_allclose(rows[:, 2:-2], STRIP.row_of(np.array([0.02 / 1.04]))[0], atol=0.02)
+    assert np.isnan(true_rows(film, moved_edges(film, 0.2), (700, 700), STRIP)).all()
+    cut = true_rows(film.cropped((101.0, 0.0)), film.cropped((101.0, 0.0)), (700, 599), STRIP)
+    assert np.isnan(cut[2]).all()
+    assert not np.isnan(cut[3]).any()
+
+
+# ---------------------------------------------------------------- paths
+
+
+def test_a_path_bridges_columns_that_say_something_else():
+    logs = np.full((4, STRIP.rows + 1, COLUMNS), np.log(1e-3))
+    logs[:, 40] = np.log(0.8)
+    logs[:, 40, 10:13], logs[:, 80, 10:13] = np.log(1e-3), np.log(0.8)
+    paths = read_paths(logs, CONFIG)
+    np.testing.assert_allclose(paths.row, 40, atol=0.5)
+    assert (paths.mass[:, :9] > 0.7).all()
+    assert (paths.mass[:, 10:13] < 0.1).all()
+
+
+@pytest.mark.parametrize("outwards", [-0.03, 0.004, 0.05])
+def test_a_map_is_put_onto_the_edges_that_are_read(outwards):
+    photo, film = sheet_photo()
+    start = moved_edges(film, outwards)
+    read = read_edges(Pyramid(photo), start, STEPS, CONFIG)
+    assert len(read.sightings) == 4
+    assert abs(read.off - abs(outwards) / (1 + 2 * outwards)) < 0.002
+    off = np.linalg.norm(put_on_edges(start, read, CONFIG).photo_from_film(film_nodes((9, 9))) - film.nodes, axis=2)
+    assert off.max() < 1.5
+
+
+def test_what_was_read_through_one_map_holds_for_another():
+    photo, film = sheet_photo()
+    read = read_edges(Pyramid(photo), moved_edges(film, 0.012), STEPS, CONFIG)
+    other = put_on_edges(moved_edges(film, -0.015), read, CONFIG)
+    off = np.linalg.norm(other.photo_from_film(film_nodes((9, 9))) - film.nodes, axis=2)
+    assert off.max() < 1.5
+
+
+def test_a_map_stays_where_no_edge_is_read():
+    photo, film = sheet_photo(black=90, ground=90)
+    read = read_edges(Pyramid(photo), film, STEPS, CONFIG)
+    assert (read.sightings, read.off) == ((), 0.0)
+    assert put_on_edges(film, read, CONFIG) is film
+
+
+def test_support_tells_edges_that_are_right_from_others():
+    photo, film = sheet_photo()
+    pyramid = Pyramid(photo)
+    assert (edge_support(pyramid, film, STEPS, CONFIG) > 0.8).all()
+    assert (edge_support(pyramid, moved_edges(film, 0.02), STEPS, CONFIG) < 0.1).all()
+
+
+# ---------------------------------------------------------------- the network
+
+
+def test_the_loss_prefers_the_true_row_and_knows_of_edges_that_are_not_shown():
+    rows, columns = 96, 32
+    truth = EdgeTargets(torch.full((1, columns), 30.0))
+    none = EdgeTargets(torch.full((1, columns), torch.nan))
+    at, beside, unseen = (torch.zeros(1, rows + 1, columns) for _ in range(3))
+    at[:, 30], beside[:, 40], unseen[:, -1] = 9.0, 9.0, 9.0
+    assert edge_losses(at, truth)["row"] < edge_losses(beside, truth)["row"] - 5
+    assert edge_losses(unseen, none)["row"] < 0.1 < edge_losses(at, none)["row"]
+
+
+def test_the_network_gives_every_row_and_half_of_the_columns():
+    network = EdgeNet(EdgeNetConfig()).eval()
+    logits = network(torch.rand(2, 4, STRIP.rows, STRIP.columns))
+    assert logits.shape == (2, STRIP.rows + 1, COLUMNS)
+    assert parameter_count(network) < 500_000
+
+
+@pytest.mark.parametrize("ground", [None, 60, 200])
+def test_the_packaged_network_reads_a_drawn_film(reader, ground):
+    photo, film = make_photo(FilmDrawing(rules=False), np.random.default_rng(4), ground)
+    read = read_edges(Pyramid(photo), start := moved_edges(film, 0.02), reader, CONFIG)
+    assert len(read.sightings) == 4
+    points = film_nodes((17, 17))
+    off = np.linalg.norm(
+        put_on_edges(start, read, CONFIG).photo_from_film(points) - film.photo_from_film(points), axis=2
+    )
+    assert off.mean() < 0.005 * max(film.mean_film_pixels())
+
+
+def test_blank_photos_raise_nothing(reader):
+    _, film = sheet_photo()
+    for grey in (0, 255):
+        put_on_edges(film, read_edges(Pyramid(np.full((700, 700, 3), grey, np.uint8)), film, reader, CONFIG), CONFIG)
