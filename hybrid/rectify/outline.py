@@ -30,6 +30,8 @@ class OutlineConfig:
 
     band: float = 0.01
     """Half width of the search band, as a fraction of the film's size across the edge."""
+    least_px: int = 8
+    """The same in pixels, at least: a rule along the edge of a small film needs room for what is beside it."""
     profiles: int = 80
     """Profiles per side."""
     windows_px: tuple[int, int] = (4, 9)
@@ -84,7 +86,7 @@ def find_outline(
     scores = np.full((len(strips), deepest, config.profiles), _NOWHERE)
     for k, strip in enumerate(strips):
         prior = 0.5 * (strip.depth / config.prior) ** 2
-        searched = np.abs(strip.depth) <= config.band * (1 + 1e-9)
+        searched = np.abs(strip.depth) <= half_band(strip.pixel, config) * (1 + 1e-9)
         score = edge_score(strip, config) - prior[:, None]
         scores[k, : len(strip.depth)] = np.where(searched[:, None], score, _NOWHERE)
     paths = outermost_paths(scores, strips, config)
@@ -102,7 +104,7 @@ def sample_strip(photo: UInt8[np.ndarray, "H W 3"], backward: BackwardMap, side:
     size_px = backward.mean_film_pixels()
     across_px, along_px = (size_px[1], size_px[0]) if side.axis == 0 else size_px
     pixel = 1.0 / max(across_px, 64.0)
-    n = int(np.ceil(config.band / pixel)) + max(config.windows_px)
+    n = int(np.ceil(half_band(pixel, config) / pixel)) + max(config.windows_px)
     depth = pixel * np.arange(-n, n + 1, dtype=np.float64)
     fine = max(1, round(along_px / config.profiles / 2.5))
     along_fine = film_centres_1d(config.profiles * fine)
@@ -120,6 +122,11 @@ def sample_strip(photo: UInt8[np.ndarray, "H W 3"], backward: BackwardMap, side:
         np.asarray(inside.reshape(len(depth), config.profiles, fine).all(axis=2)),
         pixel,
     )
+
+
+def half_band(pixel: float, config: OutlineConfig) -> float:
+    """Half width of the search band, in film units, where a row is ``pixel`` of them."""
+    return max(config.band, config.least_px * pixel)
 
 
 def edge_score(strip: Strip, config: OutlineConfig) -> Float[np.ndarray, "d p"]:
