@@ -13,7 +13,7 @@ from hybrid.learn.network import fused
 from hybrid.learn.weights import packaged_edge_net, parameter_count
 from hybrid.pyramid import Pyramid
 from hybrid.rectify.edge_paths import EdgeConfig, edge_support, put_on_edges, read_edges, read_paths
-from hybrid.strips import StripConfig, edge_strips, strip_copy
+from hybrid.strips import EdgeReader, StripConfig, edge_strips, strip_copy
 
 STRIP = StripConfig()
 CONFIG = EdgeConfig()

@@ -23,6 +23,7 @@ from hybrid.errors import ConfigError
 from hybrid.image_io import read_photo
 from hybrid.learn import train as train_module
 from hybrid.learn.data import batch_of, training_view
+from hybrid.learn.edges import EdgeNet, EdgeNetConfig
 from hybrid.learn.feeds import FILM_FEED, Feed
 from hybrid.learn.firenet import FiReNet, FiReNetConfig
 from hybrid.learn.losses import masked_mean
@@ -72,6 +73,16 @@ def test_the_papers_networks_show_samples(dataset, name):
 
 
 @pytest.mark.usefixtures("tiny")
+def test_the_network_of_edges_learns_from_the_same_samples(dataset, tmp_path):
+    train(quick_run(dataset, tmp_path, preset="edges", passes=8, batch=2, steps_per_test=2))
+    rows = list(csv.DictReader((tmp_path / "curves.csv").read_text().splitlines()))
+    assert [row["passes"] for row in rows] == ["4", "8"]
+    for row in rows:
+        assert 0 < float(row["test_percent"]) < 10
+        assert 0 <= float(row["test_shown"]) <= 1
+    load_weights(tmp_path / "edges.safetensors", EdgeNet, EdgeNetConfig)
+
+
 def test_a_training_without_held_out_samples_is_not_tested(dataset, tmp_path):
     train(quick_run(dataset, tmp_path, held_out=0))
     assert "test_" not in (tmp_path / "curves.csv").read_text()
