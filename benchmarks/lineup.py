@@ -24,6 +24,8 @@ from hybrid.errors import ConfigError, describe
 from hybrid.learn.predict import PredictConfig
 from hybrid.pipeline import RectifyConfig
 from hybrid.rectify.deilluminate import DeilluminateConfig
+from hybrid.rectify.edge_paths import EdgeConfig
+from hybrid.rectify.outline import OutlineConfig
 from hybrid.rectify.refine import RefineConfig
 from hybrid.rectify.repeat import RepeatConfig
 
@@ -45,6 +47,13 @@ EFFORTS: dict[str, tuple[str, RectifyConfig]] = {
 CONFIGURATIONS: dict[str, tuple[str, RectifyConfig]] = {
     "hybrid_one_side": ("hybrid, looks from one side", RectifyConfig(predict=PredictConfig(sides=(0,)))),
     "hybrid_two_looks": ("hybrid, two looks", RectifyConfig(predict=PredictConfig(looks=2))),
+    "hybrid_no_edges": (
+        "hybrid, edges by contrast alone",
+        RectifyConfig(
+            edges=EdgeConfig(min_mass=2.0),  # no probability reaches 2
+            refine=RefineConfig(outline=OutlineConfig(band=0.05)),
+        ),
+    ),
     "hybrid_no_lines": ("hybrid, no rules or gutters", RectifyConfig(refine=RefineConfig(line_rounds=0))),
     "hybrid_no_repeats": (
         "hybrid, no repeated cells",

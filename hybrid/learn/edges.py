@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float, UInt8
 from torch import Tensor, nn
 from torch.nn import functional
 
-from hybrid.learn.network import local_contrast, view_coordinates
+from hybrid.learn.network import ConvNorm, Residual, local_contrast, view_coordinates
 from hybrid.learn.tensors import Tensors
 from hybrid.strips import EdgeReader, StripConfig
 
@@ -40,24 +40,6 @@ class EdgeTargets(Tensors):
     row: Float[Tensor, "b c"]
 
 
-class _Norm(nn.Sequential):
-    def __init__(self, inputs: int, outputs: int, kernel: int, stride: int, relu: bool = True) -> None:
-        super().__init__(
-            nn.Conv2d(inputs, outputs, kernel, stride, kernel // 2, bias=False),
-            nn.BatchNorm2d(outputs),
-            nn.ReLU(inplace=True) if relu else nn.Identity(),
-        )
-
-
-class _Mix(nn.Module):
-    def __init__(self, channels: int) -> None:
-        super().__init__()
-        self.first, self.second = _Norm(channels, channels, 3, 1), _Norm(channels, channels, 3, 1, relu=False)
-
-    def forward(self, x: Tensor) -> Tensor:
-        return functional.relu(x + self.second(self.first(x)))
-
-
 class EdgeNet(nn.Module):
     """An encoder to 1/8 of the strip, and a decoder to all of its rows and half of its columns."""
 
@@ -65,11 +47,11 @@ class EdgeNet(nn.Module):
         super().__init__()
         self.config = config
         w2, w4, w8 = config.widths
-        self.down2 = nn.Sequential(_Norm(8, w2, 5, 2), _Mix(w2))
-        self.down4 = nn.Sequential(_Norm(w2, w4, 3, 2), _Mix(w4), _Mix(w4))
-        self.down8 = nn.Sequential(_Norm(w4, w8, 3, 2), _Mix(w8), _Mix(w8), _Mix(w8))
+        self.down2 = nn.Sequential(ConvNorm(8, w2, 5, 2), Residual(w2))
+        self.down4 = nn.Sequential(ConvNorm(w2, w4, 3, 2), Residual(w4), Residual(w4))
+        self.down8 = nn.Sequential(ConvNorm(w4, w8, 3, 2), Residual(w8), Residual(w8), Residual(w8))
         self.lateral4, self.lateral2 = nn.Conv2d(w8, w4, 1), nn.Conv2d(w4, w2, 1)
-        self.up4, self.up2 = _Mix(w4), _Mix(w2)
+        self.up4, self.up2 = Residual(w4), Residual(w2)
         self.head = nn.Conv2d(w2, 2, 3, 1, 1)
         self.unseen = nn.Conv1d(w8, 4, 3, 1, 1)
 
@@ -77,17 +59,16 @@ class EdgeNet(nn.Module):
         """Logits of the rows at which the edge crosses each pair of columns; the last: it is not in the strip.
 
         strips: sRGB in [0, 1] and 1 where the photo covers the strip."""
-        grey = strips[:, :3].mean(dim=1, keepdim=True)
-        dark = torch.log2(grey * 8 + 0.125) / 4
-        seen = [strips[:, :3] - 0.4, local_contrast(strips[:, :3]), dark, strips[:, 3:], view_coordinates(strips)]
+        colours, covered = strips[:, :3], strips[:, 3:]
+        dark = torch.log2(8 * colours.mean(dim=1, keepdim=True) + 0.125) / 4  # grey levels of 255 tell from 2 on
+        seen = [colours - 0.4, local_contrast(colours), dark, covered, view_coordinates(strips)]
         x2 = self.down2(torch.cat(seen, dim=1))
         x4 = self.down4(x2)
         x8 = self.down8(x4)
         y4 = self.up4(x4 + functional.interpolate(self.lateral4(x8), scale_factor=2, mode="nearest"))
         y2 = self.up2(x2 + functional.interpolate(self.lateral2(y4), scale_factor=2, mode="nearest"))
-        rows = self.head(y2)  # (b, 2, r / 2, c / 2)
-        rows = rows.transpose(1, 2).flatten(1, 2)
-        unseen = self.unseen(x8.mean(dim=2)).transpose(1, 2).flatten(1, 2)  # (b, c / 2)
+        rows = self.head(y2).transpose(1, 2).flatten(1, 2)  # two rows from each of the half resolution
+        unseen = self.unseen(x8.mean(dim=2)).transpose(1, 2).flatten(1, 2)  # four columns from each of the eighth
         return torch.cat([rows, unseen[:, None]], dim=1)
 
 

@@ -52,7 +52,7 @@ _CHANNELS = 1 + 2 + 3 + 1 + 1
 _TRAINING_CHANNELS = 3
 
 
-class _ConvNorm(nn.Sequential):
+class ConvNorm(nn.Sequential):
     """Convolution, batch normalisation, ReLU."""
 
     def __init__(self, inputs: int, outputs: int, kernel: int, stride: int) -> None:
@@ -63,12 +63,12 @@ class _ConvNorm(nn.Sequential):
         )
 
 
-class _Residual(nn.Module):
+class Residual(nn.Module):
     """Two 3 x 3 convolutions beside an identity."""
 
     def __init__(self, channels: int) -> None:
         super().__init__()
-        self.first = _ConvNorm(channels, channels, 3, 1)
+        self.first = ConvNorm(channels, channels, 3, 1)
         self.second = nn.Sequential(nn.Conv2d(channels, channels, 3, 1, 1, bias=False), nn.BatchNorm2d(channels))
 
     def forward(self, x: Tensor) -> Tensor:
@@ -87,14 +87,14 @@ class FilmNet(nn.Module):
         super().__init__()
         self.config = config
         stem, w8, w16, w32 = config.widths
-        self.stem = _ConvNorm(3 + 1 + 2, stem, 7, STRIDE)
-        self.down8 = nn.Sequential(_ConvNorm(stem, w8, 3, 2), *(_Residual(w8) for _ in range(config.blocks[0])))
-        self.down16 = nn.Sequential(_ConvNorm(w8, w16, 3, 2), *(_Residual(w16) for _ in range(config.blocks[1])))
-        self.down32 = nn.Sequential(_ConvNorm(w16, w32, 3, 2), *(_Residual(w32) for _ in range(config.blocks[2])))
+        self.stem = ConvNorm(3 + 1 + 2, stem, 7, STRIDE)
+        self.down8 = nn.Sequential(ConvNorm(stem, w8, 3, 2), *(Residual(w8) for _ in range(config.blocks[0])))
+        self.down16 = nn.Sequential(ConvNorm(w8, w16, 3, 2), *(Residual(w16) for _ in range(config.blocks[1])))
+        self.down32 = nn.Sequential(ConvNorm(w16, w32, 3, 2), *(Residual(w32) for _ in range(config.blocks[2])))
         self.lateral16 = nn.Conv2d(w32, w16, 1)
-        self.up16 = _Residual(w16)
+        self.up16 = Residual(w16)
         self.lateral8 = nn.Conv2d(w16, w8, 1)
-        self.up8 = _Residual(w8)
+        self.up8 = Residual(w8)
         self.head = nn.Conv2d(w8 + 2, 4 * _CHANNELS, 3, 1, 1)
         self.training_head = nn.Conv2d(w8, 4 * _TRAINING_CHANNELS, 1)
         self.orientation_head = nn.Linear(w32, 8)

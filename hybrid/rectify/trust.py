@@ -1,9 +1,9 @@
 """How far a flattened film can be trusted: what speaks for its map and against it, and the error to be expected.
 
-Nothing here was used to make the map. The network looks once more, at the film as a plane sheet would be flattened by
-the finished map: what it now sees as film must fill the sheet. Cells must be alike, about as wide as they are high,
+The networks look once more, at the finished map: what FilmNet sees as film, flattened as a plane sheet would be, must
+fill the sheet, and across the map's edges EdgeNet must read edges. Cells must be alike, about as wide as they are high,
 and what was seen of edges and print must agree. A regression over photos with truth turns these signs into an error.
-Five signs are musts: without them, photos exist on which all the others speak for a map that is wrong.
+Six signs are musts: without them, photos exist on which all the others speak for a map that is wrong.
 """
 
 from __future__ import annotations
@@ -55,6 +55,8 @@ class TrustConfig:
     """Whether a map counts only if it was corrected by what is seen on the film."""
     min_edges: int = 3
     """Least number of the sheet's edges that are seen: what only repeats tells neither place nor size."""
+    min_support: float = 0.5
+    """Least mean probability that an edge lies where the map puts it: others look like none to who reads them."""
     min_alike: float = 0.12
     """Least agreement of the cells: noise repeats by chance, too."""
     min_levels: float = 20.0
@@ -66,7 +68,8 @@ class TrustConfig:
     held_out: float = 0.51
     unlike: float = 0.56
     oblong: float = 0.41
-    stated: float = 0.7
+    stated: float = 0.5
+    unsupported: float = 0.37
 
 
 @dataclass(frozen=True)
@@ -155,6 +158,7 @@ def expected_error_px(signs: Signs, config: TrustConfig | None = None) -> float:
         config.unlike * (1.0 - signs.alike),
         config.oblong * signs.oblong,
         config.stated * float(np.log(np.clip(signs.stated, 3e-4, 0.05))),
+        config.unsupported * float(np.log(1.03 - min(signs.support, 1.0))),
     )
     return float(np.exp(sum(terms))) * signs.film_px
 
@@ -172,6 +176,7 @@ def film_verdict(signs: Signs, config: TrustConfig | None = None) -> Verdict:
             (f"{signs.edges} of 4 edges seen", config.exact and signs.edges < config.min_edges),
             ("no grid seen", not signs.grid),
             (f"only {signs.levels:.0f} of 255 grey levels", signs.levels < config.min_levels),
+            (f"an edge reads as one to {signs.support:.0%} only", signs.support < config.min_support),
             ("cells are not alike", signs.grid and signs.alike < config.min_alike),
             ("not corrected by what is seen on the film", config.exact and not signs.corrected),
             (f"more than {config.safety * limit:.1f} px", expected > config.safety * limit),
@@ -180,7 +185,8 @@ def film_verdict(signs: Signs, config: TrustConfig | None = None) -> Verdict:
     ]
     evidence = (
         f"{expected:.1f} px of error expected; mask and outline agree to {signs.overlap_before:.1%} before and "
-        f"{signs.overlap_after:.1%} after refinement, cells are alike to {signs.alike:.0%}"
+        f"{signs.overlap_after:.1%} after refinement, edges read as such to {signs.support:.0%} at least, "
+        f"cells are alike to {signs.alike:.0%}"
     )
     if doubts:
         return Verdict(StatusCode.UNSURE, f"{', '.join(doubts)}: {evidence}")
