@@ -37,7 +37,7 @@ class RectifyConfig:
     refine: RefineConfig = field(default_factory=RefineConfig)
     plane: PlaneConfig = field(default_factory=PlaneConfig)
     exact: bool = True
-    """Whether the network's map is made exact by what is seen of the film; else it is only searched for the grid."""
+    """Whether the networks' map is made exact by what is seen of the film; else it is only searched for the grid."""
     again_above: float = float("inf")
     """Expected error of a refinement, in parts of the film's longer side, above which it is started from what the
     network saw of each side apart, too; the middle of the surest counts."""
@@ -52,7 +52,7 @@ class RectifyConfig:
     def of(effort: Effort | str) -> RectifyConfig:
         """The options of an effort.
 
-        fast: the network's map of one side as it is, unless the film is flat, and the photo read bilinearly; a film
+        fast: the networks' map of one side as it is, unless the film is flat, and the photo read bilinearly; a film
         counts as flattened if it is right to 20 pixels of a photo of 1080. default: the options' own values. thorough:
         refinement from each side's map, too, unless the first is sure to about a pixel of a photo of 1080.
 

@@ -29,7 +29,7 @@ from hybrid.rectify.trust import expected_error_px, film_verdict, signs_of
 from hybrid.strips import EdgeReader
 
 NETWORK_ERROR = 0.008
-"""Median error of the network's map, in parts of the film's size."""
+"""Median error of the networks' map, in parts of the film's size."""
 
 AS_SURE = 1.6
 """A refinement that expects more than this times the least error of all does not count for their middle."""
@@ -142,7 +142,7 @@ def shape_of(
     if config.exact:
         return _exact(pyramid, on_edges(mean.backward), (on_edges(side.backward) for side in every), config, clock)
     look_at = partial(
-        glance, expected=NETWORK_ERROR, config=config.refine, why="the network's map is kept in this effort"
+        glance, expected=NETWORK_ERROR, config=config.refine, why="the networks' map is kept in this effort"
     )
     found = _on_copy(pyramid, on_edges(mean.backward), VIEW_PX, look_at)
     clock.reports += found.stages

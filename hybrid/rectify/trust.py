@@ -49,7 +49,7 @@ class TrustConfig:
 
     limit_px: float = 5.0
     """Largest error of a film that is called flattened, in pixels of a photo of 1080; at least one of its own."""
-    safety: float = 0.26
+    safety: float = 0.2
     """The expected error must be below this part of the limit: single errors are up to several times as large."""
     exact: bool = True
     """Whether a map counts only if it was corrected by what is seen on the film."""
@@ -61,15 +61,15 @@ class TrustConfig:
     """Least agreement of the cells: noise repeats by chance, too."""
     min_levels: float = 20.0
     """Least number of grey levels that the photo makes use of: over fewer, gutters look like the sheet's edges."""
-    constant: float = 0.42
-    overlap_before: float = 0.08
-    overlap_after: float = 0.22
-    shift: float = 0.25
-    held_out: float = 0.51
-    unlike: float = 0.56
-    oblong: float = 0.41
-    stated: float = 0.5
-    unsupported: float = 0.37
+    constant: float = -1.36
+    overlap_before: float = 0.07
+    overlap_after: float = 0.12
+    shift: float = 0.24
+    held_out: float = 0.36
+    unlike: float = 0.77
+    oblong: float = 0.78
+    stated: float = 0.41
+    unsupported: float = 0.36
 
 
 @dataclass(frozen=True)
