@@ -59,11 +59,11 @@ def true_rows(
         points = true.photo_from_film(uv)
         at = _found_in(guess, points, uv)
         depth = side.inward * (at[:, side.axis] - side.edge)
-        covered = ((points >= 0) & (points < [size[1], size[0]])).all(axis=1)
+        covered = np.asarray((points >= 0) & (points < [size[1], size[0]])).all(axis=1).astype(float)
         order = np.argsort(at[:, 1 - side.axis])
         place = at[order, 1 - side.axis]
         depth = np.interp(along, place, depth[order], left=np.nan, right=np.nan)
-        covered = np.interp(along, place, covered[order].astype(float)) > 0.5
+        covered = np.interp(along, place, covered[order]) > 0.5
         shown = covered & (np.abs(depth) < strip.reach)
         rows[k, shown] = strip.row_of(depth[shown])
     return rows
