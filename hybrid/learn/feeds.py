@@ -195,7 +195,9 @@ def print_feed(config: UprightNetConfig) -> Feed:
 def edge_feed(config: EdgeNetConfig) -> Feed:
     """Strips across the edges of films, for a network of that configuration; four of each sample."""
 
-    def views(places: Sequence[Any], px: int, rng: np.random.Generator, augment: EdgeAugment):
+    def views(
+        places: Sequence[Any], px: int, rng: np.random.Generator, augment: EdgeAugment
+    ) -> tuple[Tensor, EdgeTargets]:
         strip = replace(config, input_px=px).strip
         images, inside, rows = zip(*(edge_view(place, strip, rng, augment) for place in places), strict=True)
         truth = torch.from_numpy(np.concatenate(rows)).float()
