@@ -114,6 +114,24 @@ class BackwardMap:
         on_film = np.asarray(finite & on_sheet & (miss <= tolerance_px))
         return np.where(on_film[:, None], uv, np.nan).reshape(shape)
 
+    def film_near(
+        self,
+        xy: Float[np.ndarray, "n 2"],
+        start: Float[np.ndarray, "n 2"],
+        iterations: int = 2,
+        most_step: float = np.inf,
+    ) -> Float[np.ndarray, "n 2"]:
+        """Film uv, beyond the edges too, of photo points, by Newton from film points near them.
+
+        Steps are ``most_step`` at most along each axis. Whether the film is there only ``film_from_photo`` says.
+        """
+        uv = start.copy()
+        for _ in range(iterations):
+            apart = xy - self.photo_from_film(uv)
+            step = np.linalg.solve(self.jacobian(uv), apart[..., None])[..., 0]
+            uv += np.clip(step, -most_step, most_step)
+        return uv
+
     def dense(self, size: tuple[int, int]) -> Float[np.ndarray, "h w 2"]:
         """Photo points (float32) of all pixel centres of a film image of ``size`` (height, width)."""
         gh, gw = self.nodes.shape[:2]

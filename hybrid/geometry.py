@@ -137,14 +137,16 @@ def shape_of(
     if flat.believed:
         return flat
     every = sides()
-    mean = agreed(every)
-    assert isinstance(mean, Inversion)  # the last of the sides is
+    if len(every) > 1:
+        mean = agreed(every)
+        assert isinstance(mean, Inversion)  # the last of the sides is
+        start = on_edges(mean.backward)
     if config.exact:
-        return _exact(pyramid, on_edges(mean.backward), (on_edges(side.backward) for side in every), config, clock)
+        return _exact(pyramid, start, (on_edges(side.backward) for side in every), config, clock)
     look_at = partial(
         glance, expected=NETWORK_ERROR, config=config.refine, why="the networks' map is kept in this effort"
     )
-    found = _on_copy(pyramid, on_edges(mean.backward), VIEW_PX, look_at)
+    found = _on_copy(pyramid, start, VIEW_PX, look_at)
     clock.reports += found.stages
     return found
 
@@ -199,7 +201,7 @@ def trusted(
     with clock.stage("verdict") as report:
         plane = plane_of(refinement.backward.cropped((0.0, 0.0), (1 / seen.factor, 1 / seen.factor)))
         (again,) = look(network, seen.photo, [film_view(plane, config.predict.margin)])
-        edges = edge_support(pyramid, refinement.backward, reader, config.edges)
+        edges = edge_support(pyramid, refinement.backward, reader)
         signs = signs_of(pyramid, seen.maps, coarse.backward, refinement, again.enlarged(seen.factor), edges, flat)
         verdict = film_verdict(signs, config.trust)
         report.reason = verdict.reason

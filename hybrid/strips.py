@@ -24,6 +24,12 @@ class Side:
     edge: float
     inward: float
 
+    def film_points(self, along: Float[np.ndarray, " n"], depth: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 2"]:
+        """Film points at places along the side, so far inside of it."""
+        points = np.empty((len(along), 2))
+        points[:, self.axis], points[:, 1 - self.axis] = self.edge + self.inward * depth, along
+        return points
+
 
 SIDES = (
     Side("top", 1, 0.0, 1.0),
@@ -48,14 +54,18 @@ class StripConfig:
         """Film units by which the rows lie inside the predicted edge."""
         return self.reach * (2 * film_centres_1d(self.rows) - 1)
 
+    @property
+    def pitch(self) -> float:
+        """Film units from row to row."""
+        return float(self.depth[1] - self.depth[0])
+
     def depth_of(self, row: np.ndarray) -> np.ndarray:
         """The same at fractions of rows."""
         return np.interp(row, np.arange(self.rows), self.depth)
 
     def row_of(self, depth: np.ndarray) -> np.ndarray:
         """Its inverse, going on beyond the strip."""
-        first, pitch = float(self.depth[0]), float(self.depth[1] - self.depth[0])
-        return (depth - first) / pitch
+        return (depth - self.depth[0]) / self.pitch
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,9 +77,25 @@ class EdgeReader:
     logs: Callable[[UInt8[np.ndarray, "4 r c 3"], Bool[np.ndarray, "4 r c"]], Float[np.ndarray, "4 r1 c2"]]
 
 
+def view_across(
+    photo: Photo, film: BackwardMap, side: Side, depth: Float[np.ndarray, " d"], columns: int, fine: int
+) -> tuple[Float[np.ndarray, "d p 3"], Bool[np.ndarray, "d p"]]:
+    """The photo across one side: rows at these depths inside of it, columns that are means of ``fine`` samples along
+    it; and where the photo covers all of them."""
+    along, across = film_centres_1d(columns * fine), side.edge + side.inward * depth
+    if side.axis == 1:
+        view = view_film(photo, film, along, across)
+        image, inside = view.image, view.inside
+    else:
+        view = view_film(photo, film, across, along)
+        image, inside = view.image.transpose(1, 0, 2), view.inside.T
+    image = cv2.resize(image, (columns, len(depth)), interpolation=cv2.INTER_AREA)  # the mean of each ``fine``
+    return image, np.asarray(inside.reshape(len(depth), columns, fine).all(axis=2))
+
+
 def strip_copy(pyramid: Pyramid, film: BackwardMap, config: StripConfig) -> tuple[Photo, BackwardMap]:
     """The smallest copy of a photo that has a pixel for each row of a strip, and the map into it."""
-    photo, factor = pyramid.reduced(max(film.mean_film_pixels()) * 2 * config.reach / config.rows)
+    photo, factor = pyramid.reduced(max(film.mean_film_pixels()) * config.pitch)
     return photo, film.cropped((0.0, 0.0), (1 / factor, 1 / factor))
 
 
@@ -77,20 +103,12 @@ def edge_strips(
     photo: Photo, film: BackwardMap, config: StripConfig
 ) -> tuple[UInt8[np.ndarray, "4 r c 3"], Bool[np.ndarray, "4 r c"]]:
     """The strips of SIDES, outermost row first, and where the photo covers them."""
-    along = film_centres_1d(config.columns * config.fine)
     images = np.empty((len(SIDES), config.rows, config.columns, 3), np.uint8)
     inside = np.empty(images.shape[:3], bool)
     for k, side in enumerate(SIDES):
-        across = side.edge + side.inward * config.depth
-        if side.axis == 1:
-            view = view_film(photo, film, along, across)
-            image, covered = view.image, view.inside
-        else:
-            view = view_film(photo, film, across, along)
-            image, covered = view.image.transpose(1, 0, 2), view.inside.T
-        images[k] = np.rint(cv2.resize(image, (config.columns, config.rows), interpolation=cv2.INTER_AREA))
-        inside[k] = covered.reshape(config.rows, config.columns, config.fine).all(axis=2)
+        image, inside[k] = view_across(photo, film, side, config.depth, config.columns, config.fine)
+        images[k] = np.rint(image)
     return images, inside
 
 
-__all__ = ["SIDES", "EdgeReader", "Side", "StripConfig", "edge_strips", "strip_copy"]
+__all__ = ["SIDES", "EdgeReader", "Side", "StripConfig", "edge_strips", "strip_copy", "view_across"]

@@ -133,8 +133,8 @@ def test_a_map_stays_where_no_edge_is_read():
 def test_support_tells_edges_that_are_right_from_others():
     photo, film = sheet_photo()
     pyramid = Pyramid(photo)
-    assert (edge_support(pyramid, film, STEPS, CONFIG) > 0.8).all()
-    assert (edge_support(pyramid, moved_edges(film, 0.02), STEPS, CONFIG) < 0.1).all()
+    assert (edge_support(pyramid, film, STEPS) > 0.8).all()
+    assert (edge_support(pyramid, moved_edges(film, 0.02), STEPS) < 0.1).all()
 
 
 # ---------------------------------------------------------------- the network

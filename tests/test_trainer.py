@@ -72,7 +72,6 @@ def test_the_papers_networks_show_samples(dataset, name):
     assert picture.std() > 10
 
 
-@pytest.mark.usefixtures("tiny")
 def test_the_network_of_edges_learns_from_the_same_samples(dataset, tmp_path):
     train(quick_run(dataset, tmp_path, preset="edges", passes=8, batch=2, steps_per_test=2))
     rows = list(csv.DictReader((tmp_path / "curves.csv").read_text().splitlines()))
@@ -83,6 +82,7 @@ def test_the_network_of_edges_learns_from_the_same_samples(dataset, tmp_path):
     load_weights(tmp_path / "edges.safetensors", EdgeNet, EdgeNetConfig)
 
 
+@pytest.mark.usefixtures("tiny")
 def test_a_training_without_held_out_samples_is_not_tested(dataset, tmp_path):
     train(quick_run(dataset, tmp_path, held_out=0))
     assert "test_" not in (tmp_path / "curves.csv").read_text()

@@ -54,10 +54,9 @@ def true_rows(
     along = film_centres_1d(strip.columns // 2)
     rows = np.full((len(SIDES), len(along)), np.nan)
     for k, side in enumerate(SIDES):
-        uv = np.empty((len(t), 2))
-        uv[:, side.axis], uv[:, 1 - side.axis] = side.edge, t
+        uv = side.film_points(t, np.zeros(len(t)))
         points = true.photo_from_film(uv)
-        at = _found_in(guess, points, uv)
+        at = guess.film_near(points, uv, iterations=4, most_step=0.1)
         depth = side.inward * (at[:, side.axis] - side.edge)
         covered = np.asarray((points >= 0) & (points < [size[1], size[0]])).all(axis=1).astype(float)
         order = np.argsort(at[:, 1 - side.axis])
@@ -67,12 +66,3 @@ def true_rows(
         shown = covered & (np.abs(depth) < strip.reach)
         rows[k, shown] = strip.row_of(depth[shown])
     return rows
-
-
-def _found_in(guess: BackwardMap, points: np.ndarray, start: np.ndarray) -> np.ndarray:
-    """Film coordinates, beyond the edges too, at which a map has photo points (Newton's method)."""
-    at = start.copy()
-    for _ in range(4):
-        off = points - guess.photo_from_film(at)
-        at += np.clip(np.linalg.solve(guess.jacobian(at), off[..., None])[..., 0], -0.1, 0.1)
-    return at

@@ -16,7 +16,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from hybrid.learn.network import ConvNorm, Residual, local_contrast, view_coordinates
-from hybrid.learn.tensors import Tensors
+from hybrid.learn.tensors import Tensors, image_batch
 from hybrid.strips import EdgeReader, StripConfig
 
 
@@ -92,8 +92,7 @@ def edge_losses(logits: Float[Tensor, "b r1 c"], truth: EdgeTargets) -> dict[str
 def strips_tensor(images: UInt8[np.ndarray, "b r c 3"], inside: Bool[np.ndarray, "b r c"]) -> Float[Tensor, "b 4 r c"]:
     """Strips as the network reads them; 0 where the photo does not cover them."""
     covered = torch.from_numpy(inside)[:, None].float()
-    colours = torch.from_numpy(images).permute(0, 3, 1, 2).float().div_(255)
-    return torch.cat([colours * covered, covered], dim=1)
+    return torch.cat([image_batch(list(images)) * covered, covered], dim=1)
 
 
 def edge_reader(network: EdgeNet) -> EdgeReader:

@@ -16,6 +16,7 @@ from hybrid.backward import BackwardMap
 from hybrid.coords import film_centres_1d
 from hybrid.pyramid import Pyramid
 from hybrid.rectify.curves import best_paths
+from hybrid.rectify.outline import edge_sightings
 from hybrid.rectify.sightings import Sightings, SplineConfig, carried, fit_displacement
 from hybrid.strips import SIDES, EdgeReader, StripConfig, edge_strips, strip_copy
 
@@ -71,20 +72,16 @@ def read_paths(logs: Float[np.ndarray, "4 r1 c"], config: EdgeConfig) -> EdgePat
     return EdgePaths(path + mean, spread, mass)
 
 
-def edge_sightings(paths: EdgePaths, strip: StripConfig, config: EdgeConfig) -> list[Sightings]:
+def path_sightings(paths: EdgePaths, strip: StripConfig, config: EdgeConfig) -> list[Sightings]:
     """The columns that show an edge, of the sides that have enough of them."""
     depth = strip.depth_of(paths.row)
-    along, pitch = film_centres_1d(depth.shape[1]), float(np.diff(strip.depth[:2])[0])
-    sigma = pitch * np.hypot(config.row_sigma, paths.spread) / np.sqrt(np.maximum(paths.mass, 1e-9))
+    along = film_centres_1d(depth.shape[1])
+    sigma = strip.pitch * np.hypot(config.row_sigma, paths.spread) / np.sqrt(np.maximum(paths.mass, 1e-9))
     found = []
     for k, side in enumerate(SIDES):
         good = paths.mass[k] > config.min_mass
-        n = int(good.sum())
-        if n < config.min_columns:
-            continue
-        seen = np.empty((n, 2))
-        seen[:, side.axis], seen[:, 1 - side.axis] = side.edge + side.inward * depth[k, good], along[good]
-        found.append(Sightings(side.axis, seen, np.full(n, side.edge), sigma[k, good], np.zeros((n, 0)), np.zeros(0)))
+        if good.sum() >= config.min_columns:
+            found.append(edge_sightings(side, along[good], depth[k, good], sigma[k, good]))
     return found
 
 
@@ -121,16 +118,14 @@ def _look(pyramid: Pyramid, film: BackwardMap, reader: EdgeReader, config: EdgeC
     """What is read across the edges of a map, once."""
     photo, on_copy = strip_copy(pyramid, film, reader.strip)
     paths = read_paths(reader.logs(*edge_strips(photo, on_copy, reader.strip)), config)
-    sightings = edge_sightings(paths, reader.strip, config)
+    sightings = path_sightings(paths, reader.strip, config)
     off = max((float(np.median(np.abs(s.offsets()))) for s in sightings), default=0.0)
     return EdgesRead(film, tuple(sightings), off)
 
 
-def edge_support(
-    pyramid: Pyramid, film: BackwardMap, reader: EdgeReader, config: EdgeConfig
-) -> Float[np.ndarray, " 4"]:
-    """For SIDES, the mean probability that the sheet's edge lies where a map puts it, to a third of a percent of the
-    film or so; 1 for a side that the photo hardly shows."""
+def edge_support(pyramid: Pyramid, film: BackwardMap, reader: EdgeReader) -> Float[np.ndarray, " 4"]:
+    """For SIDES, the mean probability that the sheet's edge lies within SUPPORT_ROWS of where a map puts it; 1 for a
+    side that the photo hardly shows."""
     photo, on_copy = strip_copy(pyramid, film, reader.strip)
     images, inside = edge_strips(photo, on_copy, reader.strip)
     middle = reader.strip.rows // 2
@@ -144,7 +139,6 @@ def edge_support(
 __all__ = [
     "EdgeConfig",
     "EdgePaths",
-    "EdgeReader",
     "EdgesRead",
     "edge_support",
     "put_on_edges",

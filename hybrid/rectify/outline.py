@@ -18,10 +18,9 @@ from scipy.ndimage import gaussian_filter1d, uniform_filter1d
 
 from hybrid.backward import BackwardMap
 from hybrid.coords import film_centres_1d, linear_from_srgb
-from hybrid.film_view import view_film
 from hybrid.rectify.curves import best_paths, parabola_peak, smooth_curve_weights
 from hybrid.rectify.sightings import Sightings
-from hybrid.strips import SIDES, Side
+from hybrid.strips import SIDES, Side, view_across
 
 
 @dataclass(frozen=True)
@@ -107,21 +106,8 @@ def sample_strip(photo: UInt8[np.ndarray, "H W 3"], backward: BackwardMap, side:
     n = int(np.ceil(half_band(pixel, config) / pixel)) + max(config.windows_px)
     depth = pixel * np.arange(-n, n + 1, dtype=np.float64)
     fine = max(1, round(along_px / config.profiles / 2.5))
-    along_fine = film_centres_1d(config.profiles * fine)
-    across = side.edge + side.inward * depth
-    if side.axis == 1:
-        view = view_film(photo, backward, along_fine, across)
-        image, inside = view.image, view.inside
-    else:
-        view = view_film(photo, backward, across, along_fine)
-        image, inside = view.image.transpose(1, 0, 2), view.inside.T
-    return Strip(
-        cv2.resize(image, (config.profiles, len(depth)), interpolation=cv2.INTER_AREA),  # the mean of each ``fine``
-        depth,
-        film_centres_1d(config.profiles),
-        np.asarray(inside.reshape(len(depth), config.profiles, fine).all(axis=2)),
-        pixel,
-    )
+    image, inside = view_across(photo, backward, side, depth, config.profiles, fine)
+    return Strip(image, depth, film_centres_1d(config.profiles), inside, pixel)
 
 
 def half_band(pixel: float, config: OutlineConfig) -> float:
@@ -205,11 +191,16 @@ def _side_sightings(
     config: OutlineConfig,
 ) -> Sightings:
     """The edge along one strip where it is seen well."""
-    seen = np.empty((int(good.sum()), 2))
-    seen[:, side.axis] = side.edge + side.inward * depth[good]
-    seen[:, 1 - side.axis] = strip.along[good]
-    n = len(seen)
-    sigma = np.full(n, config.sigma_px * strip.pixel) * np.sqrt(np.clip(4.0 / at_path[good], 1.0, 4.0))
+    sigma = config.sigma_px * strip.pixel * np.sqrt(np.clip(4.0 / at_path[good], 1.0, 4.0))
+    return edge_sightings(side, strip.along[good], depth[good], sigma)
+
+
+def edge_sightings(
+    side: Side, along: Float[np.ndarray, " n"], depth: Float[np.ndarray, " n"], sigma: Float[np.ndarray, " n"]
+) -> Sightings:
+    """An edge seen at these places along a side, so far inside of where a map has it."""
+    n = len(along)
+    seen = side.film_points(along, depth)
     return Sightings(side.axis, seen, np.full(n, side.edge), sigma, np.zeros((n, 0)), np.zeros(0))
 
 
@@ -242,4 +233,4 @@ def _line_excess(
     return np.maximum(local.mean(axis=2) - np.maximum(outer.mean(axis=1), inner.mean(axis=1)), 0.0)
 
 
-__all__ = ["OutlineConfig", "Strip", "edge_score", "find_outline", "sample_strip", "subpixel_edge"]
+__all__ = ["OutlineConfig", "Strip", "edge_score", "edge_sightings", "find_outline", "sample_strip", "subpixel_edge"]

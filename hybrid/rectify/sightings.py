@@ -121,11 +121,7 @@ class Displacement:
 
 def carried(sightings: Sightings, before: BackwardMap, after: BackwardMap) -> Sightings:
     """Sightings made through one map, as if they had been made through another that is near (Newton's method)."""
-    points, seen = before.photo_from_film(sightings.seen), sightings.seen.copy()
-    for _ in range(2):
-        apart = points - after.photo_from_film(seen)
-        seen += np.linalg.solve(after.jacobian(seen), apart[..., None])[..., 0]
-    return replace(sightings, seen=seen)
+    return replace(sightings, seen=after.film_near(before.photo_from_film(sightings.seen), sightings.seen))
 
 
 @lru_cache(maxsize=4)
