@@ -209,7 +209,7 @@ def _serve(folders: tuple[Path, ...], options: Options, line: Connection) -> Non
 def _map_anyway(rectifier: Rectifier, photo: np.ndarray) -> BackwardMap | None:
     """The refined map of what the network sees, whether or not that is a film."""
     coarse = rectifier.network_map(photo)
-    return None if coarse is None else refine(photo, coarse, rectifier.config.refine).backward
+    return None if coarse is None else refine(photo, coarse, None, rectifier.config.refine).backward
 
 
 def _rectified(number: int, it: Damaged, rectify: Rectify, find_anyway: FindAnyway) -> DamagedPhoto:

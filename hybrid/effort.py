@@ -12,6 +12,7 @@ from hybrid.learn.upright import UprightConfig
 from hybrid.rectify.deilluminate import DeilluminateConfig
 from hybrid.rectify.edge_paths import EdgeConfig
 from hybrid.rectify.film_size import FilmSizeConfig
+from hybrid.rectify.foreshortening import ForeshorteningConfig
 from hybrid.rectify.fuse import FuseConfig
 from hybrid.rectify.invert import InvertConfig
 from hybrid.rectify.plane import PlaneConfig
@@ -34,6 +35,7 @@ class RectifyConfig:
     predict: PredictConfig = field(default_factory=PredictConfig)
     invert: InvertConfig = field(default_factory=InvertConfig)
     edges: EdgeConfig = field(default_factory=EdgeConfig)
+    foreshortening: ForeshorteningConfig = field(default_factory=ForeshorteningConfig)
     refine: RefineConfig = field(default_factory=RefineConfig)
     plane: PlaneConfig = field(default_factory=PlaneConfig)
     exact: bool = True

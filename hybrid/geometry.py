@@ -10,16 +10,18 @@ from functools import partial
 
 import numpy as np
 
-from hybrid.backward import BackwardMap
+from hybrid.backward import BackwardMap, end_point_error
 from hybrid.effort import RectifyConfig
 from hybrid.learn.network import FilmNet
 from hybrid.learn.predict import look, look_from_sides
 from hybrid.learn.views import film_view, plane_of, whole_view
 from hybrid.pyramid import Photo, Pyramid
 from hybrid.records import CoarseMaps, StageReport
+from hybrid.rectify.cell_phases import CellPhases
 from hybrid.rectify.consensus import geometric_median
 from hybrid.rectify.edge_paths import edge_support, put_on_edges, read_edges
 from hybrid.rectify.flat import already_flat
+from hybrid.rectify.foreshortening import even
 from hybrid.rectify.glance import VIEW_PX, glance
 from hybrid.rectify.invert import Inversion, NotInverted, agreed, change, fit_backward
 from hybrid.rectify.plane import flat_film
@@ -116,6 +118,7 @@ def see_from_sides(network: FilmNet, seen: Seen, config: RectifyConfig, clock: C
 def shape_of(
     pyramid: Pyramid,
     coarse: BackwardMap,
+    phases: CellPhases | None,
     reader: EdgeReader,
     sides: Callable[[], Sequence[Inversion]],
     config: RectifyConfig,
@@ -123,8 +126,8 @@ def shape_of(
 ) -> Refinement:
     """The exact map of the film and its grid, by the shortest way that it allows.
 
-    coarse: the network's map of one side. reader: reads the film's edges. sides: gives the maps of all sides; called
-    where they are needed.
+    coarse: the network's map of one side. phases: what it tells of the cells. reader: reads the film's edges. sides:
+    gives the maps of all sides; called where they are needed.
     """
     with clock.stage("edges") as report:
         read = read_edges(pyramid, coarse, reader, config.edges)
@@ -132,7 +135,7 @@ def shape_of(
         start = on_edges(coarse)
         report.reason = f"{len(read.sightings)} of 4 edges read, up to {read.off:.1%} of the film beside the network's"
     by_edges = partial(flat_film, refine=config.refine, config=config.plane)
-    flat = _on_copy(pyramid, start, config.refine.working_px, by_edges)
+    flat = _on_copy(pyramid, start, phases, config.refine.working_px, by_edges)
     clock.reports += flat.stages
     if flat.believed:
         return flat
@@ -141,21 +144,35 @@ def shape_of(
         mean = agreed(every)
         assert isinstance(mean, Inversion)  # the last of the sides is
         start = on_edges(mean.backward)
+    evened = partial(even, phases=phases, config=config.foreshortening)
+    with clock.stage("spacing") as report:
+        report.ran, before = phases is not None, start
+        start = evened(start)
+        moved = float(end_point_error(start, before.nodes).mean()) / max(before.mean_film_pixels())
+        report.reason = (
+            f"cells moved by {moved:.2%} of the film" if report.ran else "the network tells nothing of cells"
+        )
     if config.exact:
-        return _exact(pyramid, start, (on_edges(side.backward) for side in every), config, clock)
+        others = (evened(on_edges(side.backward)) for side in every)
+        return _exact(pyramid, start, phases, others, config, clock)
     look_at = partial(
         glance, expected=NETWORK_ERROR, config=config.refine, why="the networks' map is kept in this effort"
     )
-    found = _on_copy(pyramid, start, VIEW_PX, look_at)
+    found = _on_copy(pyramid, start, phases, VIEW_PX, look_at)
     clock.reports += found.stages
     return found
 
 
 def _exact(
-    pyramid: Pyramid, coarse: BackwardMap, sides: Iterable[BackwardMap], config: RectifyConfig, clock: Clock
+    pyramid: Pyramid,
+    coarse: BackwardMap,
+    phases: CellPhases | None,
+    sides: Iterable[BackwardMap],
+    config: RectifyConfig,
+    clock: Clock,
 ) -> Refinement:
     """The network's map made exact by what is seen of the film; where the effort says so, from each side's map too."""
-    exactly = partial(_exactly, pyramid, config)
+    exactly = partial(_exactly, pyramid, phases, config)
     first = exactly(coarse)
     clock.reports += first.stages
     with clock.stage("again") as report:
@@ -173,11 +190,16 @@ def _exact(
 
 
 def flat_itself(
-    pyramid: Pyramid, coarse: BackwardMap, refined: Refinement, config: RectifyConfig, clock: Clock
+    pyramid: Pyramid,
+    coarse: BackwardMap,
+    phases: CellPhases | None,
+    refined: Refinement,
+    config: RectifyConfig,
+    clock: Clock,
 ) -> Refinement | None:
     """The photo's frame as the film's map, if the photo is a scan or a film that was flattened before."""
     with clock.stage("flat") as report:
-        flat, report.reason = already_flat(pyramid, coarse, refined, partial(_exactly, pyramid, config))
+        flat, report.reason = already_flat(pyramid, coarse, refined, partial(_exactly, pyramid, phases, config))
         report.ran = flat is not None
     return flat
 
@@ -208,17 +230,21 @@ def trusted(
     return verdict, expected_error_px(signs, config.trust)
 
 
-def _exactly(pyramid: Pyramid, config: RectifyConfig, start: BackwardMap) -> Refinement:
+def _exactly(pyramid: Pyramid, phases: CellPhases | None, config: RectifyConfig, start: BackwardMap) -> Refinement:
     """A map made exact, on a copy of the photo that is large enough for that."""
-    return _on_copy(pyramid, start, config.refine.working_px, partial(refine, config=config.refine))
+    return _on_copy(pyramid, start, phases, config.refine.working_px, partial(refine, config=config.refine))
 
 
 def _on_copy(
-    pyramid: Pyramid, coarse: BackwardMap, film_px: int, work: Callable[[Photo, BackwardMap], Refinement]
+    pyramid: Pyramid,
+    coarse: BackwardMap,
+    phases: CellPhases | None,
+    film_px: int,
+    work: Callable[[Photo, BackwardMap, CellPhases | None], Refinement],
 ) -> Refinement:
     """What ``work`` makes of the map on a copy of the photo in which the film's longer side has about ``film_px``."""
     photo, (x, y) = pyramid.scaled(film_px / max(coarse.mean_film_pixels()))
-    found = work(photo, coarse.cropped((0.0, 0.0), (x, y)))
+    found = work(photo, coarse.cropped((0.0, 0.0), (x, y)), phases and phases.scaled((x, y)))
     up = (1.0 / x, 1.0 / y)
     grid = found.grid and replace(found.grid, vertices_photo=found.grid.vertices_photo * np.array(up))
     left = None if found.expected_px is None else found.expected_px * up[0]

@@ -21,6 +21,7 @@ from hybrid.learn.upright import UprightNet, orientation_chances, upright_way
 from hybrid.learn.weights import load_weights, packaged_edge_net, packaged_film_net, packaged_upright_net
 from hybrid.pyramid import Pyramid
 from hybrid.records import CoarseMaps, RectifyResult, SliceGrid, Status, StatusCode
+from hybrid.rectify.cell_phases import CellPhases
 from hybrid.rectify.deilluminate import deilluminate
 from hybrid.rectify.film_size import film_size
 from hybrid.rectify.fuse import fuse
@@ -122,8 +123,9 @@ class Rectifier:
             code = StatusCode.NO_FILM if verdict.ok else verdict.code
             return RectifyResult(Status(code), clock.reports)
         sides = partial(see_from_sides, self._network, seen, self.config, clock)
-        refinement = shape_of(pyramid, inversion.backward, self._edges, sides, self.config, clock)
-        flat = flat_itself(pyramid, inversion.backward, refinement, self.config, clock)
+        phases = CellPhases.of(maps)
+        refinement = shape_of(pyramid, inversion.backward, phases, self._edges, sides, self.config, clock)
+        flat = flat_itself(pyramid, inversion.backward, phases, refinement, self.config, clock)
         refinement = flat or refinement
         verdict, expected = trusted(
             self._network, self._edges, pyramid, seen, refinement, flat is not None, self.config, clock

@@ -23,6 +23,9 @@ class CoarseMaps:
     albedo: display grey of the print in [0, 1], blurred to the network's resolution.
     photo_points: (h, w, 2) photo points (full-resolution pixels) of the pixel centres.
     expected_error: how wrong the network expects uv to be, in film units; None where it does not say.
+    phases: cosine and sine of where in its cell each pixel lies, a full turn from cell to cell: across the film, then
+        down; the shorter the pair, the less sure. in_grid: probability that a film pixel lies in a cell. None where the
+        network does not say.
     """
 
     mask: Float[np.ndarray, "h w"]
@@ -31,6 +34,8 @@ class CoarseMaps:
     albedo: Float[np.ndarray, "h w"]
     photo_points: Float[np.ndarray, "h w 2"]
     expected_error: Float[np.ndarray, "h w"] | None = None
+    phases: Float[np.ndarray, "h w 2 2"] | None = None
+    in_grid: Float[np.ndarray, "h w"] | None = None
 
     def enlarged(self, factor: int) -> CoarseMaps:
         """The same for the photo enlarged ``factor`` times."""

@@ -43,7 +43,7 @@ def film_of(rows: int, cols: int, margin: float = 0.0, rules: bool = False, seed
 @pytest.mark.parametrize(("rules", "margin"), [(False, 0.0), (False, 0.02), (True, 0.0), (True, 0.04), (True, 0.12)])
 def test_cells_are_counted_and_placed(rows: int, cols: int, rules: bool, margin: float):
     grey = film_of(rows, cols, margin, rules)
-    reading = read_cells(grey, grey.shape[0] / grey.shape[1], NO_PITCH, GridConfig(), CellsConfig())
+    reading = read_cells(grey, grey.shape[0] / grey.shape[1], NO_PITCH, None, GridConfig(), CellsConfig())
     assert reading is not None
     assert (reading.rows.cells, reading.columns.cells) == (rows, cols)
     for along, cells in ((reading.rows, rows), (reading.columns, cols)):
@@ -54,16 +54,16 @@ def test_cells_are_counted_and_placed(rows: int, cols: int, rules: bool, margin:
 def test_a_known_pitch_is_no_more_than_a_hint():
     grey = film_of(5, 4)
     wrong = ((0.23, 0.31), (0.27,))
-    reading = read_cells(grey, grey.shape[0] / grey.shape[1], wrong, GridConfig(), CellsConfig())
+    reading = read_cells(grey, grey.shape[0] / grey.shape[1], wrong, None, GridConfig(), CellsConfig())
     assert reading is not None
     assert (reading.rows.cells, reading.columns.cells) == (5, 4)
 
 
 def test_what_is_seen_turned_is_read_turned():
     grey = film_of(5, 3, margin=0.03)
-    upright = read_cells(grey, grey.shape[0] / grey.shape[1], NO_PITCH, GridConfig(), CellsConfig())
+    upright = read_cells(grey, grey.shape[0] / grey.shape[1], NO_PITCH, None, GridConfig(), CellsConfig())
     turned = read_cells(
-        np.ascontiguousarray(grey.T), grey.shape[1] / grey.shape[0], NO_PITCH, GridConfig(), CellsConfig()
+        np.ascontiguousarray(grey.T), grey.shape[1] / grey.shape[0], NO_PITCH, None, GridConfig(), CellsConfig()
     )
     assert upright is not None
     assert turned is not None
@@ -74,8 +74,8 @@ def test_what_is_seen_turned_is_read_turned():
 def test_a_print_says_more_than_noise():
     rng = np.random.default_rng(1)
     noise = rng.normal(100, 20, (480, 420)).astype(np.float32)
-    of_noise = read_cells(noise, 480 / 420, NO_PITCH, GridConfig(), CellsConfig())
-    of_print = read_cells(film_of(5, 4, rules=True), 5 / 4, NO_PITCH, GridConfig(), CellsConfig())
+    of_noise = read_cells(noise, 480 / 420, NO_PITCH, None, GridConfig(), CellsConfig())
+    of_print = read_cells(film_of(5, 4, rules=True), 5 / 4, NO_PITCH, None, GridConfig(), CellsConfig())
     assert of_noise is not None
     assert of_print is not None
     assert of_print.probability > 0.9 > of_noise.probability
@@ -84,11 +84,11 @@ def test_a_print_says_more_than_noise():
 
 @pytest.mark.parametrize("grey", [np.zeros((480, 420)), np.full((300, 300), 255.0)], ids=["black", "white"])
 def test_a_blank_film_has_a_reading_that_is_not_sure(grey: np.ndarray):
-    reading = read_cells(grey.astype(np.float32), 1.1, NO_PITCH, GridConfig(), CellsConfig())
+    reading = read_cells(grey.astype(np.float32), 1.1, NO_PITCH, None, GridConfig(), CellsConfig())
     assert reading is not None
     assert np.isfinite(reading.probability)
     assert reading.probability < 0.9
 
 
 def test_views_that_are_too_small_are_not_read():
-    assert read_cells(np.zeros((30, 400), np.float32), 0.1, NO_PITCH, GridConfig(), CellsConfig()) is None
+    assert read_cells(np.zeros((30, 400), np.float32), 0.1, NO_PITCH, None, GridConfig(), CellsConfig()) is None

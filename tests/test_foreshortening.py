@@ -1,86 +1,72 @@
-"""What is printed evenly and seen unevenly tells how the map mistakes the sheet's foreshortening."""
+"""What the network tells of the cells shows how the map mistakes the sheet's foreshortening."""
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 import pytest
-from jaxtyping import Float
 from synthetic_film import FilmDrawing, make_photo
-from test_cells import film_of
+from told_cells import bent_along, even_grid, told_of
 
 from hybrid.backward import BackwardMap, end_point_error
 from hybrid.coords import film_nodes
-from hybrid.rectify.foreshortening import EVEN, Bend, ForeshorteningConfig, even, foreshortening
+from hybrid.rectify.cell_phases import CellPhases
+from hybrid.rectify.foreshortening import ForeshorteningConfig, bent, even, spacing
 from hybrid.rectify.refine import RefineConfig, refine
 
 CONFIG = ForeshorteningConfig()
+FLAT = BackwardMap(film_nodes((17, 17)) * (400.0, 300.0) + 50.0)
 
 
-def spaced(t: Float[np.ndarray, "*n"], bend: Bend) -> Float[np.ndarray, "*n"]:
-    """The film point at which an even film's point ``t`` is shown: the formula by which bends are defined."""
-    a, b = bend
-    return t + t * (1 - t) * (a + b * (1 - 2 * t))
+def mean_error(found: BackwardMap, true: BackwardMap) -> float:
+    return float(end_point_error(found, true.resized((33, 33)).nodes).mean())
 
 
-def shown(film: Float[np.ndarray, "h w"], along_u: Bend, along_v: Bend) -> Float[np.ndarray, "h w"]:
-    """A view that shows the film with such spacings, by inverting them point for point."""
-    t, (h, w) = np.linspace(0, 1, 2001), film.shape
-    x = np.interp((np.arange(w) + 0.5) / w, spaced(t, along_u), t) * w - 0.5
-    y = np.interp((np.arange(h) + 0.5) / h, spaced(t, along_v), t) * h - 0.5
-    maps = np.meshgrid(x.astype(np.float32), y.astype(np.float32))
-    return cv2.remap(film, *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+@pytest.mark.parametrize("bends", [((0.3, 0.0), (0.0, 0.0)), ((-0.3, 0.1), (0.2, -0.1)), ((0.0, 0.2), (-0.35, 0.0))])
+@pytest.mark.parametrize(("rows", "cols", "margin"), [(5, 4, 0.0), (4, 6, 0.03), (3, 3, 0.0), (8, 6, 0.05)])
+def test_a_map_with_right_edges_and_a_wrong_inside_is_put_right(rows: int, cols: int, margin: float, bends):
+    coarse = bent_along(FLAT, *bends)
+    phases = told_of(FLAT, even_grid(rows, cols, margin), np.random.default_rng(rows))
+    before, after = mean_error(coarse, FLAT), mean_error(even(coarse, phases, CONFIG), FLAT)
+    assert before > 8
+    assert after < 0.55 * before
 
 
-@pytest.mark.parametrize("bend", [(0.35, 0.0), (-0.25, -0.1), (0.4, -0.2), (-0.3, 0.15)])
-@pytest.mark.parametrize(("rows", "cols"), [(5, 4), (4, 5), (6, 4)])
-def test_uneven_spacing_is_read_along_each_axis(rows: int, cols: int, bend: Bend):
-    film, t = film_of(rows, cols), np.linspace(0, 1, 41)
-    for axis, view in enumerate((shown(film, bend, EVEN), shown(film, EVEN, bend))):
-        found = foreshortening(view, CONFIG)
-        assert found[1 - axis] == EVEN
-        assert np.abs(spaced(t, found[axis]) - spaced(t, bend)).max() < 0.02
-    found = foreshortening(shown(film, bend, (-bend[0], bend[1])), CONFIG)
-    assert np.sign(found[0][0]) == np.sign(bend[0])
-    assert np.sign(found[1][0]) == -np.sign(bend[0])
+def test_the_spacing_that_is_found_is_the_one_that_was_made():
+    coarse = bent_along(FLAT, (0.2, 0.0), (-0.3, 0.0))
+    told = told_of(FLAT, even_grid(5, 4), np.random.default_rng(0)).inside(coarse)
+    t = np.linspace(0, 1, 21)
+    for along, cells, made in zip(told.axes(), (4, 5), (0.2, -0.3), strict=True):
+        found = spacing(along, CONFIG)
+        assert found.pitch == pytest.approx(1 / cells, rel=0.03)
+        assert np.abs(bent(t, found.bend) - (t + t * (1 - t) * made)).max() < 0.03
 
 
-@pytest.mark.parametrize("margin", [0.0, 0.05])
-@pytest.mark.parametrize("rules", [False, True])
-def test_what_is_even_stays_even(rules: bool, margin: float):
+@pytest.mark.parametrize("margin", [0.0, 0.04])
+def test_what_is_even_stays_where_it_is(margin: float):
     for rows, cols in ((3, 3), (5, 4), (2, 6)):
-        assert foreshortening(film_of(rows, cols, margin, rules), CONFIG) == (EVEN, EVEN)
+        phases = told_of(FLAT, even_grid(rows, cols, margin), np.random.default_rng(0))
+        assert mean_error(even(FLAT, phases, CONFIG), FLAT) < 1.0
 
 
-def test_small_unevenness_is_left_to_the_cells():
-    assert foreshortening(shown(film_of(5, 4), (0.05, 0.0), EVEN), CONFIG) == (EVEN, EVEN)
+def test_edges_stay_where_the_map_has_them():
+    coarse = bent_along(FLAT, (0.3, 0.1), (-0.2, 0.0))
+    found = even(coarse, told_of(FLAT, even_grid(5, 4), np.random.default_rng(1)), CONFIG)
+    apart = np.abs(found.resized((33, 33)).nodes - FLAT.resized((33, 33)).nodes)
+    assert max(apart[[0, -1], :, 1].max(), apart[:, [0, -1], 0].max()) < 1.0
 
 
-@pytest.mark.parametrize("size", [(40, 300), (300, 40), (200, 200), (700, 500)])
-def test_where_nothing_repeats_nothing_is_read(size: tuple[int, int]):
-    rng = np.random.default_rng(0)
-    noise = rng.normal(90, 30, size).astype(np.float32)
-    ramp = np.tile(np.linspace(0, 255, size[1], dtype=np.float32), (size[0], 1))
-    for view in (noise, cv2.GaussianBlur(noise, (0, 0), 3), ramp, np.zeros(size, np.float32)):
-        assert foreshortening(view, CONFIG) == (EVEN, EVEN)
+def test_where_nothing_is_sure_nothing_moves():
+    told = told_of(FLAT, even_grid(5, 4), np.random.default_rng(0))
+    unsure = CellPhases(told.points, told.near, 0.2 * told.turns, told.in_grid)
+    assert mean_error(even(FLAT, unsure, CONFIG), FLAT) < 1e-6
+    nowhere = CellPhases(told.points + 1e4, told.near + 30, told.turns, told.in_grid)
+    assert even(FLAT, nowhere, CONFIG) is FLAT
 
 
-def test_the_even_map_undoes_the_spacing_and_keeps_the_edges():
-    flat = BackwardMap(film_nodes((17, 17)) * (400.0, 300.0))
-    bends = ((0.3, 0.1), (-0.2, 0.0))
-    uv = film_nodes((21, 21))
-    expected = np.stack([spaced(uv[..., 0], bends[0]) * 400, spaced(uv[..., 1], bends[1]) * 300], axis=-1)
-    assert np.abs(even(flat, bends).photo_from_film(uv) - expected).max() < 0.02
-    assert np.abs(even(flat, (EVEN, EVEN)).photo_from_film(uv) - flat.photo_from_film(uv)).max() < 1e-9
-
-
-@pytest.mark.parametrize("axis", [0, 1])
-def test_a_map_with_right_edges_and_an_inside_half_a_slice_off_is_put_right(axis: int):
+@pytest.mark.parametrize("bends", [((-0.35, 0.1), (0.0, 0.0)), ((0.0, 0.0), (-0.35, 0.1))])
+def test_refinement_begins_there(bends):
     photo, true = make_photo(FilmDrawing(5, 4, rules=False), np.random.default_rng(3))
-    bends = ((-0.35, 0.1), EVEN) if axis == 0 else (EVEN, (-0.35, 0.1))
-    coarse = even(true, bends)
-    refined = refine(photo, coarse, RefineConfig())
-    before, after = (float(end_point_error(one, true.nodes).mean()) for one in (coarse, refined.backward))
-    assert before > 20
-    assert after < 2
-    assert "foreshortening" in next(stage.reason for stage in refined.stages if stage.name == "grid")
+    coarse, phases = bent_along(true, *bends), told_of(true, even_grid(5, 4), np.random.default_rng(0))
+    refined = refine(photo, coarse, phases, RefineConfig())
+    assert mean_error(coarse, true) > 15
+    assert mean_error(refined.backward, true) < 2

@@ -13,11 +13,20 @@ from hybrid.backward import BackwardMap, Orientation
 from hybrid.coords import film_centres, pixel_centres, rescale_points
 from hybrid.errors import ConfigError, DataError
 from hybrid.learn import train as train_module
-from hybrid.learn.data import AugmentConfig, random_view, training_view
-from hybrid.learn.losses import LossWeights, Targets, loss_terms, masked_mean, slope_loss, uv_loss
+from hybrid.learn.data import AugmentConfig, grid_along, random_view, training_view
+from hybrid.learn.losses import (
+    LossWeights,
+    Targets,
+    cell_phases,
+    in_grid,
+    loss_terms,
+    masked_mean,
+    slope_loss,
+    uv_loss,
+)
 from hybrid.learn.network import STRIDE, FilmNet, FilmNetConfig, FilmNetOutput, fused
 from hybrid.learn.paper_data import PaperView, paper_batch
-from hybrid.learn.predict import look, look_from_sides
+from hybrid.learn.predict import as_in_view, look, look_from_sides
 from hybrid.learn.presets import PRESETS, weighted_sum
 from hybrid.learn.samples import film_of, open_places
 from hybrid.learn.train import TrainConfig, train
@@ -25,6 +34,7 @@ from hybrid.learn.upright import UprightNet, UprightNetConfig
 from hybrid.learn.views import film_from_view, output_points, square_view
 from hybrid.learn.weights import load_into, load_weights, parameter_count, save_weights
 from hybrid.pyramid import Pyramid
+from hybrid.records import CoarseMaps
 
 TINY = FilmNetConfig(widths=(4, 8, 8, 8), blocks=(1, 1, 1), input_px=64)
 
@@ -49,6 +59,8 @@ def random_case(seed=0, b=2, n=8):
         draw(b, 3, n, n),
         draw(b, n, n),
         draw(b, n, n) - 3,
+        draw(b, 2, 2, n, n) - 0.5,
+        draw(b, n, n) - 0.5,
         draw(b, 8),
         draw(b, 3, n, n),
     )
@@ -56,9 +68,10 @@ def random_case(seed=0, b=2, n=8):
 
 
 def targets_of(mask, uv, xyz, albedo, normal) -> Targets:
-    """Targets of upright films that weigh alike."""
+    """Targets of upright films of 4 x 3 cells that weigh alike."""
     b = len(mask)
-    return Targets(mask, uv, xyz, albedo, normal, torch.zeros(b, dtype=torch.int64), *torch.ones(3, b))
+    grid = torch.tensor([[0.05, 0.3, 3.0], [0.1, 0.2, 4.0]]).expand(b, 2, 3)
+    return Targets(mask, uv, xyz, albedo, normal, grid, torch.zeros(b, dtype=torch.int64), *torch.ones(4, b))
 
 
 # ---------------------------------------------------------------- network
@@ -99,7 +112,8 @@ def test_losses_by_hand():
     targets = targets_of(mask, zero, torch.zeros(2, 3, 2, 2), torch.zeros(2, 2, 2), torch.zeros(2, 3, 2, 2))
     uv = torch.stack([error, error], dim=1)
     zeros = torch.zeros(2, 2, 2)
-    output = FilmNetOutput(zeros, uv, torch.zeros(2, 3, 2, 2), zeros, zeros, torch.zeros(2, 8))
+    phases = torch.zeros(2, 2, 2, 2, 2)
+    output = FilmNetOutput(zeros, uv, torch.zeros(2, 3, 2, 2), zeros, zeros, phases, zeros, torch.zeros(2, 8))
     assert float(uv_loss(output, targets)) == pytest.approx(2 * 0.3)
     # One neighbouring pair of film pixels, in the first film only: |0.3 - 0.1| for u and for v.
     assert float(slope_loss(output, targets)) == pytest.approx(0.4 / 2, abs=1e-6)
@@ -115,7 +129,10 @@ def test_a_perfect_prediction_costs_nothing():
     logit = torch.where(targets.mask, 40.0, -40.0)
     upright = torch.nn.functional.one_hot(targets.orientation, 8) * 40.0
     scale = torch.full_like(logit, -3.0)
-    perfect = FilmNetOutput(logit, targets.uv, targets.xyz, targets.albedo, scale, upright, targets.normal)
+    phases = cell_phases(targets.uv, targets.grid)
+    cells = torch.where(in_grid(targets.uv, targets.grid), 40.0, -40.0)
+    maps = (logit, targets.uv, targets.xyz, targets.albedo, scale, phases, cells)
+    perfect = FilmNetOutput(*maps, upright, targets.normal)
     terms = loss_terms(perfect, targets)
     assert all(float(term) < 1e-6 for name, term in terms.items() if name != "scale")
 
@@ -128,6 +145,8 @@ def test_losses_do_not_see_the_background():
         torch.where(targets.mask[:, None], output.xyz, 77.0),
         torch.where(targets.mask, output.albedo, 77.0),
         output.log_scale,
+        torch.where(targets.mask[:, None, None], output.phases, 77.0),
+        torch.where(targets.mask, output.grid_logit, 77.0),
         output.orientation,
         output.normal,
     )
@@ -171,6 +190,18 @@ def test_a_view_shows_the_film_as_seen(dataset):
                 assert np.corrcoef(at[:, axis], view.uv[view.mask][:, axis])[0, 1] > 0.6
                 assert np.corrcoef(at[:, axis], view.xyz[view.mask][:, axis])[0, 1] > 0.4
             assert 0.1 < np.linalg.norm(view.xyz[view.mask], axis=-1).max() < 0.9  # film diagonals
+
+
+def test_the_cells_of_a_view_lie_where_its_film_has_them(dataset):
+    for number, place in enumerate(open_places([dataset])):
+        view = training_view(place, 96, np.random.default_rng(number), AugmentConfig(empty_share=0.0))
+        shard, index = place
+        vertices = np.array(shard.record(index)["grid"]["film"])
+        assert view.grid is not None
+        assert sorted(view.grid[:, 2] + 1) == sorted(vertices.shape[:2])
+        seen = Orientation.from_index(view.orientation).seen_from_film(vertices)
+        pair = cell_phases(torch.tensor(seen).permute(2, 0, 1)[None], torch.tensor(view.grid)[None])
+        np.testing.assert_allclose(pair[0, :, 0], 1.0, atol=1e-4)  # cells begin at the corners
 
 
 def test_the_orientation_of_a_view_undoes_its_turns(dataset):
@@ -250,6 +281,30 @@ def test_a_look_from_another_side_names_the_same_film_points():
     for maps in look_from_sides(network, photo, view, range(8)):
         expected = view.film_from_photo(maps.photo_points.reshape(-1, 2).astype(np.float64)).reshape(maps.uv.shape)
         np.testing.assert_allclose(maps.uv, expected, atol=1e-4)
+
+
+def test_phases_from_another_side_are_those_of_the_same_cells():
+    """What a perfect network says of a film of 2 x 3 cells that it sees turned, once turned back."""
+    view = square_view((40.0, 40.0), 60.0)
+    grid = np.array([[0.1, 0.3, 2], [0.04, 0.3, 3]])
+    corners = np.stack(np.meshgrid(*(first + pitch * np.arange(n + 1) for first, pitch, n in grid)), axis=-1)
+    inside = film_centres((7, 7))
+
+    def phases(uv, cells):
+        pair = cell_phases(torch.tensor(uv).permute(2, 0, 1)[None].float(), torch.tensor(cells)[None].float())
+        return pair[0].permute(2, 3, 0, 1).numpy()
+
+    for side in range(8):
+        way = Orientation.from_index(side)
+        turned = view.turned(way)
+        uv = turned.film_from_photo(view.photo_from_film(inside).reshape(-1, 2)).reshape(inside.shape)
+        seen = turned.film_from_photo(view.photo_from_film(corners).reshape(-1, 2)).reshape(corners.shape)
+        told = phases(uv, grid_along(seen))
+        maps = CoarseMaps(np.ones((7, 7)), uv, np.zeros((7, 7, 3)), np.zeros((7, 7)), inside, phases=told)
+        back = as_in_view(maps, way)
+        np.testing.assert_allclose(back.uv, inside, atol=1e-6)
+        assert back.phases is not None
+        np.testing.assert_allclose(back.phases, phases(inside, grid), atol=1e-4)
 
 
 # ---------------------------------------------------------------- weights and training

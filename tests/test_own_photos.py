@@ -98,7 +98,7 @@ def test_a_view_of_a_pair_knows_its_film_and_not_its_shape_or_print(made: Path) 
         n = 96 // STRIDE
         centres = rescale_points(pixel_centres((n, n)), (n, n), (100, 100)) - [0, (100 - size[0]) / 2]
         assert np.abs(film.photo_from_film(uv) - centres[view.mask]).max() < 0.05
-        assert (view.has_shape, view.has_print) == (False, False)
+        assert (view.has_shape, view.has_print, view.grid) == (False, False, None)
     ways = [training_view(place, 96, np.random.default_rng(0), None).orientation for place in places]
     assert ways[0] == ways[1] == 0
     assert ways[2] == Orientation(1, True).index
@@ -113,7 +113,7 @@ def test_what_is_not_known_teaches_nothing(made: Path) -> None:
     def terms(**known: torch.Tensor) -> dict[str, float]:
         return {name: float(term.detach()) for name, term in loss_terms(output, replace(targets, **known)).items()}
 
-    assert all(terms()[name] == 0 for name in ("xyz", "albedo", "normal"))
+    assert all(terms()[name] == 0 for name in ("xyz", "albedo", "normal", "phases", "grid"))
     assert all(terms()[name] > 0 for name in ("uv", "mask", "slope"))
     half = torch.tensor([1.0, 0.0])
     assert all(terms(has_shape=half, has_print=half)[name] > 0 for name in ("xyz", "albedo", "normal"))

@@ -55,6 +55,8 @@ def test_weights_stand_for_terms_that_there_are():
         weight=torch.ones(2),
         has_shape=torch.ones(2),
         has_print=torch.ones(2),
+        has_grid=torch.ones(2),
+        grid=torch.ones(2, 2, 3),
         **{name: torch.zeros(2, count, 16, 16) for name, count in maps.items()},
     )
     assert set(chosen.losses(network(torch.rand(2, 3, 64, 64)), targets)) == set(chosen.weights)

@@ -70,7 +70,7 @@ def test_rules_and_outline_bring_the_typical_error_below_a_pixel_and_no_error_up
         rng = np.random.default_rng(seed)
         photo, true = make_photo(FilmDrawing(margin=0.03), rng, background)
         coarse = disturbed(true, 4.0, rng)
-        refined = refine(photo, coarse, CONFIG)
+        refined = refine(photo, coarse, None, CONFIG)
         assert refined.grid is not None
         assert (refined.grid.rows, refined.grid.cols) == (4, 3)
         assert [s.name for s in refined.stages] == ["outline", "grid", "sheet", "spline"]
@@ -85,7 +85,7 @@ def test_texts_that_repeat_lower_the_error(seed):
     rng = np.random.default_rng(10 + seed)
     photo, true = make_photo(FilmDrawing(5, 4, rules=False), rng)
     coarse = disturbed(true, 4.0, rng)
-    refined = refine(photo, coarse, CONFIG)
+    refined = refine(photo, coarse, None, CONFIG)
     assert mean_error(refined.backward, true) < 0.9 * mean_error(coarse, true)
     assert refined.grid is not None
     assert (refined.grid.rows, refined.grid.cols) == (5, 4)
@@ -95,7 +95,7 @@ def test_texts_that_repeat_lower_the_error(seed):
 def test_nothing_seen_changes_nothing(level):
     _, true = make_photo(FilmDrawing(), np.random.default_rng(3))
     photo = np.full((640, 640, 3), level, np.uint8)
-    refined = refine(photo, true, CONFIG)
+    refined = refine(photo, true, None, CONFIG)
     assert refined.backward is true
     assert refined.grid is None
     assert not any(s.ran for s in refined.stages)
@@ -105,7 +105,7 @@ def test_nothing_seen_changes_nothing(level):
 def test_a_right_map_stays_right(rules):
     """To half a pixel: the drawn film stretches, which the sheet that is started from does not."""
     photo, true = make_photo(FilmDrawing(rules=rules, margin=0.03), np.random.default_rng(4))
-    assert mean_error(refine(photo, true, CONFIG).backward, true) < 0.5
+    assert mean_error(refine(photo, true, None, CONFIG).backward, true) < 0.5
 
 
 def test_the_farther_apart_the_two_ends_the_more_error_is_expected(monkeypatch):
@@ -114,7 +114,7 @@ def test_the_farther_apart_the_two_ends_the_more_error_is_expected(monkeypatch):
     coarse, expected = disturbed(true, 4.0, rng), []
     for apart in (1e-3, 1e-2):
         monkeypatch.setattr("hybrid.rectify.refine._apart", lambda *_, apart=apart: apart)
-        expected.append(refine(photo, coarse, CONFIG).expected_px)
+        expected.append(refine(photo, coarse, None, CONFIG).expected_px)
     assert expected[1] > 5 * expected[0]
 
 
@@ -134,7 +134,7 @@ def test_refining_twice_gives_the_same_bits():
     rng = np.random.default_rng(5)
     photo, true = make_photo(FilmDrawing(), rng)
     coarse = disturbed(true, 3.0, rng)
-    first, second = (refine(photo, coarse, CONFIG).backward.nodes for _ in range(2))
+    first, second = (refine(photo, coarse, None, CONFIG).backward.nodes for _ in range(2))
     assert (first == second).all()
 
 
@@ -150,4 +150,4 @@ def test_real_renders_are_not_made_worse():
         photo = rgb_from_bgr(cv2.imread(str(Path(folder) / "photos" / f"{name}.jpg")))
         true = BackwardMap(np.load(Path(folder) / "photos" / f"{name}.npz")["lattice"]).resized((33, 33))
         coarse = disturbed(true, 6.0, np.random.default_rng(6))
-        assert mean_error(refine(photo, coarse, CONFIG).backward, true) < 0.5 * mean_error(coarse, true)
+        assert mean_error(refine(photo, coarse, None, CONFIG).backward, true) < 0.5 * mean_error(coarse, true)

@@ -44,6 +44,8 @@ class AugmentConfig:
 
 BEND_ERROR_NODES = 5
 """Nodes along each side of the smooth random error of a bent map."""
+UNKNOWN_GRID = np.array([[0.0, 1.0, 1.0], [0.0, 1.0, 1.0]])
+"""Stands for the cells of a film where they are not known; teaches nothing."""
 WHOLE_WEIGHT, FLATTENED_WEIGHT = 1.0, 4.0
 """Flattened views have smaller errors, which are what counts in the end, so they weigh more."""
 
@@ -52,8 +54,9 @@ WHOLE_WEIGHT, FLATTENED_WEIGHT = 1.0, 4.0
 class View:
     """A training view: image (n, n, 3) uint8 and the truth on the pixel centres of the network's output.
 
-    uv: film coordinates of the film as seen in the view. orientation: index of what makes the film read right.
-    weight: of the view in the loss. has_shape, has_print: whether xyz and normal, and albedo, are known.
+    uv: film coordinates of the film as seen in the view. grid: of its cells, across and down: where the first begins,
+    pitch, number; None where they are not known. orientation: index of what makes the film read right. weight: of the
+    view in the loss. has_shape, has_print: whether xyz and normal, and albedo, are known.
     """
 
     image: UInt8[np.ndarray, "n n 3"]
@@ -62,6 +65,7 @@ class View:
     xyz: np.ndarray
     albedo: np.ndarray
     normal: np.ndarray
+    grid: Float[np.ndarray, "2 3"] | None
     orientation: int
     weight: float
     has_shape: bool
@@ -85,6 +89,7 @@ def training_view(place: Place, px: int, rng: np.random.Generator, config: Augme
         turned_axes(truth.xyz, axes),
         truth.albedo,
         turned_axes(truth.normal, axes),
+        None if truth.vertices is None else grid_along(way.seen_from_film(truth.vertices)),
         way.index,
         weight,
         truth.has_shape,
@@ -96,12 +101,15 @@ def batch_of(views: list[View]) -> tuple[torch.Tensor, Targets]:
     """Images (B, 3, n, n) float32 in [0, 1], channels last, and targets."""
     images = image_batch([v.image for v in views])
     maps = {name: map_batch([getattr(v, name) for v in views]) for name in ("mask", "uv", "xyz", "albedo", "normal")}
+    grids = np.stack([UNKNOWN_GRID if v.grid is None else v.grid for v in views])
     return images.contiguous(memory_format=torch.channels_last), Targets(
         **maps,
+        grid=torch.from_numpy(grids).float(),
         orientation=torch.tensor([v.orientation for v in views]),
         weight=torch.tensor([v.weight for v in views]),
         has_shape=torch.tensor([float(v.has_shape) for v in views]),
         has_print=torch.tensor([float(v.has_print) for v in views]),
+        has_grid=torch.tensor([float(v.grid is not None) for v in views]),
     )
 
 
@@ -181,6 +189,14 @@ def orientation_in(truth: Truth) -> Orientation:
         return Orientation(0, False)
     directions = np.linalg.inv(slope)
     return orientation_of(directions[:, 0], directions[:, 1])
+
+
+def grid_along(vertices: Float[np.ndarray, "r c 2"]) -> Float[np.ndarray, "2 3"]:
+    """Where the first cell begins, pitch and number of cells along both axes, of the corners of an even grid."""
+    low, high = vertices.min(axis=(0, 1)), vertices.max(axis=(0, 1))
+    upright = np.ptp(vertices[0, :, 0]) > np.ptp(vertices[0, :, 1])
+    cells = np.array(vertices.shape[1::-1] if upright else vertices.shape[:2]) - 1
+    return np.stack([low, (high - low) / cells, cells], axis=1)
 
 
 def axes_of(view: BackwardMap) -> Float[np.ndarray, "2 2"]:

@@ -17,8 +17,9 @@ from hybrid.learn.tensors import Tensors
 class Targets(Tensors):
     """Truth at the network's output resolution; 0 where the mask is False.
 
-    uv: of the film as seen. orientation: index of what makes it read right. weight: of each view in the loss.
-    has_shape, has_print: 1 where xyz and normal, and albedo, are known; 0 where they are not and teach nothing.
+    uv: of the film as seen. grid: of its cells, across and down: where the first begins, pitch, number. orientation:
+    index of what makes it read right. weight: of each view in the loss. has_shape, has_print, has_grid: 1 where xyz and
+    normal, albedo, and the cells are known; 0 where they are not and teach nothing.
     """
 
     mask: Bool[Tensor, "b h w"]
@@ -26,10 +27,12 @@ class Targets(Tensors):
     xyz: Float[Tensor, "b 3 h w"]
     albedo: Float[Tensor, "b h w"]
     normal: Float[Tensor, "b 3 h w"]
+    grid: Float[Tensor, "b 2 3"]
     orientation: Int64[Tensor, " b"]
     weight: Float[Tensor, " b"]
     has_shape: Float[Tensor, " b"]
     has_print: Float[Tensor, " b"]
+    has_grid: Float[Tensor, " b"]
 
 
 @dataclass(frozen=True)
@@ -43,6 +46,8 @@ class LossWeights:
     slope: float = 4.0
     scale: float = 0.05
     normal: float = 0.5
+    phases: float = 0.25
+    grid: float = 0.1
     orientation: float = 0.05
 
 
@@ -82,6 +87,33 @@ def normal_loss(output: FilmNetOutput, targets: Targets) -> Float[Tensor, ""]:
     return masked_mean((output.normal - targets.normal).abs().sum(dim=1), targets.mask, targets.has_shape)
 
 
+def cell_phases(uv: Float[Tensor, "b 2 h w"], grid: Float[Tensor, "b 2 3"]) -> Float[Tensor, "b 2 2 h w"]:
+    """Cosine and sine of where in its cell each place lies, across and down; a full turn from cell to cell."""
+    first, pitch = (grid[..., k, None, None] for k in (0, 1))
+    turns = 2 * torch.pi * (uv - first) / pitch
+    return torch.stack([torch.cos(turns), torch.sin(turns)], dim=2)
+
+
+def in_grid(uv: Float[Tensor, "b 2 h w"], grid: Float[Tensor, "b 2 3"]) -> Bool[Tensor, "b h w"]:
+    """Which places lie in a cell."""
+    first, pitch, cells = (grid[..., k, None, None] for k in range(3))
+    return ((uv >= first) & (uv <= first + pitch * cells)).all(dim=1)
+
+
+def phase_loss(output: FilmNetOutput, targets: Targets) -> Float[Tensor, ""]:
+    """Mean squared distance of the phases from the true ones, in cells: the expected pair is the shorter, the less is
+    known."""
+    error = (output.phases - cell_phases(targets.uv, targets.grid)).square().sum(dim=(1, 2))
+    return masked_mean(error, targets.mask & in_grid(targets.uv, targets.grid), targets.weight * targets.has_grid)
+
+
+def grid_loss(output: FilmNetOutput, targets: Targets) -> Float[Tensor, ""]:
+    """Cross-entropy of whether a film pixel lies in a cell."""
+    inside = in_grid(targets.uv, targets.grid).to(output.uv.dtype)
+    error = functional.binary_cross_entropy_with_logits(output.grid_logit, inside, reduction="none")
+    return masked_mean(error, targets.mask, targets.weight * targets.has_grid)
+
+
 def loss_terms(output: FilmNetOutput, targets: Targets) -> dict[str, Tensor]:
     """All terms, by name as in LossWeights, not yet weighted."""
     return {
@@ -92,5 +124,7 @@ def loss_terms(output: FilmNetOutput, targets: Targets) -> dict[str, Tensor]:
         "slope": slope_loss(output, targets),
         "scale": scale_loss(output, targets),
         "normal": normal_loss(output, targets),
+        "phases": phase_loss(output, targets),
+        "grid": grid_loss(output, targets),
         "orientation": functional.cross_entropy(output.orientation, targets.orientation),
     }

@@ -25,7 +25,7 @@ class FilmNetConfig:
 
     widths: tuple[int, int, int, int] = (32, 80, 160, 320)
     blocks: tuple[int, int, int] = (1, 2, 3)
-    input_px: int = 128
+    input_px: int = 192
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,9 +34,10 @@ class FilmNetOutput:
 
     mask_logit: film where positive. uv: coordinates of the film as seen (``hybrid.backward.Orientation``). xyz: camera
     axes, relative to the film's centre, in film diagonals. albedo: display grey of the print. log_scale: natural log of
-    the expected absolute error of uv (Laplace). orientation: logits of the eight ways in which the film may lie.
-    normal: unit towards the side that reads right, camera axes, predicted while
-    training only, else None.
+    the expected absolute error of uv (Laplace). phases: cosine and sine of where in its cell each place lies, a full
+    turn from cell to cell; across, then down the film as seen; the shorter the pair, the less sure. grid_logit: in a
+    cell, not in a margin, where positive. orientation: logits of the eight ways in which the film may lie. normal: unit
+    towards the side that reads right, camera axes, predicted while training only, else None.
     """
 
     mask_logit: Float[Tensor, "b h w"]
@@ -44,11 +45,13 @@ class FilmNetOutput:
     xyz: Float[Tensor, "b 3 h w"]
     albedo: Float[Tensor, "b h w"]
     log_scale: Float[Tensor, "b h w"]
+    phases: Float[Tensor, "b 2 2 h w"]
+    grid_logit: Float[Tensor, "b h w"]
     orientation: Float[Tensor, "b 8"]
     normal: Float[Tensor, "b 3 h w"] | None = None
 
 
-_CHANNELS = 1 + 2 + 3 + 1 + 1
+_CHANNELS = 1 + 2 + 3 + 1 + 1 + 4 + 1
 _TRAINING_CHANNELS = 3
 
 
@@ -114,6 +117,8 @@ class FilmNet(nn.Module):
             xyz=maps[:, 3:6],
             albedo=maps[:, 6],
             log_scale=maps[:, 7] - 3.0,
+            phases=maps[:, 8:12].unflatten(1, (2, 2)),
+            grid_logit=maps[:, 12],
             orientation=self.orientation_head(x32.mean(dim=(2, 3))),
             normal=functional.pixel_shuffle(self.training_head(y8), 2) if self.training else None,
         )

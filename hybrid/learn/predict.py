@@ -39,11 +39,12 @@ def look(network: FilmNet, photo: UInt8[np.ndarray, "H W 3"], views: Sequence[Ba
     images = torch.from_numpy(np.stack([view_image(photo, view, n) for view in views])).permute(0, 3, 1, 2)
     with torch.inference_mode():
         output = network(images.float().div_(255).contiguous(memory_format=torch.channels_last))
-        mask = torch.sigmoid(output.mask_logit).numpy()
+        mask, in_grid = (torch.sigmoid(logit).numpy() for logit in (output.mask_logit, output.grid_logit))
     uv, xyz = (maps.permute(0, 2, 3, 1).numpy() for maps in (output.uv, output.xyz))
+    phases = output.phases.permute(0, 3, 4, 1, 2).numpy()
     albedo, error = output.albedo.clamp(0, 1).numpy(), torch.exp(output.log_scale).numpy()
     return [
-        CoarseMaps(mask[k], uv[k], xyz[k], albedo[k], output_points(view, n, STRIDE), error[k])
+        CoarseMaps(mask[k], uv[k], xyz[k], albedo[k], output_points(view, n, STRIDE), error[k], phases[k], in_grid[k])
         for k, view in enumerate(views)
     ]
 
@@ -51,7 +52,21 @@ def look(network: FilmNet, photo: UInt8[np.ndarray, "H W 3"], views: Sequence[Ba
 def look_from_sides(
     network: FilmNet, photo: UInt8[np.ndarray, "H W 3"], view: BackwardMap, sides: Sequence[int]
 ) -> list[CoarseMaps]:
-    """The maps of one view, turned and mirrored in several ways for the network; uv as in the view itself."""
+    """The maps of one view, turned and mirrored in several ways for the network; film coordinates as in the view."""
     ways = [Orientation.from_index(side) for side in sides]
     looks = look(network, photo, [view.turned(way) for way in ways])
-    return [replace(maps, uv=way.seen_from_film(maps.uv)) for maps, way in zip(looks, ways, strict=True)]
+    return [as_in_view(maps, way) for maps, way in zip(looks, ways, strict=True)]
+
+
+def as_in_view(maps: CoarseMaps, way: Orientation) -> CoarseMaps:
+    """Maps of a turned view, with film coordinates as if it had not been turned.
+
+    Cells that are counted from the other end have their phases run backwards: a grid has a whole number of them.
+    """
+    assert maps.phases is not None  # FilmNet tells them
+    moved = way.seen_from_film(np.eye(3, 2)) - way.seen_from_film(np.zeros(2))  # where u and v go
+    swapped, reverse = bool(moved[0, 1] != 0), moved[:2].sum(axis=0) < 0
+    phases = maps.phases[..., ::-1, :] if swapped else maps.phases
+    return replace(
+        maps, uv=way.seen_from_film(maps.uv), phases=phases * np.stack([[1, 1], np.where(reverse, -1, 1)], 1)
+    )

@@ -29,7 +29,8 @@ class Truth:
 
     uv: film coordinates. xyz: camera axes, relative to the film's centre, in film diagonals. normal: unit, camera axes.
     albedo: display grey of the print. A map that the sample lacks is 0 everywhere; has_shape: whether it has xyz and
-    normal; has_print: whether it has albedo.
+    normal; has_print: whether it has albedo. vertices: film coordinates of the corners of the cells; None where these
+    are not known.
     """
 
     mask: Bool[np.ndarray, "h w"]
@@ -39,6 +40,7 @@ class Truth:
     normal: Float[np.ndarray, "h w 3"]
     has_shape: bool
     has_print: bool
+    vertices: Float[np.ndarray, "r c 2"] | None
 
 
 def open_places(folders: Sequence[Path]) -> list[Place]:
@@ -103,14 +105,16 @@ def truth_at(place: Place, points: Float[np.ndarray, "h w 2"], photo_size: tuple
     off = np.where(seen[..., None], at - place_of_mean, 0).astype(np.float32)
     uv, xyz = (_carried_on(values, off, at, seen) for values in (uv, xyz))
     has_shape, nothing = "xyz" in maps and shard.has("normal"), np.zeros((*seen.shape, 3), np.float32)
+    record = shard.record(index)
     return Truth(
         seen,
         uv / np.float32(UV_LEVELS),
-        _relative(xyz, seen, shard.record(index)) if has_shape else nothing,
+        _relative(xyz, seen, record) if has_shape else nothing,
         albedo[..., 0] / np.float32(ALBEDO_LEVELS),
         _nearest_normal(place, at, seen) if has_shape else nothing,
         has_shape,
         has_print="albedo" in maps,
+        vertices=np.array(record["grid"]["film"]) if "grid" in record else None,
     )
 
 

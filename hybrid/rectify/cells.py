@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
+from hybrid.rectify.cell_phases import AxisPhases
 from hybrid.rectify.grid import GridConfig, line_votes, narrowed
 from hybrid.rectify.repeat import Repeats, autocorrelation, detail, highest
 
@@ -33,20 +34,44 @@ class Weights:
     itself, shifted by a cell and by half a cell. best: the former, beside the largest there is. centre: how far the
     grid's middle is from the film's, in tenths of the film. wide: the wider margin, in tenths. least: print in the
     emptiest row of cells, beside the mean. cells: the logarithm of their number. beyond: by how much the grid is larger
-    than the film, in fiftieths.
+    than the film, in fiftieths. phase, ends: how well it agrees with what the network tells (cell_phases.py).
+    oblong: of both axes together: weights of the logarithm of the ratio of a cell's sides, each with the value from
+    which on it counts no more.
     """
 
-    line: float = 7.67
-    clear: float = -4.46
-    outside: float = -7.98
-    echo: float = 4.91
-    half: float = -5.26
-    best: float = 4.16
-    centre: float = -3.69
-    wide: float = -1.45
-    least: float = 2.75
-    cells: float = 1.31
-    beyond: float = -3.56
+    line: float = 5.53
+    clear: float = -3.62
+    outside: float = -6.06
+    echo: float = 3.68
+    half: float = -1.50
+    best: float = 3.84
+    centre: float = -2.61
+    wide: float = -0.88
+    least: float = 3.05
+    cells: float = 0.83
+    beyond: float = -6.31
+    phase: float = 6.44
+    ends: float = 2.06
+    oblong: tuple[tuple[float, float], ...] = ((1.0, -0.21), (0.15, -1.37), (0.05, -3.12))
+
+
+UNTOLD = Weights(
+    line=7.67,
+    clear=-4.46,
+    outside=-7.98,
+    echo=4.91,
+    half=-5.26,
+    best=4.16,
+    centre=-3.69,
+    wide=-1.45,
+    least=2.75,
+    cells=1.31,
+    beyond=-3.56,
+    phase=0.0,
+    ends=0.0,
+    oblong=((1.0, -1.24), (0.15, -4.03), (0.05, -3.70)),
+)
+"""The weights where the network tells nothing of the cells."""
 
 
 @dataclass(frozen=True)
@@ -64,8 +89,7 @@ class CellsConfig:
     least_filled: float = 0.62
     """Least share of the film that the grid covers along each axis."""
     weights: Weights = Weights()
-    oblong: tuple[tuple[float, float], ...] = ((1.0, -1.24), (0.15, -4.03), (0.05, -3.70))
-    """Weights of the logarithm of the ratio of a cell's sides, each with the value from which on it counts no more."""
+    untold: Weights = UNTOLD
     kept: int = 48
     """Grids along one axis that are weighed together with those along the other: those best by themselves."""
 
@@ -84,42 +108,45 @@ class Profile:
     """What the flat film shows along one axis, in equal steps from one edge to the other.
 
     lines: share of the film's length on which a line of each kind is seen. ink: strength of the print's detail, 1 on
-    average. echo: correlation of the film with itself, shifted by so many steps.
+    average. echo: correlation of the film with itself, shifted by so many steps. told: what the network tells.
     """
 
     lines: Float[np.ndarray, "n k"]
     ink: Float[np.ndarray, " n"]
     echo: Float[np.ndarray, " n"]
+    told: AxisPhases | None = None
 
 
 def read_cells(
     grey: Float[np.ndarray, "h w"],
     aspect: float,
     pitches: tuple[Sequence[float], Sequence[float]],
+    told: tuple[AxisPhases, AxisPhases] | None,
     grid: GridConfig,
     config: CellsConfig,
 ) -> Reading | None:
     """The most probable cells of a film; None where its view is too small to tell.
 
     grey: view of [0, 1]^2, grey levels. aspect: the film's height over its width. pitches: of columns and of rows, that
-    are known from elsewhere, in film units; others are tried, too.
+    are known from elsewhere, in film units; others are tried, too. told: what the network tells of columns and of rows.
     """
     scale = config.side_px / max(grey.shape)
     if scale < 1:
         grey = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
     if min(grey.shape) < 4 * config.max_cells:
         return None
-    profiles = [profile_of(grey, axis, grid, config) for axis in (0, 1)]
+    weights = config.untold if told is None else config.weights
+    profiles = [profile_of(grey, axis, told and told[axis], grid, config) for axis in (0, 1)]
     grids, scores = [], []
     for profile, known in zip(profiles, pitches, strict=True):
         tried = candidates(profile, known, config)
-        score = scores_of(profile, tried, config)
+        score = scores_of(profile, tried, config, weights)
         best = np.argsort(-score)[: config.kept]
         grids.append(tried[best])
         scores.append(score[best])
     oblong = np.abs(np.log(grids[0][:, None, 2] / (aspect * grids[1][None, :, 2])))
     odds = scores[0][:, None] + scores[1][None]
-    odds += sum(weight * np.minimum(oblong, most) for most, weight in config.oblong)
+    odds += sum(weight * np.minimum(oblong, most) for most, weight in weights.oblong)
     chance = np.exp(odds - odds.max())
     best = np.unravel_index(int(chance.argmax()), chance.shape)
     alike = [_alike(tried, tried[k]) for tried, k in zip(grids, best, strict=True)]
@@ -131,8 +158,10 @@ def read_cells(
     return Reading(columns, rows, min(1.0, probability))
 
 
-def profile_of(grey: Float[np.ndarray, "h w"], axis: int, grid: GridConfig, config: CellsConfig) -> Profile:
-    """What a view shows of borders across one axis."""
+def profile_of(
+    grey: Float[np.ndarray, "h w"], axis: int, told: AxisPhases | None, grid: GridConfig, config: CellsConfig
+) -> Profile:
+    """What a view shows of borders across one axis, and what the network tells of them."""
     image = grey if axis == 1 else np.ascontiguousarray(grey.T)
     band = detail(image, *config.detail_px)
     ink = np.abs(band).mean(axis=1)
@@ -140,7 +169,7 @@ def profile_of(grey: Float[np.ndarray, "h w"], axis: int, grid: GridConfig, conf
     votes = [line_votes(narrow, width, grid) for width in config.widths_px]
     shares = np.concatenate([np.mean([cv2.dilate(strip, near) for strip in kind], axis=0) for kind in votes], axis=1)
     ink = minimum_filter1d(ink / max(float(ink.mean()), 1e-6), 3)
-    return Profile(maximum_filter1d(shares, 3, axis=0), ink, autocorrelation(band.T))
+    return Profile(maximum_filter1d(shares, 3, axis=0), ink, autocorrelation(band.T), told)
 
 
 def candidates(profile: Profile, known: Sequence[float], config: CellsConfig) -> Float[np.ndarray, "c 3"]:
@@ -151,6 +180,8 @@ def candidates(profile: Profile, known: Sequence[float], config: CellsConfig) ->
         for cells in range(max(1, int(config.least_filled / pitch)), int(1.015 / pitch) + 1):
             slack = 1.0 - cells * pitch
             firsts = [0.5 * slack, 0.0, slack]
+            if profile.told is not None:
+                firsts += profile.told.firsts(pitch, min(slack, 0.0) - 0.01, max(slack, 0.0) + 0.01)
             if cells > 1:
                 first = np.arange(min(0.0, slack) - 0.004, max(slack, 0.0) + 0.004, 1.0 / n)
                 inner = _step(first[:, None] + pitch * np.arange(1, cells), n)
@@ -163,10 +194,12 @@ def candidates(profile: Profile, known: Sequence[float], config: CellsConfig) ->
     return np.array(found)
 
 
-def scores_of(profile: Profile, grids: Float[np.ndarray, "c 3"], config: CellsConfig) -> Float[np.ndarray, " c"]:
+def scores_of(
+    profile: Profile, grids: Float[np.ndarray, "c 3"], config: CellsConfig, weights: Weights
+) -> Float[np.ndarray, " c"]:
     """Logarithm of the odds of each grid along one axis, but for a constant."""
     signs = signs_of(profile, grids, config)
-    return np.asarray(sum(getattr(config.weights, name) * sign for name, sign in signs.items()))
+    return np.asarray(sum(getattr(weights, name) * sign for name, sign in signs.items()))
 
 
 def signs_of(
@@ -202,6 +235,8 @@ def signs_of(
         "least": np.clip(least, 0.0, 1.0),
         "cells": np.log(cells),
         "beyond": 50 * np.clip(-np.minimum(first, 1.0 - end), 0.0, 0.02),
+        "phase": np.zeros(len(grids)) if profile.told is None else profile.told.agreement(first, pitch),
+        "ends": np.zeros(len(grids)) if profile.told is None else profile.told.ends(first, end),
     }
 
 
@@ -216,6 +251,7 @@ def _pitches(profile: Profile, known: Sequence[float], config: CellsConfig) -> l
     found = [factor * pitch for pitch in known for factor in (0.5, 1.0, 2.0)]
     found += [_sharpened(echo, int(lag)) / n for lag in peaks[np.argsort(-echo[peaks])][:8]]
     found += [1.0 / cells for cells in range(1, config.max_cells + 1)]
+    found += [] if profile.told is None else [profile.told.pitch(1.05, 1.0 / (config.max_cells + 0.5))]
     kept = [0.0]
     for pitch in sorted(found):
         if 1.0 / (config.max_cells + 0.6) <= pitch <= 1.005 and pitch > 1.004 * kept[-1]:

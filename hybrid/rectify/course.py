@@ -17,16 +17,16 @@ import numpy as np
 from jaxtyping import Float
 
 from hybrid.film_view import FilmView
+from hybrid.rectify.cell_phases import AxisPhases
 from hybrid.rectify.cells import CellsConfig, Reading, read_cells
 from hybrid.rectify.congeal import CongealConfig, register_cells
-from hybrid.rectify.foreshortening import EVEN, ForeshorteningConfig, even, foreshortening
 from hybrid.rectify.grid import GridConfig
 from hybrid.rectify.held_out import held_out_residuals
 from hybrid.rectify.layout import Evidence, Layout, find_layout
 from hybrid.rectify.match import match_cells, match_to_one_cell
 from hybrid.rectify.outline import OutlineConfig, find_outline
 from hybrid.rectify.repeat import RepeatConfig, cell_agreement
-from hybrid.rectify.scene import Scene, halved, view_of
+from hybrid.rectify.scene import Scene, halved, phases_along, view_of
 from hybrid.rectify.sheet import SheetConfig
 from hybrid.rectify.sheet_fit import FittedSheet, refit_sheet
 from hybrid.rectify.sightings import (
@@ -47,7 +47,6 @@ class RefineConfig:
     sheet: SheetConfig = field(default_factory=SheetConfig)
     grid: GridConfig = field(default_factory=GridConfig)
     repeat: RepeatConfig = field(default_factory=RepeatConfig)
-    foreshortening: ForeshorteningConfig = field(default_factory=ForeshorteningConfig)
     cells: CellsConfig = field(default_factory=CellsConfig)
     congeal: CongealConfig = field(default_factory=CongealConfig)
     spline: SplineConfig = field(default_factory=SplineConfig)
@@ -175,18 +174,6 @@ def begin(scene: Scene, outline: Sequence[Sightings], config: RefineConfig) -> P
     return Progress(scene, tuple(outline), (_Attempt(displacement, tuple(Evidence(s) for s in outline)),))
 
 
-def evened(progress: Progress, config: RefineConfig, clock: Clock) -> Progress:
-    """Before the first round, from the map through which what is printed evenly is even."""
-    scene, displacement = progress.scene, progress.attempts[-1].displacement
-    bends = foreshortening(view_of(halved(scene), displacement).image[..., 0], config.foreshortening)
-    clock.lap("grid")
-    if bends == (EVEN, EVEN):
-        return progress
-    coarse = even(displacement.composed(scene.coarse), bends)
-    outline = [carried(s, scene.coarse, coarse) for s in progress.outline]
-    return begin(replace(scene, coarse=coarse), outline, config)
-
-
 def followed(progress: Progress, config: RefineConfig, clock: Clock) -> Progress | None:
     """After all rounds, or fewer if they settle before. None where nothing is seen."""
     for number, matcher in enumerate(_matchers(config)):
@@ -204,7 +191,8 @@ def _round(
     scene, outline, displacement = progress.scene, progress.outline, progress.attempts[-1].displacement
     looking = number < config.line_rounds
     view = view_of(scene, displacement)
-    reading = read_view(view, progress.layout, config) if number == 0 else None
+    told = phases_along(scene, displacement) if number == 0 else None
+    reading = read_view(view, progress.layout, told, config) if number == 0 else None
     layout, lines = find_layout(view, progress.layout, looking, reading, config.grid, config.repeat)
     found = _observe_print(view, layout, lines, matcher, outline, config)
     clock.lap("grid")
@@ -266,11 +254,18 @@ def agreement(course: Course, layouts: Sequence[Layout]) -> float:
     return max((cell_agreement(view, *cells) for cells in known), default=0.0)
 
 
-def read_view(view: FilmView, layout: Layout, config: RefineConfig, aspect: float | None = None) -> Reading | None:
-    """The cells of the film in a view of it. aspect: its height over its width, where the view does not tell it."""
+def read_view(
+    view: FilmView,
+    layout: Layout,
+    told: tuple[AxisPhases, AxisPhases] | None,
+    config: RefineConfig,
+    aspect: float | None = None,
+) -> Reading | None:
+    """The cells of the film in a view of it. told: what the network tells of them, through the same map. aspect: the
+    film's height over its width, where the view does not tell it."""
     grey = view.image[..., 0]
     shape = grey.shape[0] / grey.shape[1] if aspect is None else aspect
-    return read_cells(grey, shape, layout.pitches(), config.grid, config.cells)
+    return read_cells(grey, shape, layout.pitches(), told, config.grid, config.cells)
 
 
 # ---------------------------------------------------------------- steps
@@ -381,7 +376,6 @@ __all__ = [
     "agreement",
     "begin",
     "ended",
-    "evened",
     "followed",
     "read_view",
     "unstretched",

@@ -1,156 +1,184 @@
-"""How unevenly a map shows what is printed evenly: the network's commonest large error, read off the print itself.
+"""How unevenly a map shows what is printed evenly: the network's commonest large error, read off the cells.
 
 Where a sheet turns away from the camera, its slices look narrower. A map that knows too little of this has all its
-edges right and the inside wrong, by half a slice or more: too far for cells to find each other. But a film's columns
-of pixels look like those one cell on, wherever that is. So every column is compared with every other (a self-similarity
-matrix, Foote 1999), and of all smooth ways to space the cells that keep the edges in place the one counts along which
-columns a pitch apart are most alike. The same for rows. No cell needs to be found for this, and no line be seen.
+edges right and the inside wrong, by half a slice or more: too far for cells to find each other. What the network tells
+of the cells (cell_phases.py) is wrong by a fiftieth of a cell only, wherever the map takes them to lie. So of all
+smooth ways to space the cells along an axis the one counts along which the phases run evenly at some pitch, and every
+place is then put where its phase says that it is.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 
-import cv2
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Complex, Float
 
 from hybrid.backward import BackwardMap
-from hybrid.coords import film_centres_1d, film_nodes, node_centres_1d
-from hybrid.rectify.repeat import detail
+from hybrid.coords import node_centres_1d
+from hybrid.rectify.cell_phases import MIDDLES, AxisPhases, CellPhases
+from hybrid.rectify.sightings import Displacement, Sightings, SplineConfig, fit_displacement, no_displacement
+from hybrid.strips import SIDES
 
 Bend = tuple[float, float]
 """A spacing along one axis, a and b of ``t + t (1 - t) (a + b (1 - 2 t))``."""
-EVEN: Bend = (0.0, 0.0)
 
 
 @dataclass(frozen=True)
 class ForeshorteningConfig:
-    """Options of the search for the spacing of the print."""
+    """Options of the spacing of the print."""
 
-    side_px: int = 400
-    """Sides of the view of the film."""
-    least_px: int = 100
-    """Films are looked at from this shorter side on, in pixels: smaller ones show hardly more than their cells."""
-    detail_px: tuple[float, float] = (2.0, 8.0)
-    """Scales between which the print's detail lies, in pixels of the view."""
-    smooth_px: int = 5
-    """Columns over which their likeness is averaged."""
-    least_levels: float = 1.0
-    """Grey levels of detail below which a column is like no other."""
-    pitches: tuple[float, float, int] = (0.095, 0.53, 48)
-    """Shortest and longest pitch, in parts of the film, and how many are tried."""
-    most: Bend = (0.6, 0.36)
+    most: Bend = (0.4, 0.24)
     """Largest a and b."""
     steps: Bend = (0.1, 0.12)
-    """Steps of a and b in the first look; each further one, around the best so far, halves them."""
-    looks: int = 3
-    places: int = 64
-    """Places along the film at which columns are compared with those a pitch on."""
+    """Their steps."""
     least_slope: float = 0.25
     """Least slope of a spacing: no cell is drawn to more than four times its width, and nothing folds."""
     doubt: float = 0.3
-    """By how much a bend of 1 must raise -log(1 - likeness): the network seldom errs so far."""
-    least_gain: float = 0.08
-    """By how much it must be raised beyond that."""
-    least_likeness: float = 0.25
-    """Likeness from which on a film repeats at all: noise comes to half of this."""
-    least_move: float = 0.02
-    """Cells must move by so much, in parts of the film (root mean square): less they find by themselves."""
+    """By how much a bend of 1 must raise the agreement of the phases: the network seldom errs so far."""
+    pitches: tuple[float, float, float] = (0.096, 1.05, 0.1)
+    """Shortest and longest pitch, in parts of the film, and the step of their inverse."""
+    sigma: float = 0.08
+    """Stated deviation of one phase, in cells."""
+    least_length: float = 0.35
+    """Phases shorter than this do not count."""
+    most_off: float = 0.35
+    """Phases further than this from the spacing do not count, in cells: the next cell begins at half of one."""
+    edge_sigma: float = 0.0015
+    """Stated deviation of the map's edges, which are left where they are, in film units."""
+    shared_sigma: tuple[float, float] = (0.02, 0.004)
+    """Prior standard deviation of the grid's place and pitch, in film units."""
+    looks: int = 2
+    """Times that phases are assigned to cells, each time through the map so far."""
+    spline: SplineConfig = field(default_factory=SplineConfig)
 
 
-def foreshortening(grey: Float[np.ndarray, "h w"], config: ForeshorteningConfig) -> tuple[Bend, Bend]:
-    """How what is printed evenly is spaced in a view of the film, along u and along v; EVEN where nothing repeats.
+@dataclass(frozen=True)
+class Spacing:
+    """Cells of one pitch along an axis that a map shows with a bend. first: where one of them begins."""
 
-    grey: view of [0, 1]^2, grey levels.
-    """
-    if min(grey.shape) < config.least_px:
-        return EVEN, EVEN
-    image = cv2.resize(grey, (config.side_px, config.side_px), interpolation=cv2.INTER_AREA)
-    return _spacing(likeness(image, config), config), _spacing(likeness(image.T.copy(), config), config)
+    bend: Bend
+    first: float
+    pitch: float
 
 
-def likeness(image: Float[np.ndarray, "n n"], config: ForeshorteningConfig) -> Float[np.ndarray, "n n"]:
-    """Correlation of the detail of every column with that of every other."""
-    band = detail(image, *config.detail_px)
-    product = band.T @ band
-    strength = np.sqrt(np.diag(product))
-    least = max(0.3 * float(strength.mean()), config.least_levels * np.sqrt(len(image)))
-    strength = np.maximum(strength, least)  # empty columns are like nothing
-    return cv2.blur(product / np.outer(strength, strength), (config.smooth_px, config.smooth_px))
+def even(film: BackwardMap, phases: CellPhases | None, config: ForeshorteningConfig) -> BackwardMap:
+    """The map through which the phases run evenly, with the edges of ``film``; ``film`` itself where none are told, or
+    where it would fold."""
+    if phases is None:
+        return film
+    told = phases.inside(film)
+    if len(told) == 0:
+        return film
+    found = [spacing(along, config) for along in told.axes()]
+    bends = (found[0].bend, found[1].bend)
+    straight, turns = unbent(film, bends), told.turns
+    uv = np.stack([bent(told.uv[:, axis], bends[axis]) for axis in (0, 1)], axis=-1)
+    true = uv
+    edges = _edges(config)
+    displacement = no_displacement(config.spline)
+    for _ in range(config.looks):
+        seen = [_sightings(uv, true[:, a], turns[:, a], found[a], a, config) for a in (0, 1)]
+        fit = fit_displacement([*edges, *seen], config.spline)
+        displacement = fit.displacement
+        true = _undisplaced(uv, displacement)
+        found = [_moved(one, constants) for one, constants in zip(found, fit.constants[-2:], strict=True)]
+    moved = displacement.composed(straight)
+    return film if moved.folds((17, 17)) else moved
 
 
-def even(backward: BackwardMap, bends: tuple[Bend, Bend]) -> BackwardMap:
-    """The map through which what this one shows with such spacings is even."""
-    uv = film_nodes((max(33, backward.nodes.shape[0]), max(33, backward.nodes.shape[1])))
-    at = [_spaced(uv[..., axis], *bends[axis]) for axis in (0, 1)]
-    return BackwardMap(backward.photo_from_film(np.stack(at, axis=-1)))
+def spacing(along: AxisPhases, config: ForeshorteningConfig) -> Spacing:
+    """The spacing along which the phases run most evenly."""
+    bends, frequencies, turns = _spacings(config)
+    agreement = np.abs(turns @ along.turns.astype(np.complex64)).reshape(len(bends), len(frequencies))
+    agreement -= config.doubt * np.array([np.hypot(a, np.sqrt(3.0) * b) for a, b in bends])[:, None]
+    which, at = np.unravel_index(int(agreement.argmax()), agreement.shape)
+    bend = bends[which]
+    near = frequencies[at] + config.pitches[2] * np.linspace(-1.0, 1.0, 21)
+    sums = np.exp(-2j * np.pi * near[:, None] * bent(MIDDLES, bend)) @ along.turns
+    best = int(np.abs(sums).argmax())
+    pitch = float(1.0 / near[best])
+    return Spacing(bend, -pitch * float(np.angle(sums[best])) / (2 * np.pi), pitch)
+
+
+def bent(t: Float[np.ndarray, "*n"], bend: Bend) -> Float[np.ndarray, "*n"]:
+    """The true places of what is seen at ``t``; beyond the edges these are what they seem."""
+    inside = np.clip(t, 0.0, 1.0)
+    return t + inside * (1.0 - inside) * (bend[0] + bend[1] * (1.0 - 2.0 * inside))
+
+
+def unbent(film: BackwardMap, bends: tuple[Bend, Bend]) -> BackwardMap:
+    """The map through which places seen at ``t`` are seen where they are, at ``bent(t)``, along both axes."""
+    fine = node_centres_1d(401)
+    v, u = (np.interp(node_centres_1d(33), bent(fine, bends[axis]), fine) for axis in (1, 0))
+    return BackwardMap(film.photo_from_film(np.stack(np.meshgrid(u, v), axis=-1)))
 
 
 # ---------------------------------------------------------------- steps
 
 
-def _spacing(alike: Float[np.ndarray, "n n"], config: ForeshorteningConfig) -> Bend:
-    """The spacing along which columns a pitch apart are most alike, at whichever pitch they are."""
-    at, share, score, least = EVEN, 0.0, -np.inf, 0.0
-    for look in range(config.looks):
-        bends, curves = _first_look(config) if look == 0 else _further_look(at, look, config)
-        shares = alike.ravel()[curves].mean(axis=-1).max(axis=1)
-        scores = -np.log(1.0 - np.clip(shares, 0.0, 0.95))
-        if look == 0:
-            least = float(scores[bends.index(EVEN)]) + config.least_gain
-        scores -= config.doubt * np.array([np.hypot(a, np.sqrt(3.0) * b) for a, b in bends])
-        best = int(scores.argmax())
-        at, share, score = bends[best], float(shares[best]), float(scores[best])
-    sure = score >= least and share >= config.least_likeness and _move(at) >= config.least_move
-    return at if sure else EVEN
-
-
-def _spaced(t: np.ndarray, a: np.ndarray | float, b: np.ndarray | float) -> np.ndarray:
-    """Where even points ``t`` are shown; arrays of points and of bends are broadcast."""
-    return t + t * (1.0 - t) * (a + b * (1.0 - 2.0 * t))
-
-
-def _move(bend: Bend) -> float:
-    """Root mean square by which a spacing moves the film's points."""
-    t = node_centres_1d(41)
-    return float(np.sqrt(np.mean(np.square(_spaced(t, *bend) - t))))
-
-
 @lru_cache(maxsize=2)
-def _first_look(config: ForeshorteningConfig) -> tuple[tuple[Bend, ...], Int[np.ndarray, "b p m"]]:
-    """The spacings of the first look, the same for every film, and their curves."""
-    reach = [round(most / step) for most, step in zip(config.most, config.steps, strict=True)]
-    bends = _allowed(EVEN, config.steps, reach, config)
-    return bends, _curves(bends, config)
+def _spacings(config: ForeshorteningConfig) -> tuple[tuple[Bend, ...], np.ndarray, Complex[np.ndarray, "k s"]]:
+    """All bends, frequencies, and the conjugate turns of their cells in the steps of a film."""
+    t, (shortest, longest, step) = node_centres_1d(41), config.pitches
+    i, j = (round(most / each) for most, each in zip(config.most, config.steps, strict=True))
+    every = [(config.steps[0] * a, config.steps[1] * b) for a in range(-i, i + 1) for b in range(-j, j + 1)]
+    bends = tuple(bend for bend in every if np.diff(bent(t, bend)).min() >= config.least_slope * (t[1] - t[0]))
+    frequencies = np.arange(1.0 / longest, 1.0 / shortest, step)
+    places = np.stack([bent(MIDDLES, bend) for bend in bends])
+    turns = np.exp(-2j * np.pi * places[:, None] * frequencies[:, None]).astype(np.complex64)
+    return bends, frequencies, turns.reshape(-1, len(MIDDLES))
 
 
-def _further_look(
-    at: Bend, look: int, config: ForeshorteningConfig
-) -> tuple[tuple[Bend, ...], Int[np.ndarray, "b p m"]]:
-    """The spacings next to the best so far, and their curves."""
-    a, b = (step * 0.5**look for step in config.steps)
-    bends = _allowed(at, (a, b), [1, 1], config)
-    return bends, _curves(bends, config)
+def _sightings(
+    uv: Float[np.ndarray, "n 2"],
+    true: Float[np.ndarray, " n"],
+    turns: Complex[np.ndarray, " n"],
+    cells: Spacing,
+    axis: int,
+    config: ForeshorteningConfig,
+) -> Sightings:
+    """Each place seen at ``uv``, and where its phase says that it is, in the cell that it is taken to lie in."""
+    cell = (true - cells.first) / cells.pitch
+    off = np.angle(turns * np.exp(-2j * np.pi * cell)) / (2 * np.pi)
+    length = np.abs(turns)
+    counts = (length > config.least_length) & (np.abs(off) < config.most_off)
+    known = cells.first + cells.pitch * (cell + off)[counts]
+    shared = np.column_stack([np.ones(len(known)), (known - 0.5) / cells.pitch])
+    sigma = config.sigma * cells.pitch / length[counts]
+    return Sightings(axis, uv[counts], known, sigma, shared, np.array(config.shared_sigma))
 
 
-def _allowed(at: Bend, steps: Bend, reach: list[int], config: ForeshorteningConfig) -> tuple[Bend, ...]:
-    """A grid of spacings around one; those that are too steep are left out."""
-    t = node_centres_1d(41)
-    i, j = (np.arange(-n, n + 1) for n in reach)
-    every = [(at[0] + steps[0] * x, at[1] + steps[1] * y) for x in i.tolist() for y in j.tolist()]
-    return tuple(bend for bend in every if np.diff(_spaced(t, *bend)).min() >= config.least_slope * (t[1] - t[0]))
+def _moved(cells: Spacing, constants: Float[np.ndarray, "2"]) -> Spacing:
+    """With the place and pitch that a fit of their sightings found."""
+    longer = cells.pitch + float(constants[1])
+    first = cells.first + float(constants[0]) + (cells.first - 0.5) / cells.pitch * float(constants[1])
+    return Spacing((0.0, 0.0), first, longer)
 
 
-def _curves(bends: tuple[Bend, ...], config: ForeshorteningConfig) -> Int[np.ndarray, "b p m"]:
-    """For each spacing and pitch, where in the matrix of likeness a column meets the one a pitch on."""
-    n, (shortest, longest, number) = config.side_px, config.pitches
-    pitch = np.geomspace(shortest, longest, number)[:, None]
-    first = film_centres_1d(config.places) * (1.0 - pitch)
-    a, b = np.array(bends).T[..., None, None]
-    here, there = (np.clip((_spaced(t, a, b) * n).astype(np.int32), 0, n - 1) for t in (first, first + pitch))
-    return here * n + there
+def _edges(config: ForeshorteningConfig, number: int = 33) -> list[Sightings]:
+    """The map's edges, seen where they are."""
+    along = node_centres_1d(number)
+    return [
+        Sightings(
+            side.axis,
+            side.film_points(along, np.zeros(number)),
+            np.full(number, side.edge),
+            np.full(number, config.edge_sigma),
+            np.zeros((number, 0)),
+            np.zeros(0),
+        )
+        for side in SIDES
+    ]
 
 
-__all__ = ["EVEN", "Bend", "ForeshorteningConfig", "even", "foreshortening", "likeness"]
+def _undisplaced(uv: Float[np.ndarray, "n 2"], displacement: Displacement) -> Float[np.ndarray, "n 2"]:
+    """The film points that a displacement moves to ``uv``."""
+    found = uv.copy()
+    for _ in range(4):
+        found = found + (uv - displacement(found))
+    return found
+
+
+__all__ = ["Bend", "ForeshorteningConfig", "Spacing", "bent", "even", "spacing", "unbent"]

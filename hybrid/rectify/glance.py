@@ -12,6 +12,7 @@ from hybrid.backward import BackwardMap
 from hybrid.coords import film_centres_1d
 from hybrid.film_view import view_film
 from hybrid.records import StageReport
+from hybrid.rectify.cell_phases import CellPhases
 from hybrid.rectify.course import read_view
 from hybrid.rectify.layout import Layout, find_layout
 from hybrid.rectify.refine import RefineConfig, Refinement
@@ -21,11 +22,17 @@ VIEW_PX = 500
 
 
 def glance(
-    photo: UInt8[np.ndarray, "H W 3"], backward: BackwardMap, expected: float, config: RefineConfig, why: str
+    photo: UInt8[np.ndarray, "H W 3"],
+    backward: BackwardMap,
+    phases: CellPhases | None,
+    expected: float,
+    config: RefineConfig,
+    why: str,
 ) -> Refinement:
     """The map as it is, with the grid that shows through it.
 
-    expected: its error, in parts of the film's size. why: it needs no spline, for the reports.
+    phases: what the network tells of the cells. expected: error of the map, in parts of the film's size. why: it needs
+    no spline, for the reports.
     """
     start = perf_counter()
     down, across = backward.mean_film_pixels()
@@ -33,7 +40,7 @@ def glance(
     size = (max(64, round(down * scale)), max(64, round(across * scale)))
     grey = cv2.cvtColor(photo, cv2.COLOR_RGB2GRAY)
     view = view_film(grey, backward, film_centres_1d(size[1]), film_centres_1d(size[0]))
-    reading = read_view(view, Layout(), config)
+    reading = read_view(view, Layout(), phases and phases.inside(backward).axes(), config)
     layout, _ = find_layout(view, Layout(), True, reading, config.grid, config.repeat)
     grid = layout.slice_grid(reading, backward, expected)
     seconds = perf_counter() - start

@@ -12,6 +12,7 @@ from jaxtyping import Float, UInt8
 from hybrid.backward import BackwardMap
 from hybrid.coords import film_nodes
 from hybrid.records import StageReport
+from hybrid.rectify.cell_phases import CellPhases
 from hybrid.rectify.glance import glance
 from hybrid.rectify.held_out import MOST_RESIDUAL
 from hybrid.rectify.invert import fit_homography, project
@@ -61,12 +62,14 @@ class EdgeLine:
 def flat_film(
     photo: UInt8[np.ndarray, "H W 3"],
     coarse: BackwardMap,
+    phases: CellPhases | None,
     refine: RefineConfig,
     config: PlaneConfig,
 ) -> Refinement:
     """The map of a flat film by the lines of its edges, with the grid that shows through it.
 
-    coarse: the network's map. It comes back, without expected_px, where the film is not surely flat.
+    coarse: the network's map. phases: what it tells of the cells. The map comes back, without expected_px, where the
+    film is not surely flat.
     """
     start = perf_counter()
     decision, plane = survey_plane(coarse, config.max_off)
@@ -77,7 +80,7 @@ def flat_film(
     report = StageReport("plane", decision.yes, evidence, perf_counter() - start)
     if found is None:
         return Refinement(coarse, None, (report,))
-    flat = glance(photo, found, EXPECTED_ERROR, refine, "the film is flat")
+    flat = glance(photo, found, phases, EXPECTED_ERROR, refine, "the film is flat")
     left = EXPECTED_ERROR * max(found.mean_film_pixels())
     residual = float(np.mean([line.residual for line in lines]))
     return replace(flat, stages=(report, *flat.stages), expected_px=left, edges=len(lines), held_out=residual)

@@ -1,10 +1,9 @@
 """A coarse backward map made exact to a fraction of a pixel by what the photo shows of the sheet and its print.
 
-From the network's map, made even where the print shows that it is not (foreshortening.py), the sheet's edges and what
-is printed on it are looked for, round for round, and fitted by a smooth displacement (course.py). Then one bent sheet
-that does not stretch is fitted to all that was seen (sheet_fit.py), and all is looked for again through its map: that
-counts if it explains what is seen as well. Where the end is in doubt, the same is tried from the sheet that the edges
-alone tell, and the better end counts.
+From a map to start from, the sheet's edges and what is printed on it are looked for, round for round, and fitted by a
+smooth displacement (course.py). Then one bent sheet that does not stretch is fitted to all that was seen
+(sheet_fit.py), and all is looked for again through its map: that counts if it explains what is seen as well.
+Where the end is in doubt, the same is tried from the sheet that the edges alone tell, and the better end counts.
 """
 
 from __future__ import annotations
@@ -18,6 +17,7 @@ from jaxtyping import UInt8
 from hybrid.backward import BackwardMap
 from hybrid.coords import film_nodes
 from hybrid.records import SliceGrid, StageReport
+from hybrid.rectify.cell_phases import CellPhases
 from hybrid.rectify.course import (
     Clock,
     Course,
@@ -26,13 +26,12 @@ from hybrid.rectify.course import (
     agreement,
     begin,
     ended,
-    evened,
     followed,
     read_view,
     unstretched,
 )
 from hybrid.rectify.outline import find_outline
-from hybrid.rectify.scene import Scene, halved, view_of, working_scene
+from hybrid.rectify.scene import Scene, halved, phases_along, view_of, working_scene
 from hybrid.rectify.sheet_fit import fit_sheet
 from hybrid.rectify.sightings import Sightings
 
@@ -93,20 +92,20 @@ class Refinement:
         return self.expected_px is not None
 
 
-def refine(photo: UInt8[np.ndarray, "H W 3"], coarse: BackwardMap, config: RefineConfig) -> Refinement:
+def refine(
+    photo: UInt8[np.ndarray, "H W 3"], coarse: BackwardMap, phases: CellPhases | None, config: RefineConfig
+) -> Refinement:
     """The coarse map, corrected where the photo shows how.
 
-    photo: RGB, the one that ``coarse`` maps into. Returns the coarse map itself where nothing was seen, where
-    the correction does not explain the photo better, or where it would fold the film or move it too far; the
-    report of stage ``spline`` says which. Raises nothing on any photo.
+    photo: RGB, the one that ``coarse`` maps into. phases: what the network tells of the cells. Returns the coarse map
+    itself where nothing was seen, where the correction does not explain the photo better, or where it would fold the
+    film or move it too far; the report of stage ``spline`` says which. Raises nothing on any photo.
     """
     clock = Clock()
-    scene = working_scene(photo, coarse, config.working_px)
+    scene = working_scene(photo, coarse, config.working_px, phases)
     outline = find_outline(scene.photo, scene.coarse, config.outline)
     clock.lap("outline")
-    begun = begin(scene, outline, config)
-    straightened = evened(begun, config, clock)
-    course = _course(straightened, config, clock)
+    course = _course(begin(scene, outline, config), config, clock)
     if course is None or not course.believed or course.sheet is None or course.after > config.doubtful:
         bent = _from_sheet(scene, outline, config, clock)
         course = _better(course, bent and _course(bent, config, clock), config.no_worse, clock)
@@ -121,16 +120,15 @@ def refine(photo: UInt8[np.ndarray, "H W 3"], coarse: BackwardMap, config: Refin
         rows, columns = (max(33, n) for n in coarse.nodes.shape[:2])
         backward = course.displacement.composed(start, (rows, columns))
     aspect = None if course.sheet is None else float(np.exp(-course.sheet.sheet.log_aspect))
-    reading = read_view(view_of(halved(course.scene), course.displacement), course.layout, config, aspect)
+    small = halved(course.scene)
+    told = phases_along(small, course.displacement)
+    reading = read_view(view_of(small, course.displacement), course.layout, told, config, aspect)
     share = _expected_share(course)
     grid = course.layout.slice_grid(reading, backward, share if course.believed else np.inf)
     clock.lap("grid")
-    evidence = course.layout.reason(reading)
-    if straightened is not begun:
-        evidence += "; foreshortening was read off the print first"
     stages = (
         StageReport("outline", course.edges > 0, f"{course.edges} of 4 edges", clock["outline"]),
-        StageReport("grid", grid is not None, evidence, clock["grid"]),
+        StageReport("grid", grid is not None, course.layout.reason(reading), clock["grid"]),
         StageReport("sheet", course.sheet is not None, UNSTRETCHED[course.sheet is not None], clock["sheet"]),
         StageReport("spline", changed, course.verdict, clock["spline"]),
     )

@@ -1,8 +1,9 @@
 """How far a flattened film can be trusted: what speaks for its map and against it, and the error to be expected.
 
 The networks look once more, at the finished map: what FilmNet sees as film, flattened as a plane sheet would be, must
-fill the sheet, and across the map's edges EdgeNet must read edges. Cells must be alike, about as wide as they are high,
-and what was seen of edges and print must agree. A regression over photos with truth turns these signs into an error.
+fill the sheet, and its cells must lie where the grid has them; across the map's edges EdgeNet must read edges. Cells
+must be alike, about as wide as they are high, and what was seen of edges and print must agree. A regression over photos
+with truth turns these signs into an error.
 Six signs are musts: without them, photos exist on which all the others speak for a map that is wrong.
 """
 
@@ -19,6 +20,7 @@ from hybrid.coords import film_centres_1d
 from hybrid.film_view import view_film
 from hybrid.pyramid import Pyramid
 from hybrid.records import CoarseMaps, SliceGrid, StatusCode
+from hybrid.rectify.cell_phases import CellPhases
 from hybrid.rectify.refine import Refinement
 from hybrid.rectify.repeat import Repeats, cell_agreement
 from hybrid.rectify.survey import Verdict, grey_spread, mask_overlap
@@ -70,6 +72,7 @@ class TrustConfig:
     oblong: float = 0.78
     stated: float = 0.41
     unsupported: float = 0.36
+    out_of_step: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -89,6 +92,7 @@ class Signs:
     stated: the error that refinement itself expects, in parts of the film's size.
     levels: number of grey levels, of 255, that the photo makes use of.
     support: least mean probability, over the sides, that the sheet's edge lies where the finished map puts it.
+    in_step: agreement of the grid with what the last look tells of the cells, along the worse axis; 0 without a grid.
     """
 
     overlap_before: float
@@ -106,6 +110,7 @@ class Signs:
     stated: float = UNKNOWN_STATED
     levels: float = 255.0
     support: float = 1.0
+    in_step: float = 1.0
 
 
 def signs_of(
@@ -141,6 +146,7 @@ def signs_of(
         stated=UNKNOWN_STATED if refinement.expected_px is None else refinement.expected_px / max(film_px, 1e-9),
         levels=grey_spread(pyramid.photo),
         support=float(support.min()),
+        in_step=0.0 if grid is None else _in_step(again, backward, grid),
     )
 
 
@@ -159,6 +165,7 @@ def expected_error_px(signs: Signs, config: TrustConfig | None = None) -> float:
         config.oblong * signs.oblong,
         config.stated * float(np.log(np.clip(signs.stated, 3e-4, 0.05))),
         config.unsupported * float(np.log(1.03 - min(signs.support, 1.0))),
+        config.out_of_step * float(np.log(1.01 - min(signs.in_step, 1.0))),
     )
     return float(np.exp(sum(terms))) * signs.film_px
 
@@ -208,6 +215,16 @@ def cells_alike(pyramid: Pyramid, backward: BackwardMap, grid: SliceGrid, side_p
         return 0.0
     share = cell_agreement(view, columns, rows)
     return float(np.clip((share - 1 / cells) / (1 - 1 / cells), 0.0, 1.0))
+
+
+def _in_step(again: CoarseMaps, backward: BackwardMap, grid: SliceGrid) -> float:
+    """Agreement of a grid with the phases that the network tells, along the worse axis; 0 where it tells none."""
+    phases = CellPhases.of(again)
+    if phases is None:
+        return 0.0
+    columns, rows = (_repeats(grid, axis) for axis in (0, 1))
+    first, pitch = np.array([columns.first, rows.first]), np.array([columns.pitch, rows.pitch])
+    return float(phases.inside(backward).in_step(first, pitch).min())
 
 
 def _repeats(grid: SliceGrid, axis: int) -> Repeats:

@@ -1,0 +1,142 @@
+"""What the network tells of the cells, gathered along both axes of the film through any map of it.
+
+FilmNet says of every place how far along its cell it lies, as an angle: a full turn from cell to cell. Through a map
+that is about right the angles along an axis run evenly, so how well they agree with a grid tells whether it is the one.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Complex, Float
+
+from hybrid.backward import BackwardMap
+from hybrid.coords import film_centres_1d, node_centres_1d
+from hybrid.records import CoarseMaps
+
+STEPS = 96
+"""Parts into which the film is divided along an axis."""
+LEAST_FILM = 0.5
+"""Probability from which on a pixel shows film."""
+MIDDLES = film_centres_1d(STEPS)
+"""Their middles, in film units."""
+SPREAD = (2, 5)
+"""Of every 5 pixels one is used, each row's two columns on from the last's: neighbours tell the same."""
+SLACK = 0.01
+"""Places this far beyond the film's edges count as on it, in film units."""
+LEAST_CHANCE = 0.02
+"""Least probability that counts against a cell, or for one, at a place."""
+
+
+@dataclass(frozen=True, eq=False)
+class CellPhases:
+    """What the network tells of the cells at places that show film.
+
+    points: photo points. near: their film coordinates, as the network says.
+    turns: e^(2 pi i t) where a place lies t of a cell from where its cell begins, across and down; shorter where that
+    is less sure. in_grid: probability that it lies in a cell at all.
+    """
+
+    points: Float[np.ndarray, "n 2"]
+    near: Float[np.ndarray, "n 2"]
+    turns: Complex[np.ndarray, "n 2"]
+    in_grid: Float[np.ndarray, " n"]
+
+    @staticmethod
+    def of(maps: CoarseMaps) -> CellPhases | None:
+        """Those of some maps; None where the network tells nothing of cells."""
+        rows, columns = np.indices(maps.mask.shape)
+        film = (maps.mask > LEAST_FILM) & ((rows + SPREAD[0] * columns) % SPREAD[1] == 0)
+        if maps.phases is None or maps.in_grid is None or not film.any():
+            return None
+        phases = maps.phases[film].astype(np.float64)
+        points, near = (values[film].astype(np.float64) for values in (maps.photo_points, maps.uv))
+        turns = phases[..., 0] + 1j * phases[..., 1]
+        return CellPhases(points, near, turns, maps.in_grid[film].astype(np.float64))
+
+    def scaled(self, scale_xy: tuple[float, float]) -> CellPhases:
+        """The same of the photo scaled along x and y."""
+        return replace(self, points=self.points * np.array(scale_xy))
+
+    def inside(self, film: BackwardMap) -> PlacedPhases:
+        """Those on the film, placed by a map of it; places beyond its edges are left out."""
+        uv = film.film_near(self.points, self.near, iterations=2, most_step=0.1)
+        on = ((uv > -SLACK) & (uv < 1.0 + SLACK)).all(axis=1)
+        return PlacedPhases(uv[on], self.turns[on], self.in_grid[on])
+
+
+@dataclass(frozen=True, eq=False)
+class PlacedPhases:
+    """Phases at film points."""
+
+    uv: Float[np.ndarray, "n 2"]
+    turns: Complex[np.ndarray, "n 2"]
+    in_grid: Float[np.ndarray, " n"]
+
+    def __len__(self) -> int:
+        return len(self.uv)
+
+    def axes(self) -> tuple[AxisPhases, AxisPhases]:
+        """What they tell along u and along v."""
+        return self._along(0), self._along(1)
+
+    def in_step(self, first: Float[np.ndarray, "2"], pitch: Float[np.ndarray, "2"]) -> Float[np.ndarray, "2"]:
+        """How well a grid agrees with what is told of places in cells, along u and along v: 1 at most, 0 by chance."""
+        counts = np.abs(self.turns) * self.in_grid[:, None]
+        off = np.angle(self.turns * np.exp(-2j * np.pi * (self.uv - first) / pitch))
+        return (counts * np.cos(off)).sum(axis=0) / np.maximum(counts.sum(axis=0), 1e-9)
+
+    def _along(self, axis: int) -> AxisPhases:
+        step = np.clip((self.uv[:, axis] * STEPS).astype(np.intp), 0, STEPS - 1)
+        turns = self.turns[:, axis]
+        count = np.bincount(step, minlength=STEPS)
+        total = np.bincount(step, np.real(turns), STEPS) + 1j * np.bincount(step, np.imag(turns), STEPS)
+        inside = np.bincount(step, self.in_grid, STEPS) / np.maximum(count, 1)
+        # margins across the other axis take their share of every step
+        most = max(float(np.quantile(inside[count > 0], 0.9)) if len(step) else 1.0, 0.3)
+        return AxisPhases(total / max(len(step), 1), np.where(count > 0, np.minimum(inside / most, 1.0), 0.5))
+
+
+@dataclass(frozen=True, eq=False)
+class AxisPhases:
+    """What is told along one axis, in equal steps from one edge to the other.
+
+    turns: sums over the film across, divided by the number of all places. in_grid: probability that a step lies between
+    the grid's ends.
+    """
+
+    turns: Complex[np.ndarray, " s"]
+    in_grid: Float[np.ndarray, " s"]
+
+    def agreement(self, first: Float[np.ndarray, " c"], pitch: Float[np.ndarray, " c"]) -> Float[np.ndarray, " c"]:
+        """How well grids of these pitches agree with the phases: 1 at most, 0 by chance."""
+        turns = np.exp(-2j * np.pi * (MIDDLES - first[:, None]) / pitch[:, None])
+        return np.real(turns @ self.turns)
+
+    def ends(self, first: Float[np.ndarray, " c"], last: Float[np.ndarray, " c"]) -> Float[np.ndarray, " c"]:
+        """Mean logarithm, over the film, of the probability of what is told if grids reach from first to last."""
+        inside = np.log(np.clip(self.in_grid, LEAST_CHANCE, 1 - LEAST_CHANCE))
+        outside = np.log(np.clip(1 - self.in_grid, LEAST_CHANCE, 1 - LEAST_CHANCE))
+        gain = np.concatenate([[0.0], np.cumsum(inside - outside)])
+        gained = np.interp(last, _BORDERS, gain) - np.interp(first, _BORDERS, gain)
+        return np.asarray((gained + outside.sum()) / len(inside))
+
+    def pitch(self, longest: float, shortest: float) -> float:
+        """The pitch at which the phases run."""
+        turns = np.linspace(1 / longest, 1 / shortest, _FREQUENCIES)
+        found = np.abs(np.exp(-2j * np.pi * turns[:, None] * MIDDLES) @ self.turns)
+        return float(1 / turns[int(found.argmax())])
+
+    def firsts(self, pitch: float, least: float, most: float) -> list[float]:
+        """Where, between two bounds, cells of this pitch begin as the phases have it."""
+        turn = float(np.angle(np.exp(2j * np.pi * MIDDLES / pitch) @ np.conj(self.turns))) / (2 * math.pi)
+        number = range(math.ceil(least / pitch - turn), math.floor(most / pitch - turn) + 1)
+        return [pitch * (turn + k) for k in number]
+
+
+_BORDERS = node_centres_1d(STEPS + 1)
+_FREQUENCIES = 400
+
+__all__ = ["MIDDLES", "AxisPhases", "CellPhases", "PlacedPhases"]
