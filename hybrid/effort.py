@@ -35,6 +35,8 @@ class RectifyConfig:
     predict: PredictConfig = field(default_factory=PredictConfig)
     invert: InvertConfig = field(default_factory=InvertConfig)
     edges: EdgeConfig = field(default_factory=EdgeConfig)
+    told_cells: bool = True
+    """Whether a map starts from what the network tells of the cells; else they are looked for in the print alone."""
     foreshortening: ForeshorteningConfig = field(default_factory=ForeshorteningConfig)
     refine: RefineConfig = field(default_factory=RefineConfig)
     plane: PlaneConfig = field(default_factory=PlaneConfig)

@@ -19,6 +19,10 @@ from hybrid.rectify.trust import cells_alike
 NEAR_FRAME = 0.05
 """Largest distance between the film as the network sees it and the photo's frame, in parts of the frame's diagonal."""
 
+AS_ALIKE = 0.95
+"""Cells are as alike in the photo as it is where they are so by this part of how alike the refined map makes them: of
+a map that is hardly another one the last bits decide."""
+
 
 def frame_of(size: tuple[int, int]) -> BackwardMap:
     """The map of a film that fills a photo of ``size`` (h, w)."""
@@ -45,7 +49,7 @@ def already_flat(
     grids = [grid for grid in (framed.grid, refined.grid) if grid is not None]
     straight, crooked = (max(cells_alike(pyramid, m, grid) for grid in grids) for m in (frame, refined.backward))
     reason = f"cells are alike to {straight:.0%} as the photo is, to {crooked:.0%} through the refined map"
-    return framed if straight >= crooked else None, reason
+    return framed if straight >= AS_ALIKE * crooked else None, reason
 
 
 __all__ = ["already_flat", "frame_of"]

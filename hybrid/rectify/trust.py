@@ -4,7 +4,7 @@ The networks look once more, at the finished map: what FilmNet sees as film, fla
 fill the sheet, and its cells must lie where the grid has them; across the map's edges EdgeNet must read edges. Cells
 must be alike, about as wide as they are high, and what was seen of edges and print must agree. A regression over photos
 with truth turns these signs into an error.
-Six signs are musts: without them, photos exist on which all the others speak for a map that is wrong.
+Seven signs are musts: without them, photos exist on which all the others speak for a map that is wrong.
 """
 
 from __future__ import annotations
@@ -51,28 +51,30 @@ class TrustConfig:
 
     limit_px: float = 5.0
     """Largest error of a film that is called flattened, in pixels of a photo of 1080; at least one of its own."""
-    safety: float = 0.2
+    safety: float = 0.18
     """The expected error must be below this part of the limit: single errors are up to several times as large."""
     exact: bool = True
     """Whether a map counts only if it was corrected by what is seen on the film."""
     min_edges: int = 3
     """Least number of the sheet's edges that are seen: what only repeats tells neither place nor size."""
-    min_support: float = 0.5
+    min_support: float = 0.6
     """Least mean probability that an edge lies where the map puts it: others look like none to who reads them."""
+    min_in_step: float = 0.7
+    """Least agreement of the grid with what the network tells of the cells."""
     min_alike: float = 0.12
     """Least agreement of the cells: noise repeats by chance, too."""
     min_levels: float = 20.0
     """Least number of grey levels that the photo makes use of: over fewer, gutters look like the sheet's edges."""
-    constant: float = -1.36
-    overlap_before: float = 0.07
-    overlap_after: float = 0.12
-    shift: float = 0.24
-    held_out: float = 0.36
-    unlike: float = 0.77
-    oblong: float = 0.78
-    stated: float = 0.41
-    unsupported: float = 0.36
-    out_of_step: float = 0.0
+    constant: float = 0.09
+    overlap_before: float = 0.18
+    overlap_after: float = 0.10
+    shift: float = 0.16
+    held_out: float = 0.23
+    unlike: float = 0.23
+    oblong: float = 0.37
+    stated: float = 0.57
+    unsupported: float = 0.34
+    out_of_step: float = 0.12
 
 
 @dataclass(frozen=True)
@@ -184,6 +186,7 @@ def film_verdict(signs: Signs, config: TrustConfig | None = None) -> Verdict:
             ("no grid seen", not signs.grid),
             (f"only {signs.levels:.0f} of 255 grey levels", signs.levels < config.min_levels),
             (f"an edge reads as one to {signs.support:.0%} only", signs.support < config.min_support),
+            ("the network sees other cells", signs.grid and signs.in_step < config.min_in_step),
             ("cells are not alike", signs.grid and signs.alike < config.min_alike),
             ("not corrected by what is seen on the film", config.exact and not signs.corrected),
             (f"more than {config.safety * limit:.1f} px", expected > config.safety * limit),
@@ -193,7 +196,7 @@ def film_verdict(signs: Signs, config: TrustConfig | None = None) -> Verdict:
     evidence = (
         f"{expected:.1f} px of error expected; mask and outline agree to {signs.overlap_before:.1%} before and "
         f"{signs.overlap_after:.1%} after refinement, edges read as such to {signs.support:.0%} at least, "
-        f"cells are alike to {signs.alike:.0%}"
+        f"cells are alike to {signs.alike:.0%} and agree with what the network sees to {signs.in_step:.0%}"
     )
     if doubts:
         return Verdict(StatusCode.UNSURE, f"{', '.join(doubts)}: {evidence}")
