@@ -18,7 +18,7 @@ from jaxtyping import Complex, Float
 from hybrid.backward import BackwardMap
 from hybrid.coords import node_centres_1d
 from hybrid.rectify.cell_phases import MIDDLES, AxisPhases, CellPhases
-from hybrid.rectify.sightings import Displacement, Sightings, SplineConfig, fit_displacement, no_displacement
+from hybrid.rectify.sightings import Sightings, SplineConfig, fit_displacement
 from hybrid.strips import SIDES
 
 Bend = tuple[float, float]
@@ -49,8 +49,6 @@ class ForeshorteningConfig:
     """Stated deviation of the map's edges, which are left where they are, in film units."""
     shared_sigma: tuple[float, float] = (0.02, 0.004)
     """Prior standard deviation of the grid's place and pitch, in film units."""
-    looks: int = 2
-    """Times that phases are assigned to cells, each time through the map so far."""
     spline: SplineConfig = field(default_factory=SplineConfig)
 
 
@@ -73,18 +71,10 @@ def even(film: BackwardMap, phases: CellPhases | None, config: ForeshorteningCon
         return film
     found = [spacing(along, config) for along in told.axes()]
     bends = (found[0].bend, found[1].bend)
-    straight, turns = unbent(film, bends), told.turns
+    straight = unbent(film, bends)
     uv = np.stack([bent(told.uv[:, axis], bends[axis]) for axis in (0, 1)], axis=-1)
-    true = uv
-    edges = _edges(config)
-    displacement = no_displacement(config.spline)
-    for _ in range(config.looks):
-        seen = [_sightings(uv, true[:, a], turns[:, a], found[a], a, config) for a in (0, 1)]
-        fit = fit_displacement([*edges, *seen], config.spline)
-        displacement = fit.displacement
-        true = _undisplaced(uv, displacement)
-        found = [_moved(one, constants) for one, constants in zip(found, fit.constants[-2:], strict=True)]
-    moved = displacement.composed(straight)
+    seen = [_sightings(uv, told.turns[:, axis], found[axis], axis, config) for axis in (0, 1)]
+    moved = fit_displacement([*_edges(config), *seen], config.spline).displacement.composed(straight)
     return film if moved.folds((17, 17)) else moved
 
 
@@ -133,14 +123,13 @@ def _spacings(config: ForeshorteningConfig) -> tuple[tuple[Bend, ...], np.ndarra
 
 def _sightings(
     uv: Float[np.ndarray, "n 2"],
-    true: Float[np.ndarray, " n"],
     turns: Complex[np.ndarray, " n"],
     cells: Spacing,
     axis: int,
     config: ForeshorteningConfig,
 ) -> Sightings:
     """Each place seen at ``uv``, and where its phase says that it is, in the cell that it is taken to lie in."""
-    cell = (true - cells.first) / cells.pitch
+    cell = (uv[:, axis] - cells.first) / cells.pitch
     off = np.angle(turns * np.exp(-2j * np.pi * cell)) / (2 * np.pi)
     length = np.abs(turns)
     counts = (length > config.least_length) & (np.abs(off) < config.most_off)
@@ -148,13 +137,6 @@ def _sightings(
     shared = np.column_stack([np.ones(len(known)), (known - 0.5) / cells.pitch])
     sigma = config.sigma * cells.pitch / length[counts]
     return Sightings(axis, uv[counts], known, sigma, shared, np.array(config.shared_sigma))
-
-
-def _moved(cells: Spacing, constants: Float[np.ndarray, "2"]) -> Spacing:
-    """With the place and pitch that a fit of their sightings found."""
-    longer = cells.pitch + float(constants[1])
-    first = cells.first + float(constants[0]) + (cells.first - 0.5) / cells.pitch * float(constants[1])
-    return Spacing((0.0, 0.0), first, longer)
 
 
 def _edges(config: ForeshorteningConfig, number: int = 33) -> list[Sightings]:
@@ -171,14 +153,6 @@ def _edges(config: ForeshorteningConfig, number: int = 33) -> list[Sightings]:
         )
         for side in SIDES
     ]
-
-
-def _undisplaced(uv: Float[np.ndarray, "n 2"], displacement: Displacement) -> Float[np.ndarray, "n 2"]:
-    """The film points that a displacement moves to ``uv``."""
-    found = uv.copy()
-    for _ in range(4):
-        found = found + (uv - displacement(found))
-    return found
 
 
 __all__ = ["Bend", "ForeshorteningConfig", "Spacing", "bent", "even", "spacing", "unbent"]
