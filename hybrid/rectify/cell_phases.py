@@ -18,10 +18,10 @@ from hybrid.records import CoarseMaps
 
 STEPS = 96
 """Parts into which the film is divided along an axis."""
-LEAST_FILM = 0.5
-"""Probability from which on a pixel shows film."""
 MIDDLES = film_centres_1d(STEPS)
 """Their middles, in film units."""
+LEAST_FILM = 0.5
+"""Probability from which on a pixel shows film."""
 SPREAD = (2, 5)
 """Of every 5 pixels one is used, each row's two columns on from the last's: neighbours tell the same."""
 SLACK = 0.01
@@ -34,9 +34,9 @@ LEAST_CHANCE = 0.02
 class CellPhases:
     """What the network tells of the cells at places that show film.
 
-    points: photo points. near: their film coordinates, as the network says.
-    turns: e^(2 pi i t) where a place lies t of a cell from where its cell begins, across and down; shorter where that
-    is less sure. in_grid: probability that it lies in a cell at all.
+    points: photo points. near: their film coordinates, as the network says. turns: e^(2 pi i t) where a place lies t of
+    a cell from where its cell begins, across and down; shorter where that is less sure. in_grid: probability that it
+    lies in a cell at all.
     """
 
     points: Float[np.ndarray, "n 2"]
@@ -47,9 +47,11 @@ class CellPhases:
     @staticmethod
     def of(maps: CoarseMaps) -> CellPhases | None:
         """Those of some maps; None where the network tells nothing of cells."""
+        if maps.phases is None or maps.in_grid is None:
+            return None
         rows, columns = np.indices(maps.mask.shape)
         film = (maps.mask > LEAST_FILM) & ((rows + SPREAD[0] * columns) % SPREAD[1] == 0)
-        if maps.phases is None or maps.in_grid is None or not film.any():
+        if not film.any():
             return None
         phases = maps.phases[film].astype(np.float64)
         points, near = (values[film].astype(np.float64) for values in (maps.photo_points, maps.uv))
@@ -125,9 +127,9 @@ class AxisPhases:
 
     def pitch(self, longest: float, shortest: float) -> float:
         """The pitch at which the phases run."""
-        turns = np.linspace(1 / longest, 1 / shortest, _FREQUENCIES)
-        found = np.abs(np.exp(-2j * np.pi * turns[:, None] * MIDDLES) @ self.turns)
-        return float(1 / turns[int(found.argmax())])
+        per_film = np.linspace(1 / longest, 1 / shortest, 400)
+        agreement = np.abs(np.exp(-2j * np.pi * per_film[:, None] * MIDDLES) @ self.turns)
+        return float(1 / per_film[int(agreement.argmax())])
 
     def firsts(self, pitch: float, least: float, most: float) -> list[float]:
         """Where, between two bounds, cells of this pitch begin as the phases have it."""
@@ -137,6 +139,5 @@ class AxisPhases:
 
 
 _BORDERS = node_centres_1d(STEPS + 1)
-_FREQUENCIES = 400
 
 __all__ = ["MIDDLES", "AxisPhases", "CellPhases", "PlacedPhases"]
