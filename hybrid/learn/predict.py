@@ -64,8 +64,8 @@ def as_in_view(maps: CoarseMaps, way: Orientation) -> CoarseMaps:
     Cells that are counted from the other end have their phases run backwards: a grid has a whole number of them.
     """
     assert maps.phases is not None  # FilmNet tells them
-    moved = way.seen_from_film(np.eye(3, 2)) - way.seen_from_film(np.zeros(2))  # where u and v go
-    swapped, reverse = bool(moved[0, 1] != 0), moved[:2].sum(axis=0) < 0
+    moved = way.seen_from_film(np.eye(2)) - way.seen_from_film(np.zeros(2))  # where u and v go
+    swapped, reverse = bool(moved[0, 1] != 0), moved.sum(axis=0) < 0
     phases = maps.phases[..., ::-1, :] if swapped else maps.phases
     return replace(
         maps, uv=way.seen_from_film(maps.uv), phases=phases * np.stack([[1, 1], np.where(reverse, -1, 1)], 1)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from jaxtyping import Complex, Float
@@ -86,9 +87,8 @@ class PlacedPhases:
 
     def in_step(self, first: Float[np.ndarray, "2"], pitch: Float[np.ndarray, "2"]) -> Float[np.ndarray, "2"]:
         """How well a grid agrees with what is told of places in cells, along u and along v: 1 at most, 0 by chance."""
-        counts = np.abs(self.turns) * self.in_grid[:, None]
-        off = np.angle(self.turns * np.exp(-2j * np.pi * (self.uv - first) / pitch))
-        return (counts * np.cos(off)).sum(axis=0) / np.maximum(counts.sum(axis=0), 1e-9)
+        agreeing = np.real(self.turns * np.exp(-2j * np.pi * (self.uv - first) / pitch))
+        return self.in_grid @ agreeing / np.maximum(self.in_grid @ np.abs(self.turns), 1e-9)
 
     def _along(self, axis: int) -> AxisPhases:
         step = np.clip((self.uv[:, axis] * STEPS).astype(np.intp), 0, STEPS - 1)
@@ -127,15 +127,21 @@ class AxisPhases:
 
     def pitch(self, longest: float, shortest: float) -> float:
         """The pitch at which the phases run."""
-        per_film = np.linspace(1 / longest, 1 / shortest, 400)
-        agreement = np.abs(np.exp(-2j * np.pi * per_film[:, None] * MIDDLES) @ self.turns)
-        return float(1 / per_film[int(agreement.argmax())])
+        pitches, turns = _pitches(longest, shortest)
+        return float(pitches[int(np.abs(turns @ self.turns).argmax())])
 
     def firsts(self, pitch: float, least: float, most: float) -> list[float]:
         """Where, between two bounds, cells of this pitch begin as the phases have it."""
         turn = float(np.angle(np.exp(2j * np.pi * MIDDLES / pitch) @ np.conj(self.turns))) / (2 * math.pi)
         number = range(math.ceil(least / pitch - turn), math.floor(most / pitch - turn) + 1)
         return [pitch * (turn + k) for k in number]
+
+
+@lru_cache(maxsize=2)
+def _pitches(longest: float, shortest: float) -> tuple[Float[np.ndarray, " k"], Complex[np.ndarray, "k s"]]:
+    """Pitches to try, and the conjugate turns of their cells in the steps of a film: the same for every film."""
+    per_film = np.linspace(1 / longest, 1 / shortest, 400)
+    return 1 / per_film, np.exp(-2j * np.pi * per_film[:, None] * MIDDLES)
 
 
 _BORDERS = node_centres_1d(STEPS + 1)
