@@ -1,12 +1,16 @@
 """The unstretched sheet: its edges in the photo tell where its inside is, and it is refused where none fits."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
 
 from hybrid.backward import BackwardMap, end_point_error
 from hybrid.coords import film_nodes
+from hybrid.rectify.course import centred
+from hybrid.rectify.grid import Comb, GridConfig
+from hybrid.rectify.layout import Evidence
 from hybrid.rectify.sheet import Frame, Sheet, SheetConfig, flat_sheet, project, surface
 from hybrid.rectify.sheet_fit import fit_sheet, refit_sheet
 from hybrid.rectify.sheet_problem import Sum, add_strain, strain_curvature
@@ -200,6 +204,26 @@ def test_where_the_lines_lie_and_how_far_they_are_apart_is_found():
     middle, pitch = found.constants[-1]
     assert middle == pytest.approx(0.02, abs=0.004)
     assert pitch == pytest.approx(0.2 - 1.07 * 0.2, abs=0.004)
+
+
+@pytest.mark.parametrize(("off", "expected"), [(0.0, True), (0.005, False)])
+def test_lines_lie_in_the_middle_where_what_is_seen_allows_it(off, expected):
+    true = cylinder(1.2, 0, 10)
+    coarse = larger(true)
+    places = [0.1 + off, 0.3 + off, 0.5 + off, 0.7 + off, 0.9 + off]
+    lines = lines_seen(true, coarse, {0: places})
+    seen = edges_seen(true, coarse, np.random.default_rng(0), 0.3) + lines
+    found = refit_sheet(coarse, coarse, PHOTO, seen, CONFIG)
+    assert found is not None
+    comb = Comb(0, places[0], 0.2, 4, np.arange(5), 2, 1, 1.0, np.repeat(np.array(places)[:, None], 4, axis=1))
+    evidence = (*(Evidence(edge) for edge in seen[:4]), Evidence(lines[0], comb))
+    fit = partial(refit_sheet, coarse, coarse, PHOTO, config=CONFIG)
+    sheet, then = centred(found, evidence, seen, fit, GridConfig())
+    assert sheet is not None
+    assert isinstance(then[-1].source, Comb)
+    assert then[-1].source.centred == expected
+    assert (abs(sheet.constants[-1][0]) < 1e-4) == expected
+    assert error_px(sheet.backward, true) < 1.05 * error_px(found.backward, true)
 
 
 def test_a_third_of_the_points_of_an_edge_may_be_wrong():

@@ -20,7 +20,7 @@ from hybrid.film_view import FilmView
 from hybrid.rectify.cell_phases import AxisPhases
 from hybrid.rectify.cells import CellsConfig, Reading, read_cells
 from hybrid.rectify.congeal import CongealConfig, register_cells
-from hybrid.rectify.grid import GridConfig
+from hybrid.rectify.grid import Comb, GridConfig
 from hybrid.rectify.held_out import held_out_residuals
 from hybrid.rectify.layout import Evidence, Layout, find_layout
 from hybrid.rectify.match import match_cells, match_to_one_cell
@@ -223,10 +223,13 @@ def unstretched(progress: Progress, config: RefineConfig, clock: Clock) -> Progr
         return None
     near = attempt.displacement.composed(scene.coarse)
     size = (scene.photo.shape[0], scene.photo.shape[1])
-    sheet = refit_sheet(near, scene.coarse, size, seen, config.sheet, progress.sheet)
+    fit = partial(refit_sheet, near, scene.coarse, size, config=config.sheet)
+    sheet, evidence = fit(seen, before=progress.sheet), attempt.evidence
+    if progress.sheet is not None:
+        sheet, evidence = centred(sheet, evidence, seen, fit, config.grid)
     if sheet is None or sheet.backward.folds((33, 33)):
         return None
-    layout = progress.layout.adjusted(attempt.evidence, sheet.constants)
+    layout = progress.layout.adjusted(evidence, sheet.constants)
     if progress.sheet is None:
         outline = find_outline(scene.photo, sheet.backward, config.outline_again)
     else:
@@ -236,6 +239,33 @@ def unstretched(progress: Progress, config: RefineConfig, clock: Clock) -> Progr
     still = _Attempt(no_displacement(config.spline), tuple(Evidence(s) for s in outline))
     begun = Progress(scene, outline, (still,), layout, sheet=sheet)
     return _round(begun, config.line_rounds, _matchers(config)[-1], config, clock)
+
+
+def centred(
+    sheet: FittedSheet | None,
+    evidence: tuple[Evidence, ...],
+    seen: Sequence[Sightings],
+    fit: Callable[..., FittedSheet | None],
+    config: GridConfig,
+) -> tuple[FittedSheet | None, tuple[Evidence, ...]]:
+    """The sheet with its combs of lines in its middle, for those that what was seen allows to lie there.
+
+    Where between the edges lines lie only the sheet's bend tells, to some thousandths of the film; but margins are
+    mostly alike. fit: of a sheet to what is ``seen`` of the ``evidence``, from that of ``before``.
+    """
+    seen = list(seen)
+    for k, one in enumerate(evidence):
+        comb = one.source
+        if sheet is None or not isinstance(comb, Comb) or comb.centred or comb.fills_film(config):
+            continue
+        if abs(sheet.constants[k][0]) > config.centred_within:
+            continue
+        tried = [*seen[:k], _in_the_middle(seen[k], config), *seen[k + 1 :]]
+        found = fit(tried, before=sheet)
+        if found is not None and found.cost < (1.0 + config.centred_cost) * sheet.cost:
+            middle = replace(one, source=replace(comb, centred=True))
+            sheet, seen, evidence = found, tried, (*evidence[:k], middle, *evidence[k + 1 :])
+    return sheet, evidence
 
 
 def ended(progress: Progress, config: RefineConfig, clock: Clock) -> Course:
@@ -299,11 +329,18 @@ def _observe_print(
         if pinned and not comb.fills_film(config.grid):
             wide = np.append(np.full(2, config.congeal.shared_sigma), sightings.shared_sigma[2:])
             sightings = replace(sightings, shared_sigma=wide)
+        if comb.centred:
+            sightings = _in_the_middle(sightings, config.grid)
         evidence.append(Evidence(sightings, comb))
     columns, rows = layout.repeats
     if columns is not None and rows is not None:
         evidence += [Evidence(s, layout.repeats[s.axis]) for s in matcher(view, columns, rows)]
     return evidence
+
+
+def _in_the_middle(lines: Sightings, config: GridConfig) -> Sightings:
+    """Sightings of a comb's lines with its middle in the film's."""
+    return replace(lines, shared_sigma=np.append(config.centred_sigma, lines.shared_sigma[1:]))
 
 
 def _as_uncertain(edge: Sightings, layout: Layout, config: RefineConfig) -> Sightings:
@@ -375,6 +412,7 @@ __all__ = [
     "RefineConfig",
     "agreement",
     "begin",
+    "centred",
     "ended",
     "followed",
     "read_view",
