@@ -144,7 +144,10 @@ def shape_of(
         mean = agreed(every)
         assert isinstance(mean, Inversion)  # the last of the sides is
         start = on_edges(mean.backward)
-    evened = partial(even, phases=phases, config=config.foreshortening)
+
+    def evened(film: BackwardMap) -> BackwardMap:
+        return even(film, phases, read.seen_through(film), config.foreshortening)
+
     with clock.stage("spacing") as report:
         report.ran, before = phases is not None, start
         start = evened(start)

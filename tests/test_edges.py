@@ -83,12 +83,25 @@ def test_large_photos_are_read_on_a_smaller_copy():
 
 def test_true_rows_are_where_the_edge_is_and_nan_where_it_is_not_shown():
     _, film = sheet_photo()
-    rows = true_rows(film, moved_edges(film, 0.02), (700, 700), STRIP)
+    mask = np.ones((80, 80), bool)
+    rows = true_rows(film, moved_edges(film, 0.02), (700, 700), mask, STRIP)
     np.testing.assert_allclose(rows[:, 2:-2], STRIP.row_of(np.array([0.02 / 1.04]))[0], atol=0.02)
-    assert np.isnan(true_rows(film, moved_edges(film, 0.2), (700, 700), STRIP)).all()
-    cut = true_rows(film.cropped((101.0, 0.0)), film.cropped((101.0, 0.0)), (700, 599), STRIP)
+    assert np.isnan(true_rows(film, moved_edges(film, 0.2), (700, 700), mask, STRIP)).all()
+    cut = true_rows(film.cropped((101.0, 0.0)), film.cropped((101.0, 0.0)), (700, 599), mask, STRIP)
     assert np.isnan(cut[2]).all()
     assert not np.isnan(cut[3]).any()
+
+
+def test_an_edge_behind_a_hand_is_not_shown():
+    _, film = sheet_photo()
+    mask = np.ones((70, 70), bool)
+    mask[:, 35:] = False
+    rows = true_rows(film, film, (700, 700), mask, STRIP)
+    assert np.isnan(rows[3]).all()
+    assert not np.isnan(rows[2]).any()
+    shown = ~np.isnan(rows[:2])
+    assert shown[:, : COLUMNS // 2 - 2].all()
+    assert not shown[:, COLUMNS // 2 + 2 :].any()
 
 
 # ---------------------------------------------------------------- paths

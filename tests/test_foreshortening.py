@@ -8,10 +8,13 @@ from synthetic_film import FilmDrawing, make_photo
 from told_cells import bent_along, even_grid, told_of
 
 from hybrid.backward import BackwardMap, end_point_error
-from hybrid.coords import film_nodes
+from hybrid.coords import film_nodes, node_centres_1d
 from hybrid.rectify.cell_phases import CellPhases
 from hybrid.rectify.foreshortening import ForeshorteningConfig, bent, even, spacing
+from hybrid.rectify.outline import edge_sightings
 from hybrid.rectify.refine import RefineConfig, refine
+from hybrid.rectify.sightings import Sightings
+from hybrid.strips import SIDES
 
 CONFIG = ForeshorteningConfig()
 FLAT = BackwardMap(film_nodes((17, 17)) * (400.0, 300.0) + 50.0)
@@ -21,12 +24,24 @@ def mean_error(found: BackwardMap, true: BackwardMap) -> float:
     return float(end_point_error(found, true.resized((33, 33)).nodes).mean())
 
 
+def edges_of(true: BackwardMap, coarse: BackwardMap) -> list[Sightings]:
+    """The edges of the film as seen through a map."""
+    along = node_centres_1d(33)
+    found = []
+    for side in SIDES:
+        on_edge = side.film_points(along, np.zeros(33))
+        seen = coarse.film_near(true.photo_from_film(on_edge), on_edge)
+        depth = side.inward * (seen[:, side.axis] - side.edge)
+        found.append(edge_sightings(side, seen[:, 1 - side.axis], depth, np.full(33, 1e-3)))
+    return found
+
+
 @pytest.mark.parametrize("bends", [((0.3, 0.0), (0.0, 0.0)), ((-0.3, 0.1), (0.2, -0.1)), ((0.0, 0.2), (-0.35, 0.0))])
 @pytest.mark.parametrize(("rows", "cols", "margin"), [(5, 4, 0.0), (4, 6, 0.03), (3, 3, 0.0), (8, 6, 0.05)])
 def test_a_map_with_right_edges_and_a_wrong_inside_is_put_right(rows: int, cols: int, margin: float, bends):
     coarse = bent_along(FLAT, *bends)
     phases = told_of(FLAT, even_grid(rows, cols, margin), np.random.default_rng(rows))
-    before, after = mean_error(coarse, FLAT), mean_error(even(coarse, phases, CONFIG), FLAT)
+    before, after = mean_error(coarse, FLAT), mean_error(even(coarse, phases, edges_of(FLAT, coarse), CONFIG), FLAT)
     assert before > 8
     assert after < 0.55 * before
 
@@ -45,12 +60,13 @@ def test_the_spacing_that_is_found_is_the_one_that_was_made():
 def test_what_is_even_stays_where_it_is(margin: float):
     for rows, cols in ((3, 3), (5, 4), (2, 6)):
         phases = told_of(FLAT, even_grid(rows, cols, margin), np.random.default_rng(0))
-        assert mean_error(even(FLAT, phases, CONFIG), FLAT) < 1.0
+        assert mean_error(even(FLAT, phases, edges_of(FLAT, FLAT), CONFIG), FLAT) < 1.0
 
 
 def test_edges_stay_where_the_map_has_them():
     coarse = bent_along(FLAT, (0.3, 0.1), (-0.2, 0.0))
-    found = even(coarse, told_of(FLAT, even_grid(5, 4), np.random.default_rng(1)), CONFIG)
+    told = told_of(FLAT, even_grid(5, 4), np.random.default_rng(1))
+    found = even(coarse, told, edges_of(FLAT, coarse), CONFIG)
     apart = np.abs(found.resized((33, 33)).nodes - FLAT.resized((33, 33)).nodes)
     assert max(apart[[0, -1], :, 1].max(), apart[:, [0, -1], 0].max()) < 1.0
 
@@ -58,9 +74,9 @@ def test_edges_stay_where_the_map_has_them():
 def test_where_nothing_is_sure_nothing_moves():
     told = told_of(FLAT, even_grid(5, 4), np.random.default_rng(0))
     unsure = CellPhases(told.points, told.near, 0.2 * told.turns, told.in_grid)
-    assert mean_error(even(FLAT, unsure, CONFIG), FLAT) < 1e-6
+    assert mean_error(even(FLAT, unsure, edges_of(FLAT, FLAT), CONFIG), FLAT) < 1e-6
     nowhere = CellPhases(told.points + 1e4, told.near + 30, told.turns, told.in_grid)
-    assert even(FLAT, nowhere, CONFIG) is FLAT
+    assert even(FLAT, nowhere, edges_of(FLAT, FLAT), CONFIG) is FLAT
 
 
 @pytest.mark.parametrize("bends", [((-0.35, 0.1), (0.0, 0.0)), ((0.0, 0.0), (-0.35, 0.1))])

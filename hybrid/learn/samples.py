@@ -71,6 +71,12 @@ def film_of(place: Place) -> BackwardMap:
     return BackwardMap(shard.stored("backward", index))
 
 
+def film_mask(place: Place) -> Bool[np.ndarray, "h w"]:
+    """Where the photo of a sample shows film, at the resolution of its maps."""
+    shard, index = place
+    return np.asarray(shard.stored("mask", index), dtype=bool)
+
+
 def truth_at(place: Place, points: Float[np.ndarray, "h w 2"], photo_size: tuple[int, int]) -> Truth:
     """The maps of a sample at photo points: bilinear, of film pixels only; the normal of the nearest pixel.
 

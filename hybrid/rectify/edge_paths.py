@@ -95,6 +95,10 @@ class EdgesRead:
     sightings: tuple[Sightings, ...]
     off: float
 
+    def seen_through(self, film: BackwardMap) -> list[Sightings]:
+        """The sightings as if they had been made through a map that is near."""
+        return [s if film is self.through else carried(s, self.through, film) for s in self.sightings]
+
 
 def read_edges(pyramid: Pyramid, film: BackwardMap, reader: EdgeReader, config: EdgeConfig) -> EdgesRead:
     """What is read across the edges of a map; where that is far beside them, once more across those it says."""
@@ -109,8 +113,7 @@ def put_on_edges(film: BackwardMap, read: EdgesRead, config: EdgeConfig) -> Back
     none were read, or where it would fold."""
     if not read.sightings:
         return film
-    seen = read.sightings if film is read.through else [carried(s, read.through, film) for s in read.sightings]
-    moved = fit_displacement(seen, config.spline).displacement.composed(film)
+    moved = fit_displacement(read.seen_through(film), config.spline).displacement.composed(film)
     return film if moved.folds((17, 17)) else moved
 
 

@@ -9,7 +9,8 @@ place is then put where its phase says that it is.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
 import numpy as np
@@ -19,7 +20,6 @@ from hybrid.backward import BackwardMap
 from hybrid.coords import node_centres_1d
 from hybrid.rectify.cell_phases import MIDDLES, AxisPhases, CellPhases
 from hybrid.rectify.sightings import Sightings, SplineConfig, fit_displacement
-from hybrid.strips import SIDES
 
 Bend = tuple[float, float]
 """A spacing along one axis, a and b of ``t + t (1 - t) (a + b (1 - 2 t))``."""
@@ -46,7 +46,7 @@ class ForeshorteningConfig:
     most_off: float = 0.35
     """Phases further than this from the spacing do not count, in cells: the next cell begins at half of one."""
     edge_sigma: float = 0.0015
-    """Stated deviation of the map's edges, which are left where they are, in film units."""
+    """Stated deviation of the sheet's edges, in film units."""
     shared_sigma: tuple[float, float] = (0.02, 0.004)
     """Prior standard deviation of the grid's place and pitch, in film units."""
     spline: SplineConfig = field(default_factory=SplineConfig)
@@ -61,9 +61,13 @@ class Spacing:
     pitch: float
 
 
-def even(film: BackwardMap, phases: CellPhases | None, config: ForeshorteningConfig) -> BackwardMap:
-    """The map through which the phases run evenly, with the edges of ``film``; ``film`` itself where none are told, or
-    where it would fold."""
+def even(
+    film: BackwardMap, phases: CellPhases | None, edges: Sequence[Sightings], config: ForeshorteningConfig
+) -> BackwardMap:
+    """The map through which the phases run evenly; ``film`` itself where none are told, or where it would fold.
+
+    edges: of the sheet, as far as they are seen, through ``film``; they are left where they are.
+    """
     if phases is None:
         return film
     told = phases.inside(film)
@@ -74,7 +78,8 @@ def even(film: BackwardMap, phases: CellPhases | None, config: ForeshorteningCon
     straight = unbent(film, bends)
     uv = np.stack([bent(told.uv[:, axis], bends[axis]) for axis in (0, 1)], axis=-1)
     seen = [_sightings(uv, told.turns[:, axis], found[axis], axis, config) for axis in (0, 1)]
-    moved = fit_displacement([*_edges(config), *seen], config.spline).displacement.composed(straight)
+    held = [replace(edge, sigma=np.full(len(edge), config.edge_sigma)) for edge in edges]
+    moved = fit_displacement([*held, *seen], config.spline).displacement.composed(straight)
     return film if moved.folds((17, 17)) else moved
 
 
@@ -137,22 +142,6 @@ def _sightings(
     shared = np.column_stack([np.ones(len(known)), (known - 0.5) / cells.pitch])
     sigma = config.sigma * cells.pitch / length[counts]
     return Sightings(axis, uv[counts], known, sigma, shared, np.array(config.shared_sigma))
-
-
-def _edges(config: ForeshorteningConfig, number: int = 33) -> list[Sightings]:
-    """The map's edges, seen where they are."""
-    along = node_centres_1d(number)
-    return [
-        Sightings(
-            side.axis,
-            side.film_points(along, np.zeros(number)),
-            np.full(number, side.edge),
-            np.full(number, config.edge_sigma),
-            np.zeros((number, 0)),
-            np.zeros(0),
-        )
-        for side in SIDES
-    ]
 
 
 __all__ = ["Bend", "ForeshorteningConfig", "Spacing", "bent", "even", "spacing", "unbent"]
