@@ -1,18 +1,19 @@
 """The unstretched sheet: its edges in the photo tell where its inside is, and it is refused where none fits."""
 
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import pytest
 
 from hybrid.backward import BackwardMap, end_point_error
 from hybrid.coords import film_nodes
-from hybrid.rectify.course import centred
 from hybrid.rectify.grid import Comb, GridConfig
 from hybrid.rectify.layout import Evidence
+from hybrid.rectify.margins import MarginsConfig, PlacedPrint, usual_margins
+from hybrid.rectify.repeat import Repeats
 from hybrid.rectify.sheet import Frame, Sheet, SheetConfig, flat_sheet, project, surface
-from hybrid.rectify.sheet_fit import fit_sheet, refit_sheet
+from hybrid.rectify.sheet_fit import FittedSheet, fit_sheet, refit_sheet
 from hybrid.rectify.sheet_problem import Sum, add_strain, strain_curvature
 from hybrid.rectify.sightings import Sightings, carried
 
@@ -215,15 +216,41 @@ def test_lines_lie_in_the_middle_where_what_is_seen_allows_it(off, expected):
     seen = edges_seen(true, coarse, np.random.default_rng(0), 0.3) + lines
     found = refit_sheet(coarse, coarse, PHOTO, seen, CONFIG)
     assert found is not None
-    comb = Comb(0, places[0], 0.2, 4, np.arange(5), 2, 1, 1.0, np.repeat(np.array(places)[:, None], 4, axis=1))
-    evidence = (*(Evidence(edge) for edge in seen[:4]), Evidence(lines[0], comb))
-    fit = partial(refit_sheet, coarse, coarse, PHOTO, config=CONFIG)
-    sheet, then = centred(found, evidence, seen, fit, GridConfig())
-    assert sheet is not None
-    assert isinstance(then[-1].source, Comb)
-    assert then[-1].source.centred == expected
-    assert (abs(sheet.constants[-1][0]) < 1e-4) == expected
-    assert error_px(sheet.backward, true) < 1.05 * error_px(found.backward, true)
+    comb = Comb(0, places[0], 1.07 * 0.2, 4, np.arange(5), 2, 1, 1.0, np.repeat(np.array(places)[:, None], 4, axis=1))
+    placed = usual_margins(placed_print(found, seen, comb), fitting(coarse), GridConfig(), MarginsConfig())
+    assert isinstance(placed.evidence[-1].source, Comb)
+    assert placed.evidence[-1].source.centred == expected
+    assert (abs(placed.sheet.constants[-1][0]) < 1e-4) == expected
+    assert error_px(placed.sheet.backward, true) < 1.05 * error_px(found.backward, true)
+
+
+@pytest.mark.parametrize(("margin", "expected"), [(0.0, True), (0.01, False)])
+def test_cells_reach_from_edge_to_edge_where_what_is_seen_allows_it(margin, expected):
+    true = cylinder(1.2, 0, 10)
+    coarse = larger(true)
+    pitch = (1 - 2 * margin) / 4
+    lines = lines_seen(true, coarse, {0: [margin + pitch, margin + 2 * pitch, margin + 3 * pitch]})
+    seen = edges_seen(true, coarse, np.random.default_rng(0), 0.3) + lines
+    found = refit_sheet(coarse, coarse, PHOTO, seen, CONFIG)
+    assert found is not None
+    repeats = Repeats(0, 0.5 - 2 * 1.07 * pitch, 1.07 * pitch, 4)
+    placed = usual_margins(placed_print(found, seen, repeats), fitting(coarse), GridConfig(), MarginsConfig())
+    source = placed.evidence[-1].source
+    assert isinstance(source, Repeats)
+    assert source.filling == expected
+    assert source.adjusted(placed.sheet.constants[-1]).pitch == pytest.approx(pitch, abs=2e-3)
+    assert error_px(placed.sheet.backward, true) < 1.05 * error_px(found.backward, true)
+
+
+def placed_print(sheet: FittedSheet, seen: list[Sightings], source: Comb | Repeats) -> PlacedPrint:
+    """Four edges and what is printed."""
+    evidence = (*(Evidence(edge) for edge in seen[:4]), Evidence(seen[4], source))
+    return PlacedPrint(sheet, evidence, evidence)
+
+
+def fitting(coarse: BackwardMap) -> Callable[[Sequence[Sightings], FittedSheet | None], FittedSheet | None]:
+    """Fits of sheets to what is seen through a map."""
+    return lambda seen, before: refit_sheet(coarse, coarse, PHOTO, seen, CONFIG, before)
 
 
 def test_a_third_of_the_points_of_an_edge_may_be_wrong():

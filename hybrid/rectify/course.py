@@ -20,9 +20,10 @@ from hybrid.film_view import FilmView
 from hybrid.rectify.cell_phases import AxisPhases
 from hybrid.rectify.cells import CellsConfig, Reading, read_cells
 from hybrid.rectify.congeal import CongealConfig, register_cells
-from hybrid.rectify.grid import Comb, GridConfig
+from hybrid.rectify.grid import GridConfig
 from hybrid.rectify.held_out import held_out_residuals
 from hybrid.rectify.layout import Evidence, Layout, find_layout
+from hybrid.rectify.margins import MarginsConfig, PlacedPrint, in_place, usual_margins
 from hybrid.rectify.match import match_cells, match_to_one_cell
 from hybrid.rectify.outline import OutlineConfig, find_outline
 from hybrid.rectify.repeat import RepeatConfig, cell_agreement
@@ -48,6 +49,7 @@ class RefineConfig:
     grid: GridConfig = field(default_factory=GridConfig)
     repeat: RepeatConfig = field(default_factory=RepeatConfig)
     cells: CellsConfig = field(default_factory=CellsConfig)
+    margins: MarginsConfig = field(default_factory=MarginsConfig)
     congeal: CongealConfig = field(default_factory=CongealConfig)
     spline: SplineConfig = field(default_factory=SplineConfig)
     working_px: int = 1000
@@ -218,18 +220,25 @@ def unstretched(progress: Progress, config: RefineConfig, clock: Clock) -> Progr
     """One more round, from the map of the unstretched sheet that explains best what the last round saw; None where
     there is none."""
     attempt, scene = progress.attempts[-1], progress.scene
-    seen = [e.sightings.subset(w > config.counts) for e, w in zip(attempt.evidence, attempt.weights, strict=True)]
+    seen = tuple(e.subset(w > config.counts) for e, w in zip(attempt.evidence, attempt.weights, strict=True))
     if sum(e.source is None for e in attempt.evidence) < config.sheet.least_edges:
         return None
     near = attempt.displacement.composed(scene.coarse)
     size = (scene.photo.shape[0], scene.photo.shape[1])
-    fit = partial(refit_sheet, near, scene.coarse, size, config=config.sheet)
-    sheet, evidence = fit(seen, before=progress.sheet), attempt.evidence
-    if progress.sheet is not None:
-        sheet, evidence = centred(sheet, evidence, seen, fit, config.grid)
-    if sheet is None or sheet.backward.folds((33, 33)):
+
+    def fit(sightings: Sequence[Sightings], before: FittedSheet | None) -> FittedSheet | None:
+        return refit_sheet(near, scene.coarse, size, sightings, config.sheet, before)
+
+    sheet = fit([e.sightings for e in seen], progress.sheet)
+    if sheet is None:
         return None
-    layout = progress.layout.adjusted(evidence, sheet.constants)
+    placed = PlacedPrint(sheet, attempt.evidence, seen)
+    if progress.sheet is not None:
+        placed = usual_margins(placed, fit, config.grid, config.margins)
+    sheet = placed.sheet
+    if sheet.backward.folds((33, 33)):
+        return None
+    layout = progress.layout.adjusted(placed.evidence, sheet.constants)
     if progress.sheet is None:
         outline = find_outline(scene.photo, sheet.backward, config.outline_again)
     else:
@@ -239,33 +248,6 @@ def unstretched(progress: Progress, config: RefineConfig, clock: Clock) -> Progr
     still = _Attempt(no_displacement(config.spline), tuple(Evidence(s) for s in outline))
     begun = Progress(scene, outline, (still,), layout, sheet=sheet)
     return _round(begun, config.line_rounds, _matchers(config)[-1], config, clock)
-
-
-def centred(
-    sheet: FittedSheet | None,
-    evidence: tuple[Evidence, ...],
-    seen: Sequence[Sightings],
-    fit: Callable[..., FittedSheet | None],
-    config: GridConfig,
-) -> tuple[FittedSheet | None, tuple[Evidence, ...]]:
-    """The sheet with its combs of lines in its middle, for those that what was seen allows to lie there.
-
-    Where between the edges lines lie only the sheet's bend tells, to some thousandths of the film; but margins are
-    mostly alike. fit: of a sheet to what is ``seen`` of the ``evidence``, from that of ``before``.
-    """
-    seen = list(seen)
-    for k, one in enumerate(evidence):
-        comb = one.source
-        if sheet is None or not isinstance(comb, Comb) or comb.centred or comb.fills_film(config):
-            continue
-        if abs(sheet.constants[k][0]) > config.centred_within:
-            continue
-        tried = [*seen[:k], _in_the_middle(seen[k], config), *seen[k + 1 :]]
-        found = fit(tried, before=sheet)
-        if found is not None and found.cost < (1.0 + config.centred_cost) * sheet.cost:
-            middle = replace(one, source=replace(comb, centred=True))
-            sheet, seen, evidence = found, tried, (*evidence[:k], middle, *evidence[k + 1 :])
-    return sheet, evidence
 
 
 def ended(progress: Progress, config: RefineConfig, clock: Clock) -> Course:
@@ -329,18 +311,11 @@ def _observe_print(
         if pinned and not comb.fills_film(config.grid):
             wide = np.append(np.full(2, config.congeal.shared_sigma), sightings.shared_sigma[2:])
             sightings = replace(sightings, shared_sigma=wide)
-        if comb.centred:
-            sightings = _in_the_middle(sightings, config.grid)
         evidence.append(Evidence(sightings, comb))
     columns, rows = layout.repeats
     if columns is not None and rows is not None:
         evidence += [Evidence(s, layout.repeats[s.axis]) for s in matcher(view, columns, rows)]
-    return evidence
-
-
-def _in_the_middle(lines: Sightings, config: GridConfig) -> Sightings:
-    """Sightings of a comb's lines with its middle in the film's."""
-    return replace(lines, shared_sigma=np.append(config.centred_sigma, lines.shared_sigma[1:]))
+    return [in_place(e, config.margins) for e in evidence]
 
 
 def _as_uncertain(edge: Sightings, layout: Layout, config: RefineConfig) -> Sightings:
@@ -412,7 +387,6 @@ __all__ = [
     "RefineConfig",
     "agreement",
     "begin",
-    "centred",
     "ended",
     "followed",
     "read_view",

@@ -65,13 +65,6 @@ class GridConfig:
     inset_sigma: float = 0.006
     """Prior standard deviation of where the first and the last line lie beside their places, in film units: up to the
     width of the gaps between cells that have frames of their own."""
-    centred_within: float = 0.006
-    """A comb whose middle lies this near to the film's is tried as one with margins that are alike, in film units."""
-    centred_sigma: float = 1e-4
-    """Prior standard deviation of its middle from the film's then, in film units."""
-    centred_cost: float = 0.06
-    """By what share the sum of squares of the sheet that is fitted may grow by that: most prints have such margins, few
-    only nearly such."""
     snug: float = 0.008
     """A grid whose ends lie this near to the film's edges is taken to fill the film."""
     beyond: float = 0.025

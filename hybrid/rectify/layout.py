@@ -34,6 +34,10 @@ class Evidence:
         """As if seen through the coarse map."""
         return replace(self, sightings=displacement.lift(self.sightings))
 
+    def subset(self, chosen: np.ndarray) -> Evidence:
+        """The chosen sightings only."""
+        return replace(self, sightings=self.sightings.subset(chosen))
+
 
 @dataclass(frozen=True, eq=False)
 class Layout:

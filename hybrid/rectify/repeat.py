@@ -71,12 +71,16 @@ class RepeatConfig:
 
 @dataclass(frozen=True)
 class Repeats:
-    """Cells that repeat along one axis (0: u, 1: v): cell i starts at ``first + i * pitch``, in film units."""
+    """Cells that repeat along one axis (0: u, 1: v): cell i starts at ``first + i * pitch``, in film units.
+
+    filling: whether they are taken to reach from edge to edge.
+    """
 
     axis: int
     first: float
     pitch: float
     cells: int
+    filling: bool = False
 
     def lines(self) -> Float[np.ndarray, " n"]:
         """Film coordinates of the cells' ends."""

@@ -37,7 +37,7 @@ class SheetConfig:
     """Standard deviation of an edge's place."""
     print_px: float = 0.7
     """Standard deviation of the place of what is printed, beside what is stated for it."""
-    network_px: float = 6.0
+    network_px: float = 12.0
     """Standard deviation of the network's map; smooth, so that all nodes tell as much as six."""
     strain: float = 1.5e-3
     """Standard deviation of the strain at 40 places: what the splines cannot follow; film itself strains far less."""

@@ -1,0 +1,140 @@
+"""Where between the sheet's edges the print lies: the margins that most prints have, tried on the sheet that is fitted.
+
+How wide the margins are only the sheet's bend tells, to some thousandths of the film, and an error there bends the
+sheet. But most prints fill their film, and of the others most have margins that are alike on both sides. Where a sheet
+explains what is seen nearly as well with such margins, they are taken.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+from hybrid.rectify.grid import Comb, GridConfig
+from hybrid.rectify.layout import Evidence
+from hybrid.rectify.repeat import Repeats
+from hybrid.rectify.sheet_fit import FittedSheet
+from hybrid.rectify.sightings import Sightings
+
+
+@dataclass(frozen=True)
+class MarginsConfig:
+    """Options of the margins that are tried. Lengths are in film units.
+
+    filling: margins that are together no wider than this, or that much too narrow, are tried as none. off_middle: a
+    grid whose middle lies this near to the film's is tried as one in the middle. costs: by what share the sum of
+    squares of the fit may grow by that. sigma: prior standard deviation of the print's place then.
+    """
+
+    filling: float = 0.04
+    off_middle: float = 0.006
+    costs: float = 0.05
+    sigma: float = 1e-4
+
+
+Fit = Callable[[Sequence[Sightings], FittedSheet | None], FittedSheet | None]
+"""The sheet that explains best what is seen, from another sheet or from none."""
+
+
+@dataclass(frozen=True, eq=False)
+class PlacedPrint:
+    """A sheet, and the evidence that it was fitted to. seen: the part of the evidence that counted."""
+
+    sheet: FittedSheet
+    evidence: tuple[Evidence, ...]
+    seen: tuple[Evidence, ...]
+
+    def along(self, axis: int) -> list[int]:
+        """Which of the evidence is of the print, and tells where it is along an axis."""
+        return [k for k, e in enumerate(self.evidence) if e.source is not None and e.source.axis == axis]
+
+
+def usual_margins(found: PlacedPrint, fit: Fit, grid: GridConfig, config: MarginsConfig) -> PlacedPrint:
+    """What was found, with margins as most prints have them along each axis where that explains it nearly as well."""
+    for axis in (0, 1):
+        for usual in (_filling, _in_the_middle):
+            tried = usual(found, axis, grid, config)
+            if tried is None:
+                continue
+            sheet = fit([e.sightings for e in tried.seen], found.sheet)
+            if sheet is not None and sheet.cost < (1.0 + config.costs) * found.sheet.cost:
+                found = replace(tried, sheet=sheet)
+                break
+    return found
+
+
+def in_place(e: Evidence, config: MarginsConfig) -> Evidence:
+    """Evidence of a print whose place is known, with that as a prior; any other as it is."""
+    if isinstance(e.source, Comb) and e.source.centred:
+        return _held(e, {0: config.sigma})
+    if isinstance(e.source, Repeats) and e.source.filling:
+        return _held(e, {-1: config.sigma / e.source.cells})
+    return e
+
+
+# ---------------------------------------------------------------- what is tried
+
+
+def _filling(found: PlacedPrint, axis: int, grid: GridConfig, config: MarginsConfig) -> PlacedPrint | None:
+    """The cells from edge to edge; None where they are so already, or their pitch or place tells otherwise."""
+    which = found.along(axis)
+    for k in which:
+        source, constants = found.evidence[k].source, found.sheet.constants[k]
+        if isinstance(source, Comb):
+            known, wide = source.fills_film(grid), abs(constants[0]) > config.off_middle
+        else:
+            assert source is not None
+            known, wide = source.filling, False
+        pitch = source.pitch + constants[1 if isinstance(source, Comb) else -1]
+        if known or wide or abs(1.0 - source.cells * pitch) > config.filling:
+            return None
+    return _changed(found, which, lambda e: _filled(e, config)) if which else None
+
+
+def _in_the_middle(found: PlacedPrint, axis: int, grid: GridConfig, config: MarginsConfig) -> PlacedPrint | None:
+    """Lines with margins that are alike; None where no lines are seen, or they lie elsewhere."""
+    for k in found.along(axis):
+        source, off = found.evidence[k].source, found.sheet.constants[k][0]
+        open_yet = isinstance(source, Comb) and not source.centred and not source.fills_film(grid)
+        if open_yet and abs(off) < config.off_middle:
+            return _changed(found, [k], lambda e: in_place(_centred(e), config))
+    return None
+
+
+def _changed(found: PlacedPrint, which: Sequence[int], change: Callable[[Evidence], Evidence]) -> PlacedPrint:
+    """The same with some of the evidence changed, and what counted of it."""
+    evidence, seen = (
+        tuple(change(e) if k in which else e for k, e in enumerate(each)) for each in (found.evidence, found.seen)
+    )
+    return replace(found, evidence=evidence, seen=seen)
+
+
+def _centred(e: Evidence) -> Evidence:
+    """Evidence of lines, as of such whose middle is the film's."""
+    assert isinstance(e.source, Comb)
+    return replace(e, source=replace(e.source, centred=True))
+
+
+def _filled(e: Evidence, config: MarginsConfig) -> Evidence:
+    """Evidence of cells or lines, as of a print without margins."""
+    source = e.source
+    assert source is not None
+    column = 1 if isinstance(source, Comb) else -1
+    known = e.sightings.known + e.sightings.shared[:, column] * (1.0 / source.cells - source.pitch)
+    moved = replace(e.sightings, known=known)
+    sigma = {column: config.sigma / source.cells}
+    if isinstance(source, Comb):
+        lines = replace(source, first=0.0, pitch=1.0 / source.cells)
+        return _held(Evidence(moved, lines), {0: config.sigma, **sigma})
+    return _held(Evidence(moved, Repeats(source.axis, 0.0, 1.0 / source.cells, source.cells, filling=True)), sigma)
+
+
+def _held(e: Evidence, sigma: dict[int, float]) -> Evidence:
+    """The same with other prior deviations of some of the shared constants."""
+    deviations = e.sightings.shared_sigma.copy()
+    for column, value in sigma.items():
+        deviations[column] = value
+    return replace(e, sightings=replace(e.sightings, shared_sigma=deviations))
+
+
+__all__ = ["MarginsConfig", "PlacedPrint", "in_place", "usual_margins"]
