@@ -59,7 +59,7 @@ class TrustConfig:
     """Least number of the sheet's edges that are seen: what only repeats tells neither place nor size."""
     min_support: float = 0.6
     """Least mean probability that an edge lies where the map puts it: others look like none to who reads them."""
-    min_in_step: float = 0.85
+    min_in_step: float = 0.88
     """Least agreement of the grid with what the network tells of the cells."""
     min_alike: float = 0.12
     """Least agreement of the cells: noise repeats by chance, too."""
