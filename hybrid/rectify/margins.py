@@ -80,13 +80,13 @@ def _filling(found: PlacedPrint, axis: int, grid: GridConfig, config: MarginsCon
     which = found.along(axis)
     for k in which:
         source, constants = found.evidence[k].source, found.sheet.constants[k]
+        assert source is not None
         if isinstance(source, Comb):
-            known, wide = source.fills_film(grid), abs(constants[0]) > config.off_middle
+            known, elsewhere = source.fills_film(grid), abs(constants[0]) > config.off_middle
         else:
-            assert source is not None
-            known, wide = source.filling, False
-        pitch = source.pitch + constants[1 if isinstance(source, Comb) else -1]
-        if known or wide or abs(1.0 - source.cells * pitch) > config.filling:
+            known, elsewhere = source.filling, False
+        margins = 1.0 - source.cells * (source.pitch + constants[_pitch_column(source)])
+        if known or elsewhere or abs(margins) > config.filling:
             return None
     return _changed(found, which, lambda e: _filled(e, config)) if which else None
 
@@ -119,7 +119,7 @@ def _filled(e: Evidence, config: MarginsConfig) -> Evidence:
     """Evidence of cells or lines, as of a print without margins."""
     source = e.source
     assert source is not None
-    column = 1 if isinstance(source, Comb) else -1
+    column = _pitch_column(source)
     known = e.sightings.known + e.sightings.shared[:, column] * (1.0 / source.cells - source.pitch)
     moved = replace(e.sightings, known=known)
     sigma = {column: config.sigma / source.cells}
@@ -127,6 +127,11 @@ def _filled(e: Evidence, config: MarginsConfig) -> Evidence:
         lines = replace(source, first=0.0, pitch=1.0 / source.cells)
         return _held(Evidence(moved, lines), {0: config.sigma, **sigma})
     return _held(Evidence(moved, Repeats(source.axis, 0.0, 1.0 / source.cells, source.cells, filling=True)), sigma)
+
+
+def _pitch_column(source: Comb | Repeats) -> int:
+    """Which of the constants that its sightings share is the pitch's."""
+    return 1 if isinstance(source, Comb) else -1
 
 
 def _held(e: Evidence, sigma: dict[int, float]) -> Evidence:
