@@ -146,7 +146,7 @@ def shape_of(
         start = on_edges(mean.backward)
 
     def evened(film: BackwardMap) -> BackwardMap:
-        return even(film, phases, read.seen_through(film), config.foreshortening)
+        return film if phases is None else even(film, phases, read.seen_through(film), config.foreshortening)
 
     with clock.stage("spacing") as report:
         report.ran, before = phases is not None, start

@@ -233,7 +233,7 @@ def unstretched(progress: Progress, config: RefineConfig, clock: Clock) -> Progr
     if sheet is None:
         return None
     placed = PlacedPrint(sheet, attempt.evidence, seen)
-    if progress.sheet is not None:
+    if progress.sheet is not None:  # the first sheet is too far off to tell margins
         placed = usual_margins(placed, fit, config.grid, config.margins)
     sheet = placed.sheet
     if sheet.backward.folds((33, 33)):

@@ -62,14 +62,12 @@ class Spacing:
 
 
 def even(
-    film: BackwardMap, phases: CellPhases | None, edges: Sequence[Sightings], config: ForeshorteningConfig
+    film: BackwardMap, phases: CellPhases, edges: Sequence[Sightings], config: ForeshorteningConfig
 ) -> BackwardMap:
     """The map through which the phases run evenly; ``film`` itself where none are told, or where it would fold.
 
     edges: of the sheet, as far as they are seen, through ``film``; they are left where they are.
     """
-    if phases is None:
-        return film
     told = phases.inside(film)
     if len(told) == 0:
         return film

@@ -8,6 +8,7 @@ seen. Then each line is followed along its length (follow.py).
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import cv2
 import numpy as np
@@ -97,6 +98,8 @@ class Comb:
     strength: float
     tracks: Float[np.ndarray, "k s"]
     centred: bool = False
+    pitch_at: ClassVar[int] = 1
+    """Which of the constants that its sightings share is the pitch's."""
 
     def straight(self) -> Comb:
         """The comb with its lines where they belong: for a view through a map that has been put right."""
@@ -106,7 +109,7 @@ class Comb:
     def adjusted(self, sightings: Sightings, constants: Float[np.ndarray, "4"]) -> Comb:
         """With the place and pitch that a fit of its sightings found."""
         step = np.ptp(sightings.known) / max(np.ptp(sightings.shared[:, 1]), 1.0)
-        pitch = float(step if step > 0 else self.pitch) + float(constants[1])
+        pitch = float(step if step > 0 else self.pitch) + float(constants[self.pitch_at])
         return replace(self, first=0.5 + float(constants[0]) - 0.5 * self.cells * pitch, pitch=pitch)
 
     def fills_film(self, config: GridConfig) -> bool:

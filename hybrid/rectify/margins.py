@@ -68,7 +68,7 @@ def in_place(e: Evidence, config: MarginsConfig) -> Evidence:
     if isinstance(e.source, Comb) and e.source.centred:
         return _held(e, {0: config.sigma})
     if isinstance(e.source, Repeats) and e.source.filling:
-        return _held(e, {-1: config.sigma / e.source.cells})
+        return _held(e, {e.source.pitch_at: config.sigma / e.source.cells})
     return e
 
 
@@ -85,7 +85,7 @@ def _filling(found: PlacedPrint, axis: int, grid: GridConfig, config: MarginsCon
             known, elsewhere = source.fills_film(grid), abs(constants[0]) > config.off_middle
         else:
             known, elsewhere = source.filling, False
-        margins = 1.0 - source.cells * (source.pitch + constants[_pitch_column(source)])
+        margins = 1.0 - source.cells * (source.pitch + constants[source.pitch_at])
         if known or elsewhere or abs(margins) > config.filling:
             return None
     return _changed(found, which, lambda e: _filled(e, config)) if which else None
@@ -119,19 +119,11 @@ def _filled(e: Evidence, config: MarginsConfig) -> Evidence:
     """Evidence of cells or lines, as of a print without margins."""
     source = e.source
     assert source is not None
-    column = _pitch_column(source)
-    known = e.sightings.known + e.sightings.shared[:, column] * (1.0 / source.cells - source.pitch)
-    moved = replace(e.sightings, known=known)
-    sigma = {column: config.sigma / source.cells}
-    if isinstance(source, Comb):
-        lines = replace(source, first=0.0, pitch=1.0 / source.cells)
-        return _held(Evidence(moved, lines), {0: config.sigma, **sigma})
-    return _held(Evidence(moved, Repeats(source.axis, 0.0, 1.0 / source.cells, source.cells, filling=True)), sigma)
-
-
-def _pitch_column(source: Comb | Repeats) -> int:
-    """Which of the constants that its sightings share is the pitch's."""
-    return 1 if isinstance(source, Comb) else -1
+    known = e.sightings.known + e.sightings.shared[:, source.pitch_at] * (1.0 / source.cells - source.pitch)
+    moved, filled = replace(e.sightings, known=known), replace(source, first=0.0, pitch=1.0 / source.cells)
+    if isinstance(filled, Repeats):
+        return in_place(Evidence(moved, replace(filled, filling=True)), config)
+    return _held(Evidence(moved, filled), {0: config.sigma, filled.pitch_at: config.sigma / filled.cells})
 
 
 def _held(e: Evidence, sigma: dict[int, float]) -> Evidence:

@@ -8,6 +8,7 @@ alike. The pitch shows in the autocorrelation of the flat film. Then the cells a
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import cv2
 import numpy as np
@@ -81,6 +82,8 @@ class Repeats:
     pitch: float
     cells: int
     filling: bool = False
+    pitch_at: ClassVar[int] = -1
+    """Which of the constants that its sightings share is the pitch's."""
 
     def lines(self) -> Float[np.ndarray, " n"]:
         """Film coordinates of the cells' ends."""
@@ -88,7 +91,7 @@ class Repeats:
 
     def adjusted(self, constants: Float[np.ndarray, " g"]) -> Repeats:
         """With the pitch that a fit of its matches found; the place, which texts do not tell, stays centred."""
-        pitch = float(np.clip(self.pitch + constants[-1], 0.5 * self.pitch, 1.0 / self.cells))
+        pitch = float(np.clip(self.pitch + constants[self.pitch_at], 0.5 * self.pitch, 1.0 / self.cells))
         return replace(self, first=0.5 * (1.0 - self.cells * pitch), pitch=pitch)
 
 
