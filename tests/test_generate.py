@@ -245,6 +245,15 @@ def test_a_cluster_that_is_not_there_is_said(monkeypatch):
         pass
 
 
+@pytest.fixture
+def interruptible():
+    """Processes started meanwhile obey SIGINT, even if these tests run in the background, where shells ignore it."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.usefixtures("interruptible")
 def test_ctrl_c_ends_in_one_line(tmp_path):
     arguments = ["--count", "800", "--out", str(tmp_path / "d"), "--size", "48", "--workers", "1"]
     command = [sys.executable, "-m", "data_gen.generate", *arguments]
