@@ -8,7 +8,7 @@ from hybrid.coords import film_centres_1d
 from hybrid.film_view import FilmView, extended_weights, lattice_points, view_film
 from hybrid.rectify.follow import follow_comb
 from hybrid.rectify.grid import GridConfig, find_comb
-from hybrid.rectify.match import match_cells
+from hybrid.rectify.match import MatchConfig, match_cells
 from hybrid.rectify.repeat import RepeatConfig, cell_agreement, find_repeats
 
 GRID, REPEAT = GridConfig(), RepeatConfig()
@@ -101,7 +101,7 @@ def test_matches_see_a_moved_cell_and_agreement_falls():
     moved[150:300, 160:320] = np.roll(moved[150:300, 160:320], 3, axis=1)
     shifted = FilmView(moved, view.u, view.v, view.inside)
     assert cell_agreement(shifted, columns, rows) < cell_agreement(view, columns, rows)
-    u = next(s for s in match_cells(shifted, columns, rows, REPEAT.second, REPEAT) if s.axis == 0)
+    u = next(s for s in match_cells(shifted, columns, rows, MatchConfig()) if s.axis == 0)
     cell = (np.floor(u.known * 3) == 1) & (np.floor(u.places()[:, 1] * 4) == 1)
     offsets_px = u.offsets() * 480
     assert np.median(offsets_px[cell]) - np.median(offsets_px[~cell]) == pytest.approx(3.0, abs=0.5)

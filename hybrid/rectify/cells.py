@@ -277,9 +277,9 @@ def _best_apart(
     at: Float[np.ndarray, " n"], score: Float[np.ndarray, " n"] | Int[np.ndarray, " n"], number: int, apart: float
 ) -> list[int]:
     """Which places have the best scores, no two of them nearer to each other than ``apart``."""
-    best: list[int] = []
+    places, best = at.tolist(), list[int]()
     for k in np.argsort(-score, kind="stable").tolist():
-        if all(abs(at[k] - at[other]) > apart for other in best):
+        if all(abs(places[k] - places[other]) > apart for other in best):
             best.append(k)
             if len(best) == number:
                 break

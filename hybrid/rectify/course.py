@@ -1,9 +1,9 @@
 """From one map to start from, round for round, to a map that what is seen on the film bears out.
 
 The start is kept and corrected by a smooth displacement of the film plane (sightings.py). Sightings are the sheet's
-edges (outline.py), the rules or gutters between the slices (grid.py), and what the cells have in common (repeat.py for
-the first two rounds, then congeal.py). All are looked for again through the improved map, and count only if they
-agree: the spline is fitted to half of them and must explain the other half.
+edges (outline.py), the rules or gutters between the slices (grid.py), and what the cells have in common (match.py in
+the first round, then congeal.py). All are looked for again through the improved map, and count only if they agree: the
+spline is fitted to half of them and must explain the other half.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from hybrid.rectify.grid import GridConfig
 from hybrid.rectify.held_out import held_out_residuals
 from hybrid.rectify.layout import Evidence, Layout, find_layout
 from hybrid.rectify.margins import MarginsConfig, PlacedPrint, in_place, usual_margins
-from hybrid.rectify.match import match_cells, match_to_one_cell
+from hybrid.rectify.match import MatchConfig, match_cells
 from hybrid.rectify.outline import OutlineConfig, find_outline
 from hybrid.rectify.repeat import RepeatConfig, cell_agreement
 from hybrid.rectify.scene import Scene, halved, phases_along, view_of
@@ -48,6 +48,7 @@ class RefineConfig:
     sheet: SheetConfig = field(default_factory=SheetConfig)
     grid: GridConfig = field(default_factory=GridConfig)
     repeat: RepeatConfig = field(default_factory=RepeatConfig)
+    match: MatchConfig = field(default_factory=MatchConfig)
     cells: CellsConfig = field(default_factory=CellsConfig)
     margins: MarginsConfig = field(default_factory=MarginsConfig)
     congeal: CongealConfig = field(default_factory=CongealConfig)
@@ -285,9 +286,8 @@ def read_view(
 
 def _matchers(config: RefineConfig) -> list[Callable[..., tuple[Sightings, ...]]]:
     """How cells are matched, round for round: ever less far and ever more exactly."""
-    far = partial(match_to_one_cell, search=config.repeat.first, config=config.repeat)
-    nearer = partial(match_cells, search=config.repeat.second, config=config.repeat)
-    return [far, nearer, *(partial(register_cells, blur_px=b, config=config.congeal) for b in config.congeal.blurs_px)]
+    match = partial(match_cells, config=config.match)
+    return [match, *(partial(register_cells, blur_px=b, config=config.congeal) for b in config.congeal.blurs_px)]
 
 
 def _observe_print(

@@ -23,12 +23,15 @@ class MarginsConfig:
 
     filling: margins that are together no wider than this, or that much too narrow, are tried as none. off_middle: a
     grid whose middle lies this near to the film's is tried as one in the middle. costs: by what share the sum of
-    squares of the fit may grow by that. sigma: prior standard deviation of the print's place then.
+    squares of the fit may grow by that. narrow, narrow_costs: the same for margins that are together no wider than
+    that: hardly a film has such. sigma: prior standard deviation of the print's place then.
     """
 
     filling: float = 0.04
+    narrow: float = 0.02
     off_middle: float = 0.006
     costs: float = 0.05
+    narrow_costs: float = 0.2
     sigma: float = 1e-4
 
 
@@ -53,11 +56,11 @@ def usual_margins(found: PlacedPrint, fit: Fit, grid: GridConfig, config: Margin
     """What was found, with margins as most prints have them along each axis where that explains it nearly as well."""
     for axis in (0, 1):
         for usual in (_filling, _in_the_middle):
-            tried = usual(found, axis, grid, config)
+            tried, costs = usual(found, axis, grid, config)
             if tried is None:
                 continue
             sheet = fit([e.sightings for e in tried.seen], found.sheet)
-            if sheet is not None and sheet.cost < (1.0 + config.costs) * found.sheet.cost:
+            if sheet is not None and sheet.cost < (1.0 + costs) * found.sheet.cost:
                 found = replace(tried, sheet=sheet)
                 break
     return found
@@ -72,12 +75,14 @@ def in_place(e: Evidence, config: MarginsConfig) -> Evidence:
     return e
 
 
-# ---------------------------------------------------------------- what is tried
+# ---------------------------------------------------------------- what is tried, and what it may cost
 
 
-def _filling(found: PlacedPrint, axis: int, grid: GridConfig, config: MarginsConfig) -> PlacedPrint | None:
+def _filling(
+    found: PlacedPrint, axis: int, grid: GridConfig, config: MarginsConfig
+) -> tuple[PlacedPrint | None, float]:
     """The cells from edge to edge; None where they are so already, or their pitch or place tells otherwise."""
-    which = found.along(axis)
+    which, widest = found.along(axis), 0.0
     for k in which:
         source, constants = found.evidence[k].source, found.sheet.constants[k]
         assert source is not None
@@ -85,20 +90,24 @@ def _filling(found: PlacedPrint, axis: int, grid: GridConfig, config: MarginsCon
             known, elsewhere = source.fills_film(grid), abs(constants[0]) > config.off_middle
         else:
             known, elsewhere = source.filling, False
-        margins = 1.0 - source.cells * (source.pitch + constants[source.pitch_at])
-        if known or elsewhere or abs(margins) > config.filling:
-            return None
-    return _changed(found, which, lambda e: _filled(e, config)) if which else None
+        margins = abs(1.0 - source.cells * (source.pitch + constants[source.pitch_at]))
+        if known or elsewhere or margins > config.filling:
+            return None, 0.0
+        widest = max(widest, margins)
+    costs = config.narrow_costs if widest <= config.narrow else config.costs
+    return (_changed(found, which, lambda e: _filled(e, config)) if which else None), costs
 
 
-def _in_the_middle(found: PlacedPrint, axis: int, grid: GridConfig, config: MarginsConfig) -> PlacedPrint | None:
+def _in_the_middle(
+    found: PlacedPrint, axis: int, grid: GridConfig, config: MarginsConfig
+) -> tuple[PlacedPrint | None, float]:
     """Lines with margins that are alike; None where no lines are seen, or they lie elsewhere."""
     for k in found.along(axis):
         source, off = found.evidence[k].source, found.sheet.constants[k][0]
         open_yet = isinstance(source, Comb) and not source.centred and not source.fills_film(grid)
         if open_yet and abs(off) < config.off_middle:
-            return _changed(found, [k], lambda e: in_place(_centred(e), config))
-    return None
+            return _changed(found, [k], lambda e: in_place(_centred(e), config)), config.costs
+    return None, 0.0
 
 
 def _changed(found: PlacedPrint, which: Sequence[int], change: Callable[[Evidence], Evidence]) -> PlacedPrint:

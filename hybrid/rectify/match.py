@@ -1,4 +1,4 @@
-"""Windows of each cell matched to one cell or to the mean cell: for views too crooked for cells to be registered.
+"""Windows of each cell matched to the mean cell: for views too crooked for cells to be registered.
 
 A match observes where the cell's content lies relative to the other cells; distortions that all cells share stay
 unknown constants, one for each window, which the sheet's outline has to pin.
@@ -6,56 +6,71 @@ unknown constants, one for each window, which the sheet's outline has to pin.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import cv2
 import numpy as np
 from jaxtyping import Bool, Float
 
 from hybrid.coords import opencv_from_photo
 from hybrid.film_view import FilmView
-from hybrid.rectify.repeat import MatchRound, RepeatConfig, Repeats, cell_image, cell_moments, detail, shrunk
+from hybrid.rectify.repeat import Repeats, cell_moments, detail, shrunk
 from hybrid.rectify.sightings import Sightings
 
 CORRELATED_PX = 10.0
 """Neighbouring pixels of the view that tell no more than one, as they are correlated."""
 
 
-def match_cells(
-    view: FilmView, columns: Repeats, rows: Repeats, search: MatchRound, config: RepeatConfig
-) -> tuple[Sightings, ...]:
+@dataclass(frozen=True)
+class MatchConfig:
+    """Options of the match of cells. Pixels are those of the view."""
+
+    reach_px: int = 8
+    """How far a window is searched."""
+    fine_px: float = 1.5
+    """Details below this size are smoothed away."""
+    window_share: float = 0.25
+    """Side of a window, as a fraction of the cell's."""
+    windows: int = 30
+    """Windows of a cell that are tried: those with most detail."""
+    min_match: float = 0.6
+    """Least normalised correlation of a window with the mean cell."""
+    slack: float = 0.3
+    """How far a window's typical correlation may lie below the best one's: texts are alike, anatomy is similar, but
+    a view that is still crooked blurs both."""
+    sigma_px: float = 0.5
+    """Least noise stated for a match."""
+    worst_sigma_px: float = 1.5
+    """A match less exact than this, beside that, does not count."""
+    constant_sigma: float = 0.05
+    """Prior standard deviation of what all cells share in one window, in film units."""
+    pitch_sigma: float = 0.02
+    """Prior standard deviation of the pitch, in film units."""
+    shrink: int = 2
+    """The view is reduced by this factor first: what is searched to a pixel or two shows on a smaller view, too."""
+
+
+def match_cells(view: FilmView, columns: Repeats, rows: Repeats, config: MatchConfig) -> tuple[Sightings, ...]:
     """Where the content of each cell lies against the mean cell: sightings of u and of v.
 
     view: the flat grey film, covering [0, 1]^2.
     """
-    image = _match_image(view, search)
-    return _match_template(image, _mean_cell(image, columns, rows, search), columns, rows, search, config)
-
-
-def match_to_one_cell(
-    view: FilmView, columns: Repeats, rows: Repeats, search: MatchRound, config: RepeatConfig
-) -> tuple[Sightings, ...]:
-    """The same against the cell in the middle of the film: for a view so crooked that the mean cell is a blur."""
-    image = _match_image(view, search)
-    cell = cell_image(image, columns, rows, columns.cells // 2, rows.cells // 2)
-    return _match_template(image, cell, columns, rows, search, config)
-
-
-def _match_image(view: FilmView, search: MatchRound) -> Float[np.ndarray, "h w"]:
-    """The detail that is matched, reduced: what is searched to a pixel or two shows on a smaller view too."""
-    small = shrunk(view.image[..., 0], search.shrink)
-    return detail(small, search.fine_px / search.shrink, (4.0 * search.fine_px + 4.0) / search.shrink)
+    small, fine_px = shrunk(view.image[..., 0], config.shrink), config.fine_px / config.shrink
+    image = detail(small, fine_px, 4.0 * fine_px + 4.0 / config.shrink)
+    return _match_template(image, _mean_cell(image, columns, rows, config), columns, rows, config)
 
 
 def _mean_cell(
-    image: Float[np.ndarray, "h w"], columns: Repeats, rows: Repeats, search: MatchRound
+    image: Float[np.ndarray, "h w"], columns: Repeats, rows: Repeats, config: MatchConfig
 ) -> Float[np.ndarray, "ch cw"]:
     """The cells' mean in pixels of the image, weighted by how far the cells agree: texts stay, anatomy fades.
 
-    The weight is (mean^2 / mean square)^agreement of each pixel's neighbourhood: 1 where all cells are the same.
+    The weight is mean^2 / mean square of each pixel's neighbourhood: 1 where all cells are the same.
     """
     mean, square = cell_moments(image, columns, rows)
-    sigma = 2.0 / search.shrink
+    sigma = 2.0 / config.shrink
     agreement = cv2.GaussianBlur(mean * mean, (0, 0), sigma) / (cv2.GaussianBlur(square, (0, 0), sigma) + 1e-2)
-    return mean * np.clip(agreement, 0.0, 1.0) ** search.agreement
+    return mean * np.clip(agreement, 0.0, 1.0)
 
 
 def _match_template(
@@ -63,18 +78,17 @@ def _match_template(
     template: Float[np.ndarray, "ch cw"],
     columns: Repeats,
     rows: Repeats,
-    search: MatchRound,
-    config: RepeatConfig,
+    config: MatchConfig,
 ) -> tuple[Sightings, ...]:
     """Windows of one cell matched in all cells. A window counts if the cells show it about as well as the best."""
     h, w = image.shape
-    reach = -(-search.reach_px // search.shrink)
+    reach = -(-config.reach_px // config.shrink)
     pitch, first = np.array([columns.pitch, rows.pitch]), np.array([columns.first, rows.first])
     cell_px = pitch * (w, h)
-    half = np.maximum(np.rint(0.5 * search.window_share * cell_px).astype(int), 6 // search.shrink)
+    half = np.maximum(np.rint(0.5 * config.window_share * cell_px).astype(int), 6 // config.shrink)
     number = np.stack(np.meshgrid(np.arange(columns.cells), np.arange(rows.cells)), axis=-1).reshape(-1, 2)
     tables = []
-    for k, xy_px in enumerate(_choose_windows(template, half, search.windows)):
+    for k, xy_px in enumerate(_choose_windows(template, half, config.windows)):
         (window,) = _patches(template, xy_px[None], half)
         uv = first + (number + xy_px / cell_px) * pitch
         seen = _within(uv * (w, h), half + reach, (w, h))
@@ -82,12 +96,12 @@ def _match_template(
             continue
         areas = _patches(image, uv[seen] * (w, h), half + reach)
         scores = np.stack([cv2.matchTemplate(area, window, cv2.TM_CCOEFF_NORMED) for area in areas])
-        peaks = match_peaks(scores, CORRELATED_PX / search.shrink**2 / window.size)
+        peaks = match_peaks(scores, CORRELATED_PX / config.shrink**2 / window.size)
         tables.append(np.column_stack([uv[seen], np.full(len(areas), k), number[seen], peaks]))
     typical = [float(np.median(t[:, 9])) for t in tables]
-    least = max(config.min_match, max(typical, default=0.0) - search.match_slack)
+    least = max(config.min_match, max(typical, default=0.0) - config.slack)
     table = np.vstack([np.zeros((0, 10)), *(t for t, m in zip(tables, typical, strict=True) if m >= least)])
-    made = [_match_sightings(table, axis, (h, w), search, config) for axis in (0, 1)]
+    made = [_match_sightings(table, axis, (h, w), config) for axis in (0, 1)]
     return tuple(s for s in made if s is not None)
 
 
@@ -153,14 +167,14 @@ def match_peaks(scores: Float[np.ndarray, "n s s"], noise: float) -> Float[np.nd
 
 
 def _match_sightings(
-    table: Float[np.ndarray, "n 10"], axis: int, size: tuple[int, int], search: MatchRound, config: RepeatConfig
+    table: Float[np.ndarray, "n 10"], axis: int, size: tuple[int, int], config: MatchConfig
 ) -> Sightings | None:
     """Sightings along one axis from matches (u, v, window, column, row, dx, dy, variances, correlation)."""
     sigma_px = np.sqrt(table[:, 7 + axis])
-    good = (table[:, 9] >= config.min_match) & (sigma_px <= config.worst_sigma_px / search.shrink)
+    good = (table[:, 9] >= config.min_match) & (sigma_px <= config.worst_sigma_px / config.shrink)
     if good.sum() < 12:
         return None
-    t, sigma_px = table[good], np.hypot(sigma_px[good], search.sigma_px / search.shrink)
+    t, sigma_px = table[good], np.hypot(sigma_px[good], config.sigma_px / config.shrink)
     pixels = size[1 - axis]
     seen = t[:, :2].copy()
     seen += t[:, 5:7] / (size[1], size[0])
@@ -172,4 +186,4 @@ def _match_sightings(
     return Sightings(axis, seen, t[:, axis].copy(), sigma_px / pixels, shared, shared_sigma, t[:, 2].astype(int))
 
 
-__all__ = ["match_cells", "match_peaks", "match_to_one_cell"]
+__all__ = ["MatchConfig", "match_cells", "match_peaks"]

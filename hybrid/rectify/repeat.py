@@ -18,29 +18,6 @@ from hybrid.film_view import FilmView
 
 
 @dataclass(frozen=True)
-class MatchRound:
-    """How cells are matched in one round."""
-
-    reach_px: int
-    """How far a window is searched, in pixels of the view."""
-    fine_px: float
-    """Details below this size are smoothed away."""
-    window_share: float
-    """Side of a window, as a fraction of the cell's."""
-    agreement: float
-    """Power of the share that all cells have in common, by which details of the mean cell are weighted."""
-    sigma_px: float
-    """Least noise stated for a match, in pixels of the view."""
-    windows: int
-    """Windows of a cell that are tried: those with most detail."""
-    match_slack: float
-    """How far a window's typical correlation may lie below the best one's: texts are alike, anatomy is similar, but
-    a view that is still crooked blurs both."""
-    shrink: int = 2
-    """The view is reduced by this factor before cells are matched; all pixels above are those of the whole view."""
-
-
-@dataclass(frozen=True)
 class RepeatConfig:
     """Options of the search for cells that repeat."""
 
@@ -54,18 +31,6 @@ class RepeatConfig:
     """Least autocorrelation of the film at one pitch."""
     octave_ratio: float = 0.7
     """Of the pitches that correlate at least this well relative to the best, the smallest counts."""
-    first: MatchRound = MatchRound(9, 1.5, 0.22, 0.0, 0.7, 30, 1.0)
-    """What is done in the first round, against one cell."""
-    second: MatchRound = MatchRound(8, 1.5, 0.25, 1.0, 0.5, 30, 0.3)
-    """What is done in the second round, against the mean cell; then the cells are registered (congeal.py)."""
-    min_match: float = 0.6
-    """Least normalised correlation of a window with the mean cell."""
-    worst_sigma_px: float = 1.5
-    """A match less exact than this, beside the least noise of its round, does not count."""
-    constant_sigma: float = 0.05
-    """Prior standard deviation of what all cells share in one window, in film units."""
-    pitch_sigma: float = 0.02
-    """Prior standard deviation of the pitch, in film units."""
     snug: float = 0.992
     """A grid that fills more than this fraction of the film is taken to have no margins."""
 
@@ -190,7 +155,7 @@ def cell_corners(
     return size, (first + (number + 0.5) * pitch) * (w, h) - 0.5 * np.array(size)
 
 
-def cell_image(
+def _cell_image(
     image: Float[np.ndarray, "h w"], columns: Repeats, rows: Repeats, column: int, row: int
 ) -> Float[np.ndarray, "ch cw"]:
     """One cell in pixels of the view, shifted by the fraction of a pixel that brings its corner to a pixel's."""
@@ -216,7 +181,7 @@ def cell_moments(
     image: Float[np.ndarray, "h w"], columns: Repeats, rows: Repeats
 ) -> tuple[Float[np.ndarray, "ch cw"], Float[np.ndarray, "ch cw"]]:
     """Mean and mean square over all cells, in pixels of the view."""
-    cells = [cell_image(image, columns, rows, j, i) for i in range(rows.cells) for j in range(columns.cells)]
+    cells = [_cell_image(image, columns, rows, j, i) for i in range(rows.cells) for j in range(columns.cells)]
     total, squares = np.zeros_like(cells[0]), np.zeros_like(cells[0])
     for cell in cells:
         total += cell
@@ -225,13 +190,11 @@ def cell_moments(
 
 
 __all__ = [
-    "MatchRound",
     "RepeatConfig",
     "Repeats",
     "autocorrelation",
     "cell_agreement",
     "cell_corners",
-    "cell_image",
     "cell_moments",
     "detail",
     "find_repeats",
