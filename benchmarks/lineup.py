@@ -65,7 +65,7 @@ CONFIGURATIONS: dict[str, tuple[str, RectifyConfig]] = {
 }
 """The pipeline with one thing changed, by name: label and options. These run at the first size only."""
 
-OWN = frozenset({"filmnet", *EFFORTS, *CONFIGURATIONS})
+OWN = frozenset({"filmnet_one_look", "filmnet", *EFFORTS, *CONFIGURATIONS})
 """What is of this project; all others are rivals, but the floor."""
 
 
@@ -118,6 +118,7 @@ LINEUP: dict[str, Maker] = {
     "dewarpnet_published": dewarpnet_published,
     "dewarpnet": METHODS["dewarpnet"],
     "firenet": METHODS["firenet"],
+    "filmnet_one_look": METHODS["filmnet_one_look"],
     "filmnet": METHODS["filmnet"],
     **{name: _pipeline(name, label, config) for name, (label, config) in (EFFORTS | CONFIGURATIONS).items()},
 }

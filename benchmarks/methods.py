@@ -31,6 +31,7 @@ from hybrid.backward import BackwardMap
 from hybrid.errors import PhotoError
 from hybrid.learn.baselines import corrected, in_pixels, recover
 from hybrid.learn.dewarpnet import joined
+from hybrid.learn.predict import PredictConfig
 from hybrid.learn.presets import PRESETS, PaperConfig
 from hybrid.learn.tensors import first_map
 from hybrid.learn.uv_recovery import interpolated, points_of_uv
@@ -171,12 +172,20 @@ def _loaded(path: Path, name: str) -> Trained:
 
 def filmnet(folder: Path | None) -> Method | None:
     """FilmNet alone: all its looks at the photo, before refinement. The packaged one, if the folder has none."""
+    return _filmnet("filmnet", folder, PredictConfig(), "hybrid, network alone")
+
+
+def filmnet_one_look(folder: Path | None) -> Method | None:
+    """FilmNet's first look, at the whole photo: one pass of a network, as the paper's have."""
+    return _filmnet("filmnet_one_look", folder, PredictConfig(looks=1, sides=(0,)), "hybrid, one look of its network")
+
+
+def _filmnet(name: str, folder: Path | None, looks: PredictConfig, label: str) -> Method | None:
     known = trained(folder, "filmnet")
     if known is None:
         return None
-    find = Rectifier(RectifyConfig(weights=path_in(folder, "filmnet"))).network_map
-    label = "hybrid, network alone"
-    return Method("filmnet", find, parameters=known.parameters, label=label, training=known.training)
+    find = Rectifier(RectifyConfig(weights=path_in(folder, "filmnet"), predict=looks)).network_map
+    return Method(name, find, parameters=known.parameters, label=label, training=known.training)
 
 
 def hybrid_pipeline(folder: Path | None) -> Method | None:
@@ -280,6 +289,7 @@ def _of_network(
 
 
 METHODS: dict[str, Callable[[Path | None], Method | None]] = {
+    "filmnet_one_look": filmnet_one_look,
     "filmnet": filmnet,
     "hybrid": hybrid_pipeline,
     "firenet": firenet,

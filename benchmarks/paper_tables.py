@@ -34,6 +34,7 @@ TABLES = (
         {
             "dewarpnet": "DewarpNet",
             "firenet": "FiReNet",
+            "filmnet_one_look": "FilmNet, one look",
             "filmnet": "FilmNet, network alone",
             "hybrid": "hybrid, whole pipeline",
         },
