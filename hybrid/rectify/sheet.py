@@ -41,7 +41,7 @@ class SheetConfig:
     """Standard deviation of the network's map; smooth, so that all nodes tell as much as six."""
     strain: float = 1.5e-3
     """Standard deviation of the strain at 40 places: what the splines cannot follow; film itself strains far less."""
-    bending: tuple[float, float] = (250.0, 25.0)
+    bending: tuple[float, float] = (120.0, 25.0)
     """Weight of the mean squared second derivatives, in units of the film's height: of most films, and of those that
     are bent sharply."""
     bent_share: float = 0.25
