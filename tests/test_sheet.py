@@ -242,6 +242,24 @@ def test_cells_reach_from_edge_to_edge_where_what_is_seen_allows_it(margin, expe
     assert error_px(placed.sheet.backward, true) < 1.05 * error_px(found.backward, true)
 
 
+@pytest.mark.parametrize(("margins", "growth", "expected"), [(0.01, 1.1, True), (0.01, 1.3, False), (0.03, 1.1, False)])
+def test_margins_that_are_hardly_there_may_cost_more_to_leave_out(margins, growth, expected):
+    true = cylinder(1.2, 0, 10)
+    seen = edges_seen(true, true, np.random.default_rng(0), 0.3) + lines_seen(true, true, {0: [0.25, 0.5, 0.75]})
+    found = refit_sheet(true, true, PHOTO, seen, CONFIG)
+    assert found is not None
+    found = replace(found, constants=tuple(np.zeros_like(constants) for constants in found.constants))
+    repeats = Repeats(0, margins / 2, (1 - margins) / 4, 4)
+
+    def fit(_: Sequence[Sightings], before: FittedSheet | None) -> FittedSheet | None:
+        return before and replace(before, cost=growth * before.cost)
+
+    placed = usual_margins(placed_print(found, seen, repeats), fit, GridConfig(), MarginsConfig())
+    source = placed.evidence[-1].source
+    assert isinstance(source, Repeats)
+    assert source.filling == expected
+
+
 def placed_print(sheet: FittedSheet, seen: list[Sightings], source: Comb | Repeats) -> PlacedPrint:
     """Four edges and what is printed."""
     evidence = (*(Evidence(edge) for edge in seen[:4]), Evidence(seen[4], source))

@@ -277,7 +277,8 @@ def _best_apart(
     at: Float[np.ndarray, " n"], score: Float[np.ndarray, " n"] | Int[np.ndarray, " n"], number: int, apart: float
 ) -> list[int]:
     """Which places have the best scores, no two of them nearer to each other than ``apart``."""
-    places, best = at.tolist(), list[int]()
+    places: list[float] = at.tolist()
+    best: list[int] = []
     for k in np.argsort(-score, kind="stable").tolist():
         if all(abs(places[k] - places[other]) > apart for other in best):
             best.append(k)
