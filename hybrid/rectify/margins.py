@@ -56,12 +56,13 @@ def usual_margins(found: PlacedPrint, fit: Fit, grid: GridConfig, config: Margin
     """What was found, with margins as most prints have them along each axis where that explains it nearly as well."""
     for axis in (0, 1):
         for usual in (_filling, _in_the_middle):
-            tried, costs = usual(found, axis, grid, config)
+            tried = usual(found, axis, grid, config)
             if tried is None:
                 continue
-            sheet = fit([e.sightings for e in tried.seen], found.sheet)
+            placed, costs = tried
+            sheet = fit([e.sightings for e in placed.seen], found.sheet)
             if sheet is not None and sheet.cost < (1.0 + costs) * found.sheet.cost:
-                found = replace(tried, sheet=sheet)
+                found = replace(placed, sheet=sheet)
                 break
     return found
 
@@ -80,7 +81,7 @@ def in_place(e: Evidence, config: MarginsConfig) -> Evidence:
 
 def _filling(
     found: PlacedPrint, axis: int, grid: GridConfig, config: MarginsConfig
-) -> tuple[PlacedPrint | None, float]:
+) -> tuple[PlacedPrint, float] | None:
     """The cells from edge to edge; None where they are so already, or their pitch or place tells otherwise."""
     which, widest = found.along(axis), 0.0
     for k in which:
@@ -92,22 +93,24 @@ def _filling(
             known, elsewhere = source.filling, False
         margins = abs(1.0 - source.cells * (source.pitch + constants[source.pitch_at]))
         if known or elsewhere or margins > config.filling:
-            return None, 0.0
+            return None
         widest = max(widest, margins)
+    if not which:
+        return None
     costs = config.narrow_costs if widest <= config.narrow else config.costs
-    return (_changed(found, which, lambda e: _filled(e, config)) if which else None), costs
+    return _changed(found, which, lambda e: _filled(e, config)), costs
 
 
 def _in_the_middle(
     found: PlacedPrint, axis: int, grid: GridConfig, config: MarginsConfig
-) -> tuple[PlacedPrint | None, float]:
+) -> tuple[PlacedPrint, float] | None:
     """Lines with margins that are alike; None where no lines are seen, or they lie elsewhere."""
     for k in found.along(axis):
         source, off = found.evidence[k].source, found.sheet.constants[k][0]
         open_yet = isinstance(source, Comb) and not source.centred and not source.fills_film(grid)
         if open_yet and abs(off) < config.off_middle:
             return _changed(found, [k], lambda e: in_place(_centred(e), config)), config.costs
-    return None, 0.0
+    return None
 
 
 def _changed(found: PlacedPrint, which: Sequence[int], change: Callable[[Evidence], Evidence]) -> PlacedPrint:
