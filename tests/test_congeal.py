@@ -9,7 +9,10 @@ import pytest
 from hybrid.coords import film_centres_1d
 from hybrid.film_view import FilmView
 from hybrid.rectify.congeal import CongealConfig, block_shifts, median_image, register_cells
+from hybrid.rectify.grid import Comb
+from hybrid.rectify.layout import Layout
 from hybrid.rectify.repeat import Repeats
+from hybrid.rectify.rim import RimConfig, without_background
 from hybrid.rectify.sightings import Sightings, SplineConfig, fit_displacement
 
 CONFIG = CongealConfig()
@@ -123,3 +126,58 @@ def test_the_median_image_is_the_median_of_each_pixel(n):
     kept = images.copy()
     np.testing.assert_array_equal(median_image(images), np.median(images, axis=0))
     np.testing.assert_array_equal(images, kept)
+
+
+QUARTERS = tuple(Repeats(axis, 0.0, 0.25, 4) for axis in (0, 1))
+
+
+def before_a_bright_ground(view: FilmView) -> FilmView:
+    """The film as a photo shows it on a bright ground, which shines into its outermost pixels."""
+    image = cv2.copyMakeBorder(view.image[..., 0], 8, 8, 8, 8, cv2.BORDER_CONSTANT, value=200.0)
+    return replace(view, image=cv2.GaussianBlur(image, (0, 0), 0.8)[8:-8, 8:-8, None])
+
+
+def shift_of_the_first_column(view: FilmView) -> float:
+    """By how many pixels the texts nearest to the sheet's left edge seem to lie right of those of other cells."""
+    columns, rows = QUARTERS
+    across, _ = register_cells(view, columns, rows, 1.0, CONFIG)
+    first = np.abs(across.known % 0.25) < 24 / (4 * SIDE)
+    at_edge = across.known < 0.25
+    offsets = across.offsets() * 4 * SIDE
+    return float(np.median(offsets[first & at_edge]) - np.median(offsets[first & ~at_edge]))
+
+
+def test_a_bright_ground_does_not_shift_what_is_printed_beside_it():
+    view, _ = print_of_cells(np.random.default_rng(5), 0.0)
+    seen = before_a_bright_ground(view)
+    cleaned = without_background(seen, Layout(repeats=QUARTERS), RimConfig())
+    assert abs(shift_of_the_first_column(view)) < 0.05
+    assert abs(shift_of_the_first_column(seen)) > 0.1, "the ground does not show: this film tells nothing"
+    assert abs(shift_of_the_first_column(cleaned)) < 0.5 * abs(shift_of_the_first_column(seen))
+
+
+def test_only_the_rim_is_put_right_and_the_view_stays():
+    view, _ = print_of_cells(np.random.default_rng(5), 0.0)
+    seen = before_a_bright_ground(view)
+    before = seen.image.copy()
+    cleaned = without_background(seen, Layout(repeats=QUARTERS), RimConfig(width_px=3))
+    assert np.array_equal(seen.image, before)
+    assert np.array_equal(cleaned.image[3:-3, 3:-3], before[3:-3, 3:-3])
+    assert np.array_equal(cleaned.image[100, :3], np.repeat(before[100, 3:4], 3, axis=0))
+    assert without_background(seen, Layout(repeats=QUARTERS), RimConfig(width_px=0)) is seen
+    assert without_background(seen, Layout(), RimConfig()) is seen
+
+
+@pytest.mark.parametrize("known", [False, True], ids=["seen", "known"])
+def test_half_a_rule_along_the_edge_stays(known: bool):
+    """A rule between the cells: seen, or so faint that it was found elsewhere only."""
+    view, _ = print_of_cells(np.random.default_rng(5), 0.0)
+    combs: tuple[Comb | None, Comb | None] = (None, None)
+    if known:
+        rule = Comb(0, 0.0, 0.25, 4, np.arange(5), 1, 1, 1.0, np.zeros((5, 1)))
+        combs = (rule, replace(rule, axis=1))
+    else:
+        for at in range(0, 4 * SIDE + 1, SIDE):
+            view.image[max(at - 1, 0) : at + 1] = view.image[:, max(at - 1, 0) : at + 1] = 60.0
+    layout = Layout(combs=combs, repeats=QUARTERS)
+    assert without_background(view, layout, RimConfig()) is view

@@ -27,6 +27,7 @@ from hybrid.rectify.margins import MarginsConfig, PlacedPrint, in_place, usual_m
 from hybrid.rectify.match import MatchConfig, match_cells
 from hybrid.rectify.outline import OutlineConfig, find_outline
 from hybrid.rectify.repeat import RepeatConfig, cell_agreement
+from hybrid.rectify.rim import RimConfig, without_background
 from hybrid.rectify.scene import Scene, halved, phases_along, view_of
 from hybrid.rectify.sheet import SheetConfig
 from hybrid.rectify.sheet_fit import FittedSheet, refit_sheet
@@ -52,6 +53,7 @@ class RefineConfig:
     cells: CellsConfig = field(default_factory=CellsConfig)
     margins: MarginsConfig = field(default_factory=MarginsConfig)
     congeal: CongealConfig = field(default_factory=CongealConfig)
+    rim: RimConfig = field(default_factory=RimConfig)
     spline: SplineConfig = field(default_factory=SplineConfig)
     working_px: int = 1000
     """Longer side of the film, in pixels, at which the photo is looked at; larger films are scaled down to it."""
@@ -314,7 +316,8 @@ def _observe_print(
         evidence.append(Evidence(sightings, comb))
     columns, rows = layout.repeats
     if columns is not None and rows is not None:
-        evidence += [Evidence(s, layout.repeats[s.axis]) for s in matcher(view, columns, rows)]
+        clean = without_background(view, layout, config.rim)
+        evidence += [Evidence(s, layout.repeats[s.axis]) for s in matcher(clean, columns, rows)]
     return [in_place(e, config.margins) for e in evidence]
 
 
