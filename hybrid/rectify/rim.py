@@ -8,7 +8,6 @@ half a rule then lies along the sheet's edge, and tells more than the background
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,8 +18,11 @@ from hybrid.rectify.grid import Comb
 from hybrid.rectify.layout import Layout
 from hybrid.rectify.repeat import Repeats
 
-NEAR, FAR = (-2, 2), (3, 6)
-"""Pixels from where cells meet: those in which a rule is looked for, and those beside, on either side."""
+NEAR = np.arange(-2, 2)
+"""Pixels from where cells meet, in which a rule is looked for."""
+AFTER = np.arange(3, 6)
+BEFORE = -1 - AFTER
+"""Those beside, on either side."""
 
 
 @dataclass(frozen=True)
@@ -57,21 +59,15 @@ def _is_ruled(grey: Float[np.ndarray, "h w"], repeats: Repeats, comb: Comb | Non
     meet = _between(repeats, len(along))
     if not len(meet):
         return False
-    near = along[meet[:, None] + np.arange(*NEAR)].max(axis=1)
-    beside = np.maximum(*(along[meet[:, None] + side].mean(axis=1) for side in _sides()))
+    near = along[meet[:, None] + NEAR].max(axis=1)
+    beside = np.maximum(*(along[meet[:, None] + side].mean(axis=1) for side in (AFTER, BEFORE)))
     return float(np.median(near - beside)) > config.rule
 
 
 def _between(repeats: Repeats, n: int) -> np.ndarray:
     """First of the pixels after each place where two cells meet, of a view of n pixels; none too near its ends."""
     edges = np.round((repeats.first + repeats.pitch * np.arange(1, repeats.cells)) * n).astype(int)
-    return edges[(edges >= FAR[1]) & (edges <= n - FAR[1])]
-
-
-def _sides() -> Sequence[np.ndarray]:
-    """Pixels beside, after and before the place where cells meet."""
-    after = np.arange(*FAR)
-    return after, -1 - after
+    return edges[(edges >= -BEFORE[-1]) & (edges < n - AFTER[-1])]
 
 
 __all__ = ["RimConfig", "without_background"]
