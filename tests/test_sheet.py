@@ -13,7 +13,7 @@ from hybrid.rectify.layout import Evidence
 from hybrid.rectify.margins import MarginsConfig, PlacedPrint, usual_margins
 from hybrid.rectify.repeat import Repeats
 from hybrid.rectify.sheet import Frame, Sheet, SheetConfig, flat_sheet, project, surface
-from hybrid.rectify.sheet_fit import FittedSheet, fit_sheet, refit_sheet
+from hybrid.rectify.sheet_fit import FittedSheet, fit_sheet
 from hybrid.rectify.sheet_problem import Sum, add_strain, strain_curvature
 from hybrid.rectify.sightings import Sightings, carried
 
@@ -86,7 +86,7 @@ def error_px(found: BackwardMap, true: BackwardMap) -> float:
 def test_the_edges_of_a_flat_sheet_tell_its_inside_to_half_a_pixel():
     true = cylinder(1e3, 0, 15)
     coarse = larger(true)
-    found = fit_sheet(coarse, PHOTO, edges_seen(true, coarse, np.random.default_rng(0), 0.1), CONFIG)
+    found = fit_sheet(coarse, coarse, PHOTO, edges_seen(true, coarse, np.random.default_rng(0), 0.1), CONFIG)
     assert found is not None
     assert error_px(found.backward, true) < FLAT_PX
 
@@ -97,7 +97,7 @@ def test_the_usual_steps_end_where_many_more_do(radius, turn, tilt):
     coarse = larger(true)
     edges = edges_seen(true, coarse, np.random.default_rng(0), 0.1)
     usual, long = (
-        fit_sheet(coarse, PHOTO, edges, config)
+        fit_sheet(coarse, coarse, PHOTO, edges, config)
         for config in (CONFIG, replace(CONFIG, steps=(200, 200, 200), settled=1e-6))
     )
     assert usual is not None
@@ -174,7 +174,7 @@ AMBIGUOUS = pytest.mark.xfail(strict=True, reason="several bent sheets have near
 def test_the_edges_of_a_bent_sheet_lower_the_error_inside(radius, turn, tilt):
     true = cylinder(radius, turn, tilt)
     coarse = larger(true)
-    found = fit_sheet(coarse, PHOTO, edges_seen(true, coarse, np.random.default_rng(0), 0.1), CONFIG)
+    found = fit_sheet(coarse, coarse, PHOTO, edges_seen(true, coarse, np.random.default_rng(0), 0.1), CONFIG)
     assert found is not None
     assert error_px(found.backward, true) < BENT_SHARE * error_px(coarse, true)
 
@@ -188,9 +188,9 @@ def test_lines_tell_what_the_edges_leave_open(radius, turn, tilt, share):
     coarse = larger(true)
     seen = edges_seen(true, coarse, np.random.default_rng(0), 0.1)
     seen += lines_seen(true, coarse, {0: [0.2, 0.4, 0.6, 0.8], 1: [0.25, 0.5, 0.75]})
-    found = refit_sheet(coarse, coarse, PHOTO, seen, CONFIG)
+    found = fit_sheet(coarse, coarse, PHOTO, seen, CONFIG)
     assert found is not None
-    again = refit_sheet(found.backward, coarse, PHOTO, seen, CONFIG, found)
+    again = fit_sheet(found.backward, coarse, PHOTO, seen, CONFIG, found)
     assert again is not None
     assert error_px(again.backward, true) < share * error_px(coarse, true)
 
@@ -200,7 +200,7 @@ def test_where_the_lines_lie_and_how_far_they_are_apart_is_found():
     coarse = larger(true)
     seen = edges_seen(true, coarse, np.random.default_rng(0), 0.1)
     places = [0.22, 0.42, 0.62, 0.82]  # their middle lies at 0.52, not at 0.5
-    found = refit_sheet(coarse, coarse, PHOTO, seen + lines_seen(true, coarse, {0: places}), CONFIG)
+    found = fit_sheet(coarse, coarse, PHOTO, seen + lines_seen(true, coarse, {0: places}), CONFIG)
     assert found is not None
     middle, pitch = found.constants[-1]
     assert middle == pytest.approx(0.02, abs=0.004)
@@ -214,7 +214,7 @@ def test_lines_lie_in_the_middle_where_what_is_seen_allows_it(off, expected):
     places = [0.1 + off, 0.3 + off, 0.5 + off, 0.7 + off, 0.9 + off]
     lines = lines_seen(true, coarse, {0: places})
     seen = edges_seen(true, coarse, np.random.default_rng(0), 0.3) + lines
-    found = refit_sheet(coarse, coarse, PHOTO, seen, CONFIG)
+    found = fit_sheet(coarse, coarse, PHOTO, seen, CONFIG)
     assert found is not None
     comb = Comb(0, places[0], 1.07 * 0.2, 4, np.arange(5), 2, 1, 1.0, np.repeat(np.array(places)[:, None], 4, axis=1))
     placed = usual_margins(placed_print(found, seen, comb), fitting(coarse), GridConfig(), MarginsConfig())
@@ -231,7 +231,7 @@ def test_cells_reach_from_edge_to_edge_where_what_is_seen_allows_it(margin, expe
     pitch = (1 - 2 * margin) / 4
     lines = lines_seen(true, coarse, {0: [margin + pitch, margin + 2 * pitch, margin + 3 * pitch]})
     seen = edges_seen(true, coarse, np.random.default_rng(0), 0.3) + lines
-    found = refit_sheet(coarse, coarse, PHOTO, seen, CONFIG)
+    found = fit_sheet(coarse, coarse, PHOTO, seen, CONFIG)
     assert found is not None
     repeats = Repeats(0, 0.5 - 2 * 1.07 * pitch, 1.07 * pitch, 4)
     placed = usual_margins(placed_print(found, seen, repeats), fitting(coarse), GridConfig(), MarginsConfig())
@@ -246,7 +246,7 @@ def test_cells_reach_from_edge_to_edge_where_what_is_seen_allows_it(margin, expe
 def test_margins_that_are_hardly_there_may_cost_more_to_leave_out(margins, growth, expected):
     true = cylinder(1.2, 0, 10)
     seen = edges_seen(true, true, np.random.default_rng(0), 0.3) + lines_seen(true, true, {0: [0.25, 0.5, 0.75]})
-    found = refit_sheet(true, true, PHOTO, seen, CONFIG)
+    found = fit_sheet(true, true, PHOTO, seen, CONFIG)
     assert found is not None
     found = replace(found, constants=tuple(np.zeros_like(constants) for constants in found.constants))
     repeats = Repeats(0, margins / 2, (1 - margins) / 4, 4)
@@ -268,7 +268,7 @@ def placed_print(sheet: FittedSheet, seen: list[Sightings], source: Comb | Repea
 
 def fitting(coarse: BackwardMap) -> Callable[[Sequence[Sightings], FittedSheet | None], FittedSheet | None]:
     """Fits of sheets to what is seen through a map."""
-    return lambda seen, before: refit_sheet(coarse, coarse, PHOTO, seen, CONFIG, before)
+    return lambda seen, before: fit_sheet(coarse, coarse, PHOTO, seen, CONFIG, before)
 
 
 def test_a_third_of_the_points_of_an_edge_may_be_wrong():
@@ -276,7 +276,7 @@ def test_a_third_of_the_points_of_an_edge_may_be_wrong():
     coarse = larger(true)
     outline = edges_seen(true, coarse, np.random.default_rng(1), 0.1)
     outline[0].seen[::3, 1] += 0.01
-    found = fit_sheet(coarse, PHOTO, outline, CONFIG)
+    found = fit_sheet(coarse, coarse, PHOTO, outline, CONFIG)
     assert found is not None
     assert error_px(found.backward, true) < BENT_SHARE * error_px(coarse, true)
 
@@ -285,10 +285,10 @@ def test_edges_that_no_sheet_has_cost_much():
     true = cylinder(1e3, 0, 10)
     coarse = larger(true)
     outline = edges_seen(true, coarse, np.random.default_rng(2), 0.1)
-    right = fit_sheet(coarse, PHOTO, outline, CONFIG)
+    right = fit_sheet(coarse, coarse, PHOTO, outline, CONFIG)
     for k, side in enumerate(outline[:2]):  # top and bottom bulge, as no sheet's do: it would have to stretch
         side.seen[:, 1] += (1 - 2 * k) * 0.03 * np.cos(6 * np.pi * side.seen[:, 0])
-    wrong = fit_sheet(coarse, PHOTO, outline, CONFIG)
+    wrong = fit_sheet(coarse, coarse, PHOTO, outline, CONFIG)
     assert right is not None
     assert wrong is None or wrong.cost > 5 * right.cost
 
@@ -302,5 +302,5 @@ def test_nonsense_is_refused_or_ends_in_finite_numbers(seed):
         n = int(rng.integers(1, 60))
         seen = rng.uniform(-0.5, 1.5, (n, 2)) if seed % 3 else np.repeat(rng.uniform(0, 1, (1, 2)), n, axis=0)
         outline.append(Sightings(axis, seen, np.full(n, edge), np.full(n, 1e-3), np.zeros((n, 0)), np.zeros(0)))
-    found = fit_sheet(coarse, PHOTO, outline, CONFIG)
+    found = fit_sheet(coarse, coarse, PHOTO, outline, CONFIG)
     assert found is None or (np.isfinite(found.backward.nodes).all() and np.isfinite(found.cost))

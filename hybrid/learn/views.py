@@ -58,8 +58,9 @@ def view_image(photo: UInt8[np.ndarray, "H W 3"], view: BackwardMap, n: int) -> 
     """The view as an n x n image: area-averaged where it is reduced, the photo's rim repeated beyond the photo."""
     points = view.dense((n, n))
     h, w = photo.shape[:2]
-    low = np.clip(np.floor(points.min(axis=(0, 1))).astype(int) - 2, 0, [w - 1, h - 1])
-    high = np.clip(np.ceil(points.max(axis=(0, 1))).astype(int) + 2, low + 1, [w, h])
+    x, y = points[..., 0], points[..., 1]  # apart: over both at once NumPy takes thirty times as long
+    low = np.clip(np.floor([x.min(), y.min()]).astype(int) - 2, 0, [w - 1, h - 1])
+    high = np.clip(np.ceil([x.max(), y.max()]).astype(int) + 2, low + 1, [w, h])
     part = photo[low[1] : high[1], low[0] : high[0]]
     points = points - low.astype(np.float32)
     scale = float(np.sqrt(np.prod(view.mean_film_pixels()))) / n

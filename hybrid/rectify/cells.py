@@ -187,10 +187,8 @@ def candidates(profile: Profile, known: Sequence[float], config: CellsConfig) ->
                 inner = _step(first[:, None] + pitch * np.arange(1, cells), n)
                 clear, seen = -profile.ink[inner].mean(axis=1), line[inner].mean(axis=1)
                 for score, number in ((clear, 3), (seen, 3), (seen + clear, 2)):
-                    firsts += first[_best_apart(first, score, number, 0.01)].tolist()
-            at = np.array(firsts)
-            order = _best_apart(at, -np.arange(len(at)), len(at), 0.003)
-            found += [(cells, value, pitch) for value in at[order].tolist()]
+                    firsts += first[_peaks(score, number, int(0.01 * n))].tolist()
+            found += [(cells, value, pitch) for value in _apart(firsts, 0.003)]
     return np.array(found)
 
 
@@ -273,18 +271,25 @@ def _sharpened(echo: Float[np.ndarray, " n"], lag: int) -> float:
     return pitch
 
 
-def _best_apart(
-    at: Float[np.ndarray, " n"], score: Float[np.ndarray, " n"] | Int[np.ndarray, " n"], number: int, apart: float
-) -> list[int]:
-    """Which places have the best scores, no two of them nearer to each other than ``apart``."""
-    places: list[float] = at.tolist()
-    best: list[int] = []
-    for k in np.argsort(-score, kind="stable").tolist():
-        if all(abs(places[k] - places[other]) > apart for other in best):
-            best.append(k)
-            if len(best) == number:
-                break
+def _peaks(score: Float[np.ndarray, " n"], number: int, apart: int) -> list[int]:
+    """Where the best scores are, no two of them within ``apart`` steps of each other."""
+    left, best = score.copy(), []
+    for _ in range(number):
+        k = int(left.argmax())
+        if left[k] == -np.inf:
+            break
+        best.append(k)
+        left[max(0, k - apart) : k + apart + 1] = -np.inf
     return best
+
+
+def _apart(values: list[float], least: float) -> list[float]:
+    """The values less those that lie within ``least`` of one before them."""
+    kept: list[float] = []
+    for value in values:
+        if all(abs(value - other) > least for other in kept):
+            kept.append(value)
+    return kept
 
 
 def _step(at: Float[np.ndarray, "*n"], n: int) -> Int[np.ndarray, "*n"]:

@@ -30,7 +30,7 @@ from hybrid.rectify.repeat import RepeatConfig, cell_agreement
 from hybrid.rectify.rim import RimConfig, without_background
 from hybrid.rectify.scene import Scene, halved, phases_along, view_of
 from hybrid.rectify.sheet import SheetConfig
-from hybrid.rectify.sheet_fit import FittedSheet, refit_sheet
+from hybrid.rectify.sheet_fit import FittedSheet, fit_sheet
 from hybrid.rectify.sightings import (
     Displacement,
     Sightings,
@@ -80,11 +80,6 @@ class RefineConfig:
     as_good: tuple[float, float] = (2.0, 0.85)
     """Their end counts if what is seen disagrees with it by less than this ratio, and its cells look at least so much
     as alike."""
-    doubtful: float = 1.7
-    """Where held-out sightings disagree with the end by more than this, in their stated deviations, or no sheet
-    explains the print, the sheet that the edges alone tell is started from too."""
-    no_worse: tuple[float, float] = (1.0, 1.0)
-    """As ``as_good``, for what comes of that."""
     max_residual: float = 2.5
     """Where held-out sightings disagree with the spline by more than this, in their stated deviations, some of them are
     wrong together, as where cells were taken for their neighbours: the map is not believed."""
@@ -230,7 +225,7 @@ def unstretched(progress: Progress, config: RefineConfig, clock: Clock) -> Progr
     size = (scene.photo.shape[0], scene.photo.shape[1])
 
     def fit(sightings: Sequence[Sightings], before: FittedSheet | None) -> FittedSheet | None:
-        return refit_sheet(near, scene.coarse, size, sightings, config.sheet, before)
+        return fit_sheet(near, scene.coarse, size, sightings, config.sheet, before)
 
     sheet = fit([e.sightings for e in seen], progress.sheet)
     if sheet is None:

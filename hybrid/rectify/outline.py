@@ -2,8 +2,8 @@
 
 Across each predicted edge the photo is sampled in a band. An edge is where two windows side by side are each
 homogeneous and differ: a printed rule or a text, thinner than a window, spoils its window's homogeneity and so
-is no edge. One path per side, coherent along it, is found by dynamic programming; where several are about as
-good the outermost counts, because prints have frames that are parallel to the edge and tables seldom do.
+is no edge. One path per side, coherent along it, is found by dynamic programming. The band is narrow: what lies
+parallel to the edge further off, as the frame of a print, was told from it before (edge_paths.py).
 A side that shows no contrast gives no sightings.
 """
 
@@ -45,8 +45,6 @@ class OutlineConfig:
     """Least score of an edge point: difference of the windows over their spread."""
     min_share: float = 0.35
     """Least share of a side's profiles that must see the edge."""
-    outer_ratio: float = 0.75
-    """An edge further out replaces the best one if its score is at least this fraction of the best one's."""
     sigma_px: float = 0.35
     """Stated noise of one edge point, in pixels."""
     prior: float = 0.02
@@ -88,7 +86,7 @@ def find_outline(
         searched = np.abs(strip.depth) <= half_band(strip.pixel, config) * (1 + 1e-9)
         score = edge_score(strip, config) - prior[:, None]
         scores[k, : len(strip.depth)] = np.where(searched[:, None], score, _NOWHERE)
-    paths = outermost_paths(scores, strips, config)
+    paths = best_paths(scores)
     at_path = np.take_along_axis(scores, paths[:, None], axis=1)[:, 0]
     depth = np.stack([subpixel_edge(strip, path) for strip, path in zip(strips, paths, strict=True)])
     good = (at_path >= config.min_score) & np.isfinite(depth)
@@ -140,46 +138,6 @@ def _window_score(image: Float[np.ndarray, "d p 3"], width: int, gap: int, noise
     variance = np.maximum(square.sum(axis=2) - np.square(mean).sum(axis=2), 0.0)
     difference = np.linalg.norm(mean[outer] - mean[inner], axis=2)
     return difference / np.sqrt(variance[outer] + variance[inner] + noise**2)
-
-
-def outermost_paths(
-    scores: Float[np.ndarray, "b d p"], strips: list[Strip], config: OutlineConfig
-) -> Int[np.ndarray, "b p"]:
-    """The best path of each side, or one clearly outside it that is nearly as good, if film lies between the two."""
-    paths = best_paths(scores)
-    gap = max(config.windows_px) // 2 + 2
-    depths = np.arange(scores.shape[1])[None, :, None]
-    for _ in range(2):
-        outer = np.where(depths < paths[:, None, :] - gap, scores, _NOWHERE)
-        candidates = best_paths(outer)
-        strength = _median_score(outer, candidates)
-        better = strength >= np.maximum(config.outer_ratio * _median_score(scores, paths), config.min_score)
-        for k in np.flatnonzero(better):
-            better[k] = _film_between(strips[k].image, candidates[k], paths[k])
-        if not better.any():
-            break
-        paths = np.where(better[:, None], candidates, paths)
-    return paths
-
-
-def _film_between(
-    image: Float[np.ndarray, "d p 3"], outer: Int[np.ndarray, " p"], inner: Int[np.ndarray, " p"], reach: int = 6
-) -> bool:
-    """True where the strip between two paths looks more like what lies inside of both than like what lies outside."""
-    last, columns = len(image) - 1, np.arange(len(outer))
-
-    def level(rows: np.ndarray) -> np.ndarray:
-        """Typical colour along the paths; the darker part, as the film's base is under text and slices."""
-        return np.quantile(image[np.clip(rows, 0, last), columns], 0.4, axis=(0, 1))
-
-    offsets = np.arange(2, 2 + reach)[:, None]
-    between = level(np.rint(outer + np.linspace(0.3, 0.7, 5)[:, None] * (inner - outer)).astype(int))
-    inside, outside = level(inner + offsets), level(outer - offsets)
-    return bool(np.linalg.norm(between - inside) < np.linalg.norm(between - outside))
-
-
-def _median_score(scores: Float[np.ndarray, "b d p"], paths: Int[np.ndarray, "b p"]) -> Float[np.ndarray, " b"]:
-    return np.median(np.take_along_axis(scores, paths[:, None, :], axis=1)[:, 0], axis=1)
 
 
 def _side_sightings(

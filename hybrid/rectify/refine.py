@@ -3,12 +3,10 @@
 From a map to start from, the sheet's edges and what is printed on it are looked for, round for round, and fitted by a
 smooth displacement (course.py). Then one bent sheet that does not stretch is fitted to all that was seen
 (sheet_fit.py), and all is looked for again through its map: that counts if it explains what is seen as well.
-Where the end is in doubt, the same is tried from the sheet that the edges alone tell, and the better end counts.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -31,9 +29,7 @@ from hybrid.rectify.course import (
     unstretched,
 )
 from hybrid.rectify.outline import find_outline
-from hybrid.rectify.scene import Scene, halved, phases_along, view_of, working_scene
-from hybrid.rectify.sheet_fit import fit_sheet
-from hybrid.rectify.sightings import Sightings
+from hybrid.rectify.scene import halved, phases_along, view_of, working_scene
 
 UNSTRETCHED = (
     "no sheet that does not stretch explains what is seen",
@@ -106,9 +102,6 @@ def refine(
     outline = find_outline(scene.photo, scene.coarse, config.outline)
     clock.lap("outline")
     course = _course(begin(scene, outline, config), config, clock)
-    if course is None or not course.believed or course.sheet is None or course.after > config.doubtful:
-        bent = _from_sheet(scene, outline, config, clock)
-        course = _better(course, bent and _course(bent, config, clock), config.no_worse, clock)
     if course is None:
         return _unchanged(coarse, "no edge, rule, gutter or repeated text was seen", clock)
     is_bent = course.scene is not scene
@@ -155,21 +148,22 @@ def _course(begun: Progress, config: RefineConfig, clock: Clock) -> Course | Non
         if sheet is None or sheet.settled:
             break
     free, bound = ended(progress, config, clock), sheet and ended(sheet, config, clock)
-    best = _better(free, bound, config.as_good, clock)
-    return best and replace(best, apart=bound and _apart(free, bound))
+    if bound is None:
+        return free
+    return replace(_better(free, bound, config, clock), apart=_apart(free, bound))
 
 
-def _better(one: Course | None, other: Course | None, asked: tuple[float, float], clock: Clock) -> Course | None:
-    """The other of two courses if it explains what it saw so much better, and its cells look so much more alike.
+def _better(free: Course, bound: Course, config: RefineConfig, clock: Clock) -> Course:
+    """The course that ends with a sheet, if that explains what was seen, and the cells look alike, nearly as well.
 
-    asked: largest ratio of the held-out residuals and least ratio of the agreements. A course that is believed is
-    better than one that is not.
+    A course that is believed is better than one that is not.
     """
-    if one is None or other is None or one.believed != other.believed:
-        return other if one is None or (other is not None and other.believed) else one
-    alike = [agreement(course, (one.layout, other.layout)) for course in (one, other)]
+    if free.believed != bound.believed:
+        return bound if bound.believed else free
+    alike = [agreement(course, (free.layout, bound.layout)) for course in (free, bound)]
     clock.lap("spline")
-    return other if other.after <= asked[0] * one.after and alike[1] >= asked[1] * alike[0] else one
+    residual, likeness = config.as_good
+    return bound if bound.after <= residual * free.after and alike[1] >= likeness * alike[0] else free
 
 
 def _apart(one: Course, other: Course) -> float:
@@ -179,20 +173,6 @@ def _apart(one: Course, other: Course) -> float:
     apart = ends[1] - ends[0]
     apart -= apart.mean(axis=(0, 1))
     return float(np.linalg.norm(apart, axis=-1).mean() / max(one.scene.coarse.mean_film_pixels()))
-
-
-def _from_sheet(scene: Scene, outline: Sequence[Sightings], config: RefineConfig, clock: Clock) -> Progress | None:
-    """The map of the unstretched sheet that the edges tell; None where too few are seen, or none fits them."""
-    if len(outline) < config.sheet.least_edges:
-        return None
-    found = fit_sheet(scene.coarse, (scene.photo.shape[0], scene.photo.shape[1]), outline, config.sheet)
-    if found is None or found.cost > config.sheet.most_cost or found.backward.folds((33, 33)):
-        clock.lap("sheet")
-        return None
-    bent = replace(scene, coarse=found.backward)
-    outline = find_outline(scene.photo, bent.coarse, config.outline_again)
-    clock.lap("sheet")
-    return begin(bent, outline, config)
 
 
 def _expected_share(course: Course) -> float:

@@ -7,7 +7,7 @@ lens has a first radial distortion. Which sheet it is that the photo shows is fo
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 from jaxtyping import Float
@@ -60,8 +60,6 @@ class SheetConfig:
     """Standard deviation of the first radial distortion."""
     least_edges: int = 3
     """With fewer edges the sheet's shape is not determined."""
-    most_cost: float = 60.0
-    """Beyond this cost some edge is none of the sheet's."""
 
 
 @dataclass(frozen=True)
@@ -114,9 +112,14 @@ class Sheet:
             distortion=self.distortion + float(distortion),
         )
 
+    @property
+    def focal(self) -> float:
+        """The focal length in sides of the photo."""
+        return float(np.exp(self.log_focal))
+
     def nearest(self) -> float:
         """Least depth of the coefficients, between which the sheet lies."""
-        return float(self.control[:, 2].min() + self.stand * np.exp(self.log_focal))
+        return float(self.control[:, 2].min() + self.stand * self.focal)
 
     def finer(self, intervals: int) -> Sheet:
         """The same sheet on more intervals."""
@@ -131,34 +134,52 @@ class Sheet:
 
 @dataclass(frozen=True, eq=False)
 class Projection:
-    """Photo points in the units of the frame, and their derivatives.
+    """Photo points in the units of the frame, and their derivatives, each made when it is first asked for.
 
-    by_point: of x and of y by the point in space. by_focal, by_lens: of both by the logarithm of the focal length and
-    by the distortion.
+    ahead: the points in space, per unit of depth. depth: theirs. square: of how far off the axis ``ahead`` is.
     """
 
+    sheet: Sheet
+    ahead: Float[np.ndarray, "m 2"]
+    depth: Float[np.ndarray, " m"]
+    square: Float[np.ndarray, " m"]
     point: Float[np.ndarray, "m 2"]
-    by_point: Float[np.ndarray, "m 2 3"]
-    by_focal: Float[np.ndarray, "m 2"]
-    by_lens: Float[np.ndarray, "m 2"]
+
+    @cached_property
+    def by_point(self) -> Float[np.ndarray, "m 2 3"]:
+        """Of x and of y by the point in space."""
+        x, bent = self.ahead, 2.0 * self.sheet.distortion
+        stretch = 1.0 + self.sheet.distortion * self.square
+        by_point = (bent * x)[:, :, None] * np.column_stack([x, -self.square])[:, None, :]
+        by_point[:, 0, 0] += stretch
+        by_point[:, 1, 1] += stretch
+        by_point[:, :, 2] -= stretch[:, None] * x
+        by_point *= (self.sheet.focal / self.depth)[:, None, None]
+        return by_point
+
+    @property
+    def by_focal(self) -> Float[np.ndarray, "m 2"]:
+        """Of x and y by the logarithm of the focal length."""
+        return self.point + self.sheet.stand * self.sheet.focal * self.by_point[:, :, 2]
+
+    @property
+    def by_lens(self) -> Float[np.ndarray, "m 2"]:
+        """Of x and y by the distortion."""
+        return self.sheet.focal * self.square[:, None] * self.ahead
 
 
 def project(sheet: Sheet, point: Float[np.ndarray, "m 3"]) -> Projection:
     """What the camera shows of points in space, in the axes and units of ``Sheet.control``."""
-    focal = float(np.exp(sheet.log_focal))
-    depth = point[:, 2] + sheet.stand * focal
-    x = point[:, :2] / depth[:, None]
-    square = np.sum(x * x, axis=1)
-    stretch = 1.0 + sheet.distortion * square
-    straight = np.zeros((len(x), 2, 3))
-    straight[:, 0, 0] = straight[:, 1, 1] = 1.0 / depth
-    straight[:, :, 2] = -x / depth[:, None]
-    lens = 2.0 * sheet.distortion * x[:, :, None] * x[:, None, :]
-    lens[:, 0, 0] += stretch
-    lens[:, 1, 1] += stretch
-    seen, by_point = focal * stretch[:, None] * x, focal * (lens @ straight)
-    by_focal = seen + sheet.stand * focal * by_point[:, :, 2]
-    return Projection(seen, by_point, by_focal, focal * square[:, None] * x)
+    depth = point[:, 2] + sheet.stand * sheet.focal
+    ahead = point[:, :2] / depth[:, None]
+    square = inner(ahead, ahead)
+    seen = sheet.focal * (1.0 + sheet.distortion * square)[:, None] * ahead
+    return Projection(sheet, ahead, depth, square, seen)
+
+
+def inner(a: Float[np.ndarray, "m k"], b: Float[np.ndarray, "m k"]) -> Float[np.ndarray, " m"]:
+    """Inner product of each row of one matrix with that of the other."""
+    return np.einsum("mk,mk->m", a, b)
 
 
 # ---------------------------------------------------------------- the surface
@@ -180,12 +201,17 @@ def basis(uv: Float[np.ndarray, "m 2"], intervals: int, by_u: int = 0, by_v: int
 def surface(sheet: Sheet, uv: Float[np.ndarray, "m 2"]) -> tuple[Float[np.ndarray, "m 3"], Float[np.ndarray, "m 3 2"]]:
     """Points of a sheet, and their derivatives by u and v: quicker than with the weights of all coefficients."""
     n = sheet.intervals
-    across, across_slope = (_axis_spline(n, k)(uv[:, 0])[:, :, None] for k in (0, 1))
+    across, across_slope = (_axis_spline(n, k)(uv[:, 0]) for k in (0, 1))
     down, down_slope = (_axis_spline(n, k)(uv[:, 1]) for k in (0, 1))
-    control = sheet.control.reshape(n + 3, -1)
-    rows, row_slopes = ((weights @ control).reshape(len(uv), n + 3, 3) for weights in (down, down_slope))
-    slope = np.stack([np.sum(across_slope * rows, axis=1), np.sum(across * row_slopes, axis=1)], axis=-1)
-    return np.sum(across * rows, axis=1), slope
+    control = sheet.control.reshape(n + 3, n + 3, 3).transpose(0, 2, 1).reshape(n + 3, -1)
+    rows, row_slopes = ((weights @ control).reshape(len(uv), 3, n + 3) for weights in (down, down_slope))
+    slopes_uv = [_along(across_slope, rows), _along(across, row_slopes)]
+    return _along(across, rows), np.stack(slopes_uv, axis=-1)
+
+
+def _along(weights: Float[np.ndarray, "m k"], rows: Float[np.ndarray, "m 3 k"]) -> Float[np.ndarray, "m 3"]:
+    """For each point the sum of its row's coefficients, weighted."""
+    return np.einsum("mk,mjk->mj", weights, rows)
 
 
 @lru_cache(maxsize=4)
@@ -238,6 +264,7 @@ __all__ = [
     "SheetConfig",
     "basis",
     "flat_sheet",
+    "inner",
     "node_weights",
     "project",
     "slopes",

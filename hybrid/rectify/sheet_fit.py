@@ -46,25 +46,6 @@ class FittedSheet:
 
 
 def fit_sheet(
-    coarse: BackwardMap, size: tuple[int, int], outline: Sequence[Sightings], config: SheetConfig
-) -> FittedSheet | None:
-    """The unstretched sheet whose edges were seen through ``coarse``; None where the fit fails.
-
-    size: (height, width) of the photo, whose centre the camera looks at. outline: three or four sides.
-    """
-    frame = Frame.of(size)
-    problem = Problem(seen_through(coarse, outline, frame, config), _target(coarse, frame), config.bending[0], config)
-    first, last = config.intervals
-    try:
-        start = problem.begun(flat_sheet(coarse, frame, first, config.focal))
-        state, problem = _as_bent_as_needed(problem, start, config.steps[0])
-        state = minimised(problem, replace(state, sheet=state.sheet.finer(last)), config.steps[1])
-    except LinAlgError:
-        return None
-    return _result(state, frame, outline, problem)
-
-
-def refit_sheet(
     near: BackwardMap,
     through: BackwardMap,
     size: tuple[int, int],
@@ -125,4 +106,4 @@ def _result(state: State, frame: Frame, sightings: Sequence[Sightings], problem:
     return FittedSheet(state.sheet, backward, state.cost, tuple(np.split(state.constants, ends[:-1])), problem.bending)
 
 
-__all__ = ["FittedSheet", "fit_sheet", "refit_sheet"]
+__all__ = ["FittedSheet", "fit_sheet"]

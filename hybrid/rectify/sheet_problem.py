@@ -9,7 +9,7 @@ from jaxtyping import Float
 from scipy.linalg import cho_factor, cho_solve
 
 from hybrid.rectify.bspline import bending_energy
-from hybrid.rectify.sheet import CAMERA, Sheet, SheetConfig, node_weights, project, slopes
+from hybrid.rectify.sheet import CAMERA, Sheet, SheetConfig, inner, node_weights, project, slopes
 from hybrid.rectify.sheet_seen import Curves, Seen, slid
 from hybrid.rectify.tps import tukey_weights
 
@@ -61,7 +61,7 @@ class Problem:
             rows = rows.reshape(-1, rows.shape[2])
         total.add((shown.point - self.target).T.ravel() / sigma, rows)
         shown = project(sheet, curves.weights @ sheet.control)
-        residual = np.sum((shown.point - self.seen.point) * curves.normal, axis=1)
+        residual = inner(shown.point - self.seen.point, curves.normal)
         residual += curves.pull * (self.seen.shared @ (state.constants - curves.constants))
         root = np.sqrt(tukey_weights(residual / curves.tolerance))
         rows = None
@@ -69,7 +69,7 @@ class Problem:
             normal = curves.normal * root[:, None]
             rows = np.empty((len(root), 3 * n + CAMERA + len(state.constants)))
             _by_surface(rows, curves.weights, np.einsum("nk,nkj->nj", normal, shown.by_point))
-            _by_camera(rows, n, *(np.sum(x * normal, axis=1) for x in (shown.by_focal, shown.by_lens)))
+            _by_camera(rows, n, *(inner(x, normal) for x in (shown.by_focal, shown.by_lens)))
             np.multiply(self.seen.shared, (curves.pull * root)[:, None], out=rows[:, 3 * n + CAMERA :])
         total.add(residual * root, rows)
         add_strain(total, sheet, config)
@@ -170,8 +170,8 @@ def add_strain(total: Sum, sheet: Sheet, config: SheetConfig) -> None:
     across, down = slopes(sheet.intervals)
     a, b, aspect = across @ sheet.control, down @ sheet.control, float(np.exp(sheet.log_aspect))
     (m, n), sigma = across.shape, config.strain * np.sqrt(len(across) / 40.0)
-    stretch_a = np.sum(a * a, axis=1) / aspect**2
-    shear = np.sum(a * b, axis=1) / (aspect * sigma)
+    stretch_a = inner(a, a) / aspect**2
+    shear = inner(a, b) / (aspect * sigma)
     rows = None
     if total.derivatives:
         rows = np.empty((3, m, 3 * n + CAMERA))
@@ -183,7 +183,7 @@ def add_strain(total: Sum, sheet: Sheet, config: SheetConfig) -> None:
         rows[:, :, 3 * n :] = 0.0
         rows[0, :, 3 * n + 1], rows[2, :, 3 * n + 1] = -stretch_a / sigma, -shear
         rows = rows.reshape(3 * m, -1)
-    longer = ((stretch - 1.0) / (2.0 * sigma) for stretch in (stretch_a, np.sum(b * b, axis=1)))
+    longer = ((stretch - 1.0) / (2.0 * sigma) for stretch in (stretch_a, inner(b, b)))
     total.add(np.concatenate([*longer, shear]), rows)
 
 
@@ -193,10 +193,10 @@ def strain_curvature(sheet: Sheet, step: Float[np.ndarray, " m"], config: SheetC
     n, aspect = len(sheet.control), float(np.exp(sheet.log_aspect))
     move, wider = step[: 3 * n].reshape(3, n).T, float(step[3 * n + 1])
     a, b, by_a, by_b = across @ sheet.control, down @ sheet.control, across @ move, down @ move
-    aa, ab = np.sum(a * a, axis=1), np.sum(a * b, axis=1)
-    stretch_a = np.sum(by_a * by_a, axis=1) - 4.0 * wider * np.sum(a * by_a, axis=1) + 2.0 * wider**2 * aa
-    stretch_b = np.sum(by_b * by_b, axis=1)
-    shear = 2.0 * np.sum(by_a * by_b, axis=1) - 2.0 * wider * np.sum(a * by_b + b * by_a, axis=1) + wider**2 * ab
+    aa, ab = inner(a, a), inner(a, b)
+    stretch_a = inner(by_a, by_a) - 4.0 * wider * inner(a, by_a) + 2.0 * wider**2 * aa
+    stretch_b = inner(by_b, by_b)
+    shear = 2.0 * inner(by_a, by_b) - 2.0 * wider * (inner(a, by_b) + inner(b, by_a)) + wider**2 * ab
     stretch_a, shear = stretch_a / aspect**4, shear / aspect**2
     gradient = across.T @ (a * stretch_a[:, None] + b * shear[:, None])
     gradient += down.T @ (b * stretch_b[:, None] + a * shear[:, None])

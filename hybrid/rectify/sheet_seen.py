@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from hybrid.backward import BackwardMap
-from hybrid.rectify.sheet import Frame, Sheet, SheetConfig, basis, project, surface
+from hybrid.rectify.sheet import Frame, Sheet, SheetConfig, basis, inner, project, surface
 from hybrid.rectify.sightings import Sightings, group_noise
 from hybrid.rectify.tps import MAD_TO_SIGMA
 
@@ -101,14 +101,14 @@ def slid(
         now = project(sheet, points)
         by_uv = now.by_point @ by_uv  # (n, 2, 2): of x, y by u, v
         tangent = by_uv[rows, :, 1 - seen.across]
-        square = np.maximum(np.sum(tangent * tangent, axis=1), 1e-9)
-        step = np.clip(np.sum((seen.point - now.point) * tangent, axis=1) / square, -0.05, 0.05)
+        square = np.maximum(inner(tangent, tangent), 1e-9)
+        step = np.clip(inner(seen.point - now.point, tangent) / square, -0.05, 0.05)
         place[rows, 1 - seen.across] = np.clip(place[rows, 1 - seen.across] + step, 0.0, 1.0)
     normal = np.stack([-tangent[:, 1], tangent[:, 0]], axis=1) / np.sqrt(square)[:, None]
-    pull = np.sum(by_uv[rows, :, seen.across] * normal, axis=1)
+    pull = inner(by_uv[rows, :, seen.across], normal)
     sigma = np.hypot(seen.sigma * pull, seen.floor)
     weights = basis(place, sheet.intervals)
-    residual = np.sum((project(sheet, weights @ sheet.control).point - seen.point) * normal, axis=1)
+    residual = inner(project(sheet, weights @ sheet.control).point - seen.point, normal)
     if near and (seen.group >= 0).any():
         sigma = group_noise(sigma, seen.group, residual)
     tolerance = np.ones(len(along))
