@@ -154,16 +154,17 @@ class _Attempt:
 class Progress:
     """What is known after some rounds.
 
-    outline, attempts: as seen through the scene's map. settled: whether the last round moved nothing. sheet: that the
-    scene's map is of, if it is of one that explains the print.
+    outline, attempt: as seen through the scene's map. settled: whether the last round moved nothing. sheet: that the
+    scene's map is of, if it is of one that explains the print. sheets: how many have been fitted.
     """
 
     scene: Scene
     outline: tuple[Sightings, ...]
-    attempts: tuple[_Attempt, ...]
+    attempt: _Attempt
     layout: Layout = field(default_factory=Layout)
     settled: bool = False
     sheet: FittedSheet | None = None
+    sheets: int = 0
 
 
 def begin(scene: Scene, outline: Sequence[Sightings], config: RefineConfig) -> Progress:
@@ -171,7 +172,7 @@ def begin(scene: Scene, outline: Sequence[Sightings], config: RefineConfig) -> P
     displacement = no_displacement(config.spline)
     if outline:
         displacement = fit_displacement(outline, config.spline).displacement
-    return Progress(scene, tuple(outline), (_Attempt(displacement, tuple(Evidence(s) for s in outline)),))
+    return Progress(scene, tuple(outline), _Attempt(displacement, tuple(Evidence(s) for s in outline)))
 
 
 def followed(progress: Progress, config: RefineConfig, clock: Clock) -> Progress | None:
@@ -188,7 +189,7 @@ def _round(
     progress: Progress, number: int, matcher: Callable[..., tuple[Sightings, ...]], config: RefineConfig, clock: Clock
 ) -> Progress | None:
     """One more round: what is printed is looked for through the improved map, and all is fitted anew."""
-    scene, outline, displacement = progress.scene, progress.outline, progress.attempts[-1].displacement
+    scene, outline, displacement = progress.scene, progress.outline, progress.attempt.displacement
     looking = number < config.line_rounds
     view = view_of(scene, displacement)
     told = phases_along(scene, displacement) if number == 0 else None
@@ -208,16 +209,16 @@ def _round(
     layout = layout.adjusted(evidence, fit.constants)
     clock.lap("spline")
     moved = float(np.abs(fit.displacement.values - displacement.values).max())
-    attempts = (*progress.attempts, _Attempt(fit.displacement, evidence, fit.weights, fit.stiffness))
+    attempt = _Attempt(fit.displacement, evidence, fit.weights, fit.stiffness)
     least = config.settled_move if progress.sheet is None else config.settled_sheet
     settled = number >= 1 and (moved < least or (progress.sheet is None and layout.is_enough))
-    return Progress(scene, outline, attempts, layout, settled, progress.sheet)
+    return replace(progress, outline=outline, attempt=attempt, layout=layout, settled=settled)
 
 
 def unstretched(progress: Progress, config: RefineConfig, clock: Clock) -> Progress | None:
     """One more round, from the map of the unstretched sheet that explains best what the last round saw; None where
     there is none."""
-    attempt, scene = progress.attempts[-1], progress.scene
+    attempt, scene = progress.attempt, progress.scene
     seen = tuple(e.subset(w > config.counts) for e, w in zip(attempt.evidence, attempt.weights, strict=True))
     if sum(e.source is None for e in attempt.evidence) < config.sheet.least_edges:
         return None
@@ -231,7 +232,7 @@ def unstretched(progress: Progress, config: RefineConfig, clock: Clock) -> Progr
     if sheet is None:
         return None
     placed = PlacedPrint(sheet, attempt.evidence, seen)
-    if progress.sheet is not None:  # the first sheet is too far off to tell margins
+    if progress.sheets == 1:  # the first sheet is too far off to tell margins, and the third tells what the second did
         placed = usual_margins(placed, fit, config.grid, config.margins)
     sheet = placed.sheet
     if sheet.backward.folds((33, 33)):
@@ -244,16 +245,33 @@ def unstretched(progress: Progress, config: RefineConfig, clock: Clock) -> Progr
     scene = replace(scene, coarse=sheet.backward)
     clock.lap("sheet")
     still = _Attempt(no_displacement(config.spline), tuple(Evidence(s) for s in outline))
-    begun = Progress(scene, outline, (still,), layout, sheet=sheet)
+    begun = Progress(scene, outline, still, layout, sheet=sheet, sheets=progress.sheets + 1)
     return _round(begun, config.line_rounds, _matchers(config)[-1], config, clock)
 
 
 def ended(progress: Progress, config: RefineConfig, clock: Clock) -> Course:
-    """The best of what the rounds gave, and whether it is to be believed."""
-    chosen = _most_alike(progress, config) if progress.sheet is None else progress.attempts[-1]
-    course = _judged(progress, chosen, config)
+    """What the last round gave, and whether it is to be believed, and why or why not."""
+    scene, sheet, still = progress.scene, progress.sheet, no_displacement(config.spline)
+    attempt = progress.attempt
+    spline = replace(_spline(progress, config), stiffness=_fixed(attempt.stiffness, config))
+    before, after = held_out_residuals([e.sightings for e in attempt.evidence], spline)
+    move = float(np.linalg.norm(attempt.displacement.values, axis=1).max())
+    moved, believed = attempt.displacement, False
+    if after > config.max_residual:
+        verdict = f"held-out residual {after:.1f} sigma: what is seen on the film contradicts itself"
+    elif sheet is None and after > config.min_gain * before:
+        verdict = f"held-out residual {after:.2f} sigma against {before:.2f} before: no better"
+        moved, believed = still, True
+    elif move > config.max_move:
+        verdict = f"the film would move by {move:.3f} of its size"
+    elif moved.composed(scene.coarse).folds((33, 33)) and not scene.coarse.folds((33, 33)):
+        verdict = "the film would fold"
+    else:
+        verdict = f"held-out residual {before:.1f} -> {after:.1f} sigma, moved by up to {100 * move:.1f} %"
+        believed = True
+    shift = moved if believed else still
     clock.lap("spline")
-    return course
+    return Course(scene, shift, progress.layout, attempt.evidence, before, after, believed, sheet, verdict)
 
 
 def agreement(course: Course, layouts: Sequence[Layout]) -> float:
@@ -330,46 +348,6 @@ def _as_uncertain(edge: Sightings, layout: Layout, config: RefineConfig) -> Sigh
 def _spline(progress: Progress, config: RefineConfig) -> SplineConfig:
     """The displacement's options: the map of a sheet that explains the print is left by less."""
     return config.spline if progress.sheet is None else replace(config.spline, prior_px=config.sheet_prior_px)
-
-
-def _most_alike(progress: Progress, config: RefineConfig) -> _Attempt:
-    """Of no displacement, the outline's and the last two, that through which the cells look most alike.
-
-    The last where cells were not matched.
-    """
-    attempts = progress.attempts
-    columns, rows = progress.layout.repeats
-    if columns is None or rows is None:
-        return attempts[-1]
-    candidates = [_Attempt(no_displacement(config.spline), ()), attempts[0], *attempts[1:][-2:]]
-    small = halved(progress.scene)  # which of them is best shows there too
-    return max(candidates, key=lambda a: cell_agreement(view_of(small, a.displacement), columns, rows))
-
-
-def _judged(progress: Progress, attempt: _Attempt, config: RefineConfig) -> Course:
-    """Whether the end of the rounds is to be believed, and why or why not."""
-    scene, sheet, still = progress.scene, progress.sheet, no_displacement(config.spline)
-    if not attempt.evidence:
-        verdict = "the cells look most alike through the coarse map"
-        return Course(scene, still, progress.layout, (), np.inf, np.inf, False, sheet, verdict)
-    spline = replace(_spline(progress, config), stiffness=_fixed(attempt.stiffness, config))
-    before, after = held_out_residuals([e.sightings for e in attempt.evidence], spline)
-    move = float(np.linalg.norm(attempt.displacement.values, axis=1).max())
-    moved, believed = attempt.displacement, False
-    if after > config.max_residual:
-        verdict = f"held-out residual {after:.1f} sigma: what is seen on the film contradicts itself"
-    elif sheet is None and after > config.min_gain * before:
-        verdict = f"held-out residual {after:.2f} sigma against {before:.2f} before: no better"
-        moved, believed = still, True
-    elif move > config.max_move:
-        verdict = f"the film would move by {move:.3f} of its size"
-    elif moved.composed(scene.coarse).folds((33, 33)) and not scene.coarse.folds((33, 33)):
-        verdict = "the film would fold"
-    else:
-        verdict = f"held-out residual {before:.1f} -> {after:.1f} sigma, moved by up to {100 * move:.1f} %"
-        believed = True
-    shift = moved if believed else still
-    return Course(scene, shift, progress.layout, attempt.evidence, before, after, believed, sheet, verdict)
 
 
 def _fixed(found: tuple[float, float], config: RefineConfig) -> tuple[float, float, int]:
