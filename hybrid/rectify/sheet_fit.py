@@ -56,7 +56,7 @@ def fit_sheet(
     """The unstretched sheet that explains best what is seen of its edges and its print; None where the fit fails.
 
     near: a map that is near, to start from, and from ``before`` if that is its sheet. through: the map through which
-    the sightings were made.
+    the sightings were made. size: (height, width) of the photo, whose centre the camera looks at.
     """
     frame = Frame.of(size)
     problem = Problem(seen_through(through, sightings, frame, config), _target(near, frame), config.bending[0], config)
