@@ -12,7 +12,10 @@ from PIL import Image, ImageDraw, ImageFont
 WIDTH, HEIGHT = 820, 560
 _LEFT, _RIGHT, _TOP, _BOTTOM = 84, 800, 52, 490
 _INK, _FAINT, _LINE, _PAPER = "#22272e", "#6e7781", "#e4e7eb", "#ffffff"
-COLOURS = ("#d1495b", "#2f6db5", "#2e8b57", "#e08a1e", "#7a4fa3", "#0b7a75", "#8c564b", "#5d6771", "#c2185b", "#9aa300")
+COLOURS = (
+    "#d1495b", "#2f6db5", "#2e8b57", "#e08a1e", "#7a4fa3", "#0b7a75", "#8c564b", "#5d6771", "#c2185b", "#9aa300",
+    "#14181d", "#1aa3c4",
+)  # fmt: skip
 
 Picture = UInt8[np.ndarray, "_ _ 3"]
 
@@ -67,17 +70,18 @@ class Chart:
 
 
 def scatter(chart: Chart) -> Picture:
-    """The chart; labels move down until they lie on no other."""
+    """The chart; labels move up or down, or to the other side, until they lie on nothing, and a line leads to them."""
     image = Image.new("RGB", (WIDTH, HEIGHT), _PAPER)
     draw = ImageDraw.Draw(image)
     draw.text((_LEFT, 14), chart.title, fill=_INK, font=_font(21))
     _draw_axes(image, draw, chart)
+    taken = [_dot(chart, point) for points in chart.points for point in points.xy]
     for name, at in chart.marks.items():
         x = _LEFT + (_RIGHT - _LEFT) * chart.x.part(at)
         for y in range(_TOP, _BOTTOM, 12):
             draw.line([x, y, x, y + 6], fill=_FAINT, width=2)
         draw.text((x + 6, _BOTTOM - 22), name, fill=_FAINT, font=_font(15))
-    taken = [_dot(chart, point) for points in chart.points for point in points.xy]
+        taken.append((x + 6, _BOTTOM - 22, x + 6 + draw.textlength(name, font=_font(15)), _BOTTOM - 5))
     for k, points in enumerate(chart.points):
         colour = chart.colours.get(points.name, COLOURS[k % len(COLOURS)])
         for j, (x, y) in enumerate(points.xy):
@@ -162,14 +166,19 @@ def _label(
     colour: str,
     taken: list[tuple[float, float, float, float]],
 ) -> None:
+    """Writes beside a point, as near to it as nothing in ``taken`` lies, and adds the place to that."""
     width, height = draw.textlength(text, font=_font(15)), 17
-    right = at[0] + 11 + width < _RIGHT
-    x = at[0] + 11 if right else max(at[0] - 11 - width, _LEFT + 4)
-    y = at[1] - height / 2
-    while any(x < b[2] and b[0] < x + width and y < b[3] and b[1] < y + height for b in taken):
-        y += 4
-    taken.append((x, y, x + width, y + height))
-    draw.text((x, y - 1), text, fill=colour, font=_font(15))
+    moves = sorted(range(_TOP - _BOTTOM, _BOTTOM - _TOP, 4), key=abs)
+    for y in (at[1] - height / 2 + move for move in moves):
+        for x in (at[0] + 11, at[0] - 11 - width):
+            box = (x, y, x + width, y + height)
+            inside = x > _LEFT and box[2] < _RIGHT and y > _TOP and box[3] < _BOTTOM
+            if inside and not any(x < b[2] and b[0] < box[2] and y < b[3] and b[1] < box[3] for b in taken):
+                taken.append(box)
+                if abs(y + height / 2 - at[1]) > height / 2:
+                    draw.line([at, (x - 3 if x > at[0] else box[2] + 3, y + height / 2)], fill=colour)
+                draw.text((x, y - 1), text, fill=colour, font=_font(15))
+                return
 
 
 def _legend(draw: ImageDraw.ImageDraw, names: Sequence[tuple[str, str]]) -> None:
