@@ -80,8 +80,9 @@ def scatter(chart: Chart) -> Picture:
         x = _LEFT + (_RIGHT - _LEFT) * chart.x.part(at)
         for y in range(_TOP, _BOTTOM, 12):
             draw.line([x, y, x, y + 6], fill=_FAINT, width=2)
-        draw.text((x + 6, _BOTTOM - 22), name, fill=_FAINT, font=_font(15))
-        taken.append((x + 6, _BOTTOM - 22, x + 6 + draw.textlength(name, font=_font(15)), _BOTTOM - 5))
+        left, top = x + 6, _BOTTOM - 22.0
+        draw.text((left, top), name, fill=_FAINT, font=_font(15))
+        taken.append((left, top, left + draw.textlength(name, font=_font(15)), top + 17))
     for k, points in enumerate(chart.points):
         colour = chart.colours.get(points.name, COLOURS[k % len(COLOURS)])
         for j, (x, y) in enumerate(points.xy):
