@@ -7,6 +7,7 @@ tells. Cells do: through the photo's own frame they are alike as they never are 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
@@ -20,8 +21,8 @@ NEAR_FRAME = 0.05
 """Largest distance between the film as the network sees it and the photo's frame, in parts of the frame's diagonal."""
 
 AS_ALIKE = 0.95
-"""Cells are as alike in the photo as it is where they are so by this part of how alike the refined map makes them: of
-a map that is hardly another one the last bits decide."""
+"""Cells are as alike in the photo as it is where they are so by this part of how alike they are through maps refined
+from the network's and from the photo's frame: of a map that is hardly another one the last bits decide."""
 
 
 def frame_of(size: tuple[int, int]) -> BackwardMap:
@@ -44,12 +45,15 @@ def already_flat(
     framed = exactly(frame)
     if framed.grid is None:
         return None, "no grid tells whether the photo is the flat film itself"
-    if framed.believed:
-        return None, "the film fills the photo but is not flat"
     grids = [grid for grid in (framed.grid, refined.grid) if grid is not None]
-    straight, crooked = (max(cells_alike(pyramid, m, grid) for grid in grids) for m in (frame, refined.backward))
-    reason = f"cells are alike to {straight:.0%} as the photo is, to {crooked:.0%} through the refined map"
-    return framed if straight >= AS_ALIKE * crooked else None, reason
+    straight, *refined_ones = (
+        max(cells_alike(pyramid, m, grid) for grid in grids) for m in (frame, framed.backward, refined.backward)
+    )
+    reason = f"cells are alike to {straight:.0%} as the photo is, to {max(refined_ones):.0%} through a refined map"
+    if straight < AS_ALIKE * max(refined_ones):
+        return None, reason
+    grid = replace(framed.grid, vertices_photo=frame.photo_from_film(framed.grid.vertices))
+    return replace(framed, backward=frame, grid=grid, expected_px=None, aspect=None), reason
 
 
 __all__ = ["already_flat", "frame_of"]
