@@ -142,10 +142,10 @@ class Course:
 
 @dataclass(frozen=True, eq=False)
 class _Attempt:
-    """A displacement and what it was fitted to, as seen through the coarse map."""
+    """A displacement and what a round fitted it to, as seen through the coarse map; to start from, nothing."""
 
     displacement: Displacement
-    evidence: tuple[Evidence, ...]
+    evidence: tuple[Evidence, ...] = ()
     weights: tuple[Float[np.ndarray, " _"], ...] = ()
     stiffness: tuple[float, float] = (0.0, 0.0)
 
@@ -172,7 +172,7 @@ def begin(scene: Scene, outline: Sequence[Sightings], config: RefineConfig) -> P
     displacement = no_displacement(config.spline)
     if outline:
         displacement = fit_displacement(outline, config.spline).displacement
-    return Progress(scene, tuple(outline), _Attempt(displacement, tuple(Evidence(s) for s in outline)))
+    return Progress(scene, tuple(outline), _Attempt(displacement))
 
 
 def followed(progress: Progress, config: RefineConfig, clock: Clock) -> Progress | None:
@@ -244,7 +244,7 @@ def unstretched(progress: Progress, config: RefineConfig, clock: Clock) -> Progr
         outline = tuple(carried(s, scene.coarse, sheet.backward) for s in progress.outline)
     scene = replace(scene, coarse=sheet.backward)
     clock.lap("sheet")
-    still = _Attempt(no_displacement(config.spline), tuple(Evidence(s) for s in outline))
+    still = _Attempt(no_displacement(config.spline))
     begun = Progress(scene, outline, still, layout, sheet=sheet, sheets=progress.sheets + 1)
     return _round(begun, config.line_rounds, _matchers(config)[-1], config, clock)
 
