@@ -99,20 +99,17 @@ def forward_text(report: Report) -> str:
 
 
 def duel_text(found: Sequence[Duel]) -> str:
-    """How a method does against each rival."""
-    rows = [
-        [
-            d.rival.label,
-            f"{d.megapixels:g}",
-            f"{d.faster:.2g}",
-            f"{d.cheaper:.2g}",
-            d.rival.unscored or ("-" if d.closer is None else f"{d.closer:.2g}"),
-            f"{d.nearer} of {d.both}" if d.both else "-",
-        ]
-        for d in found
-    ]
-    head = (f"`{found[0].method.label}` against" if found else "against", "megapixels", "times as fast")
-    return table((*head, "by processor seconds", "times as near to the truth", "photos on which it is nearer"), rows)
+    """How a method does against each rival, at every size."""
+    sizes = list(dict.fromkeys(d.megapixels for d in found))
+    rows = []
+    for of_rival in _by_rival(found):
+        at, rival = {d.megapixels: d for d in of_rival}, of_rival[0].rival
+        times = (f"{at[size].faster:.2g} ({at[size].cheaper:.2g})" if size in at else "-" for size in sizes)
+        near = ", ".join(f"{d.closer:.2g}" for d in of_rival if d.closer is not None)
+        nearer, both = sum(d.nearer for d in of_rival), sum(d.both for d in of_rival)
+        rows.append([rival.label, *times, rival.unscored or near or "-", f"{nearer} of {both}" if both else "-"])
+    head = (f"`{found[0].method.label}` against" if found else "against", *(f"times as fast, {s:g} MP" for s in sizes))
+    return table((*head, "times as near to the truth", "photos on which it is nearer"), rows)
 
 
 def losses_text(report: Report) -> str:
@@ -121,21 +118,32 @@ def losses_text(report: Report) -> str:
         return "`hybrid` was not run."
     lines = []
     for name in efforts_of(report):
-        found = duels(report, rivals_of(report), name)
-        lines += [_loss(duel) for duel in found if duel.lost]
+        lost = [duel for duel in duels(report, rivals_of(report), name) if duel.lost]
+        lines += [_losses(of_rival) for of_rival in _by_rival(lost)]
         lines += _lost_kinds(report, name)
     if not lines:
         return "Nothing: it is faster than every rival, and nearer to the truth wherever two errors can be compared."
     return "\n".join(lines)
 
 
-def _loss(duel: Duel) -> str:
+def _by_rival(found: Sequence[Duel]) -> list[list[Duel]]:
+    """The same apart for each rival."""
+    return [[d for d in found if d.rival is rival] for rival in {id(d.rival): d.rival for d in found}.values()]
+
+
+def _losses(found: Sequence[Duel]) -> str:
+    """What a method loses to one rival, and at which sizes."""
+    slower = [d for d in found if min(d.faster, d.cheaper) < 1]
+    further = [(d.megapixels, 1 / d.closer) for d in found if d.closer is not None and d.closer < 1]
     said = []
-    if min(duel.faster, duel.cheaper) < 1:
-        said.append(f"{1 / duel.faster:.2g} times its seconds, {1 / duel.cheaper:.2g} times its processor seconds")
-    if duel.closer is not None and duel.closer < 1:
-        said.append(f"{1 / duel.closer:.2g} times its error")
-    return f"- `{duel.method.label}` against {duel.rival.label}, {duel.megapixels:g} MP: {'; '.join(said)}"
+    if slower:
+        times = ", ".join(f"{1 / d.faster:.2g} ({1 / d.cheaper:.2g})" for d in slower)
+        sizes = ", ".join(f"{d.megapixels:g}" for d in slower)
+        said.append(f"{times} times its seconds (processor seconds) at {sizes} MP")
+    if further:
+        times, sizes = (", ".join(texts) for texts in zip(*((f"{t:.2g}", f"{s:g}") for s, t in further), strict=True))
+        said.append(f"{times} times its error at {sizes} MP")
+    return f"- `{found[0].method.label}` against {found[0].rival.label}: {'; '.join(said)}"
 
 
 def _lost_kinds(report: Report, name: str) -> list[str]:

@@ -20,7 +20,7 @@ from benchmarks.lineup import EFFORTS, LINEUP, MAIN, OWN, lineup
 from benchmarks.measure import forward_times, measure, peak_memory
 from benchmarks.methods import Method, flattened
 from benchmarks.page import BEGIN, END, read_results, readme_table, with_table
-from benchmarks.page_tables import losses_text, photos_text
+from benchmarks.page_tables import duel_text, losses_text, photos_text
 from benchmarks.page_text import page_text
 from benchmarks.pictures import best_to_worst
 from benchmarks.published import TIME_ONLY, Prompt, PromptedFiReNet, true_dewarpnet_answer, true_firenet_answer
@@ -300,16 +300,13 @@ def test_the_page_and_the_readme_come_from_the_figures(made: tuple[Options, Repo
 
 
 def test_every_loss_is_listed(made: tuple[Options, Report], monkeypatch: pytest.MonkeyPatch) -> None:
-    """The worse of two methods, taken for ours: it is said of every size, and of every kind of photo."""
+    """The worse of two methods, taken for ours: it is said of both sizes, and of every kind of photo."""
     _, report = made
     assert losses_text(report) == "`hybrid` was not run."
     monkeypatch.setattr(benchmarks.page_tables, "EFFORTS", {"middle": None})
     monkeypatch.setattr(benchmarks.page_tables, "OWN", frozenset({"middle"}))
     lines = losses_text(report).splitlines()
-    assert [sum(f"{size:g} MP" in line and "times its error" in line for line in lines) for size in (0.003, 0.05)] == [
-        1,
-        1,
-    ]
+    assert sum(line.endswith(" times its error at 0.003, 0.05 MP") for line in lines) == 1
     assert any("photos of one kind (cell style" in line and "four corners" in line for line in lines)
     kinds = sum(len(part) for part in ({c.style for c in report.cases}, {c.light for c in report.cases}))
     assert sum("photos of one kind" in line for line in lines) >= kinds
@@ -323,6 +320,15 @@ def test_a_method_that_wins_everywhere_has_no_losses(
     monkeypatch.setattr(benchmarks.page_tables, "EFFORTS", {"scanner_true": None})
     monkeypatch.setattr(benchmarks.page_tables, "OWN", frozenset({"scanner_true"}))
     assert losses_text(replace(report, measured=tuple(slow))).startswith("Nothing: it is faster than every rival")
+
+
+def test_a_duel_is_one_line_whatever_the_sizes(made: tuple[Options, Report]) -> None:
+    _, report = made
+    head, _, *rows = duel_text(duels(report, ("scanner_true",), "middle")).splitlines()
+    assert "times as fast, 0.003 MP | times as fast, 0.05 MP | times as near" in head
+    photos = sum(d.both for d in duels(report, ("scanner_true",), "middle"))
+    assert len(rows) == 1
+    assert rows[0].endswith(f" of {photos} |")
 
 
 def test_duels_are_ratios_in_the_methods_favour(made: tuple[Options, Report]) -> None:

@@ -20,7 +20,7 @@ from hybrid.coords import (
 )
 from hybrid.records import SliceGrid
 from hybrid.rectify.deilluminate import DeilluminateConfig, deilluminate, find_clipped
-from hybrid.rectify.reflections import ReflectionConfig
+from hybrid.rectify.reflections import ReflectionConfig, find_reflections
 from hybrid.rectify.resample import rectify_photo
 
 SIZE = (600, 480)
@@ -225,6 +225,19 @@ def test_print_within_one_slice_is_no_reflection():
         deilluminate(photo, everywhere(), grid_of_cells()).film,
         deilluminate(photo, everywhere(), grid_of_cells(), unable).film,
     )
+
+
+def test_an_organ_on_which_a_reflection_lies_stays() -> None:
+    """A faint reflection runs over all columns, and over organs where most other slices are black."""
+    film = np.zeros((250, 200), np.float32)
+    for row, col in ((0, 0), (0, 1), (1, 2), (2, 3), (3, 0)):
+        film[50 * row + 14 : 50 * row + 36, 50 * col + 14 : 50 * col + 36] = 0.5  # in 5 of 20 slices
+    lit = film.copy()
+    lit[20:30] += 0.06
+    found = find_reflections(lit, np.ones(lit.shape, bool), grid_of_cells(), ReflectionConfig(side_px=250))
+    assert found[22:28, 102:112].mean() == pytest.approx(0.06, abs=0.01)
+    assert found.max() < 0.1
+    np.testing.assert_allclose(found[60:], 0.0, atol=0.02)
 
 
 def print_of_wedges() -> tuple[np.ndarray, np.ndarray]:

@@ -2,7 +2,9 @@
 
 The smooth veil (``light``) follows broad reflections. What is left of a window or a lamp is brighter than black at
 places that are black in most slices of the film. So may be print (a larger organ, a scout view), but print ends at the
-border of its slice, and a reflection does not know of borders: only what crosses one is taken for a reflection.
+border of its slice, and a reflection does not know of borders: only what crosses one is taken for a reflection. How
+bright it may be is told by places that are black in nearly all slices: what is brighter, an organ on which it lies, is
+print.
 """
 
 from __future__ import annotations
@@ -11,7 +13,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float, Float32
+from jaxtyping import Bool, Float, Float32, Int
 
 from hybrid.coords import centres_1d, film_centres_1d, pixel_from_film, sample_bilinear
 from hybrid.records import SliceGrid
@@ -30,11 +32,15 @@ class ReflectionConfig:
     """Longer side of the copy on which reflections are found."""
     black: float = 0.07
     """Light up to which print is called black."""
-    black_share: float = 0.75
+    black_share: float = 0.6
     """A place within the slice is known to be black if it is so in this share of the slices."""
-    margin_px: int = 2
+    sure_share: float = 0.8
+    """The same of the places that tell how bright a reflection is: what is brighter elsewhere in it is print."""
+    brightest: tuple[float, float] = (0.95, 1.3)
+    """Quantile of these places that counts, and by how much a reflection may be brighter than that."""
+    margin_px: int = 1
     """Pixels at the rim of such places that are not believed: texts and organs are blurred and not quite alike."""
-    least: float = 0.03
+    least: float = 0.02
     """Light that a reflection adds at least; less is left to the smooth veil."""
     bridge_px: int = 1
     """Gaps up to twice this wide, as rules between slices leave, do not part a reflection."""
@@ -67,13 +73,14 @@ def find_reflections(
     # Thin strokes are no reflections, wherever they are.
     dark = cv2.morphologyEx(light.astype(np.float32), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
     cells = _cells(grid, light.shape)
-    known = _usually_black(dark, cells, grid, config) & valid
-    known = cv2.erode(known.astype(np.uint8), np.ones((2 * config.margin_px + 1,) * 2, np.uint8)) > 0
-    reflected = _across_borders(known & (dark > config.least), cells, grid, config)
-    if not reflected.any():
+    black = np.where(valid, _share_black(dark, cells, grid, config), np.float32(0.0))
+    black = cv2.erode(black, np.ones((2 * config.margin_px + 1,) * 2, np.uint8))
+    known = black >= config.black_share
+    brightest = _across_borders(np.where(known, dark, 0.0), black >= config.sure_share, cells, grid, config)
+    if not brightest.any():
         return none
-    grown = cv2.dilate(reflected.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
-    return _spread(np.where(grown, np.maximum(dark, 0.0), 0.0).astype(np.float32), known)
+    reflected = np.minimum(np.maximum(dark, 0.0), cv2.dilate(brightest, np.ones((3, 3), np.uint8)))
+    return _spread(reflected.astype(np.float32), known)
 
 
 def _cells(grid: SliceGrid, size: tuple[int, ...]) -> _Cells:
@@ -109,23 +116,44 @@ def _places(lines: Float[np.ndarray, " k"], samples: int) -> Float[np.ndarray, "
     return np.interp(centres_1d(samples * (len(lines) - 1)) / samples, np.arange(len(lines)), lines)
 
 
-def _usually_black(dark: Grey, cells: _Cells, grid: SliceGrid, config: ReflectionConfig) -> Bool[np.ndarray, "h w"]:
-    """Pixels at places that are black in most slices."""
-    usually = (seen_slices(dark, grid, CELL_SAMPLES) < config.black).mean(axis=(0, 2)) >= config.black_share
+def _share_black(dark: Grey, cells: _Cells, grid: SliceGrid, config: ReflectionConfig) -> Grey:
+    """In which share of the slices the place of each pixel is black; 0 outside the grid."""
+    share = (seen_slices(dark, grid, CELL_SAMPLES) < config.black).mean(axis=(0, 2), dtype=np.float32)
     within = (cells.row >= 0)[:, None] & (cells.col >= 0)[None]
-    return usually[np.ix_(cells.row_place, cells.col_place)] & within
+    return np.where(within, share[np.ix_(cells.row_place, cells.col_place)], np.float32(0.0))
 
 
 def _across_borders(
-    bright: Bool[np.ndarray, "h w"], cells: _Cells, grid: SliceGrid, config: ReflectionConfig
-) -> Bool[np.ndarray, "h w"]:
-    """The connected parts of ``bright`` that lie in two slices or more."""
+    light: Grey, sure: Bool[np.ndarray, "h w"], cells: _Cells, grid: SliceGrid, config: ReflectionConfig
+) -> Grey:
+    """How bright each reflection is at most, on its pixels; 0 elsewhere.
+
+    light: where print is known to be black, else 0. Reflections are the connected bright parts of it that lie in two
+    slices or more. sure: places that tell how bright they are.
+    """
+    bright = light > config.least
     joined = cv2.dilate(bright.astype(np.uint8), np.ones((2 * config.bridge_px + 1,) * 2, np.uint8))
-    count, label = cv2.connectedComponents(joined)
+    count, found = cv2.connectedComponents(joined)
+    label = np.asarray(found, dtype=np.intp)
     cell = cells.row[:, None] * grid.cols + cells.col[None]
     pixels = np.bincount(label[bright] * grid.rows * grid.cols + cell[bright], minlength=count * grid.rows * grid.cols)
     spans = (pixels.reshape(count, -1) >= config.least_pixels).sum(axis=1)
-    return bright & (spans >= 2)[label]
+    quantile, brighter = config.brightest
+    brightest = brighter * _quantiles(light[bright & sure], label[bright & sure], count, quantile)
+    brightest[spans < 2] = 0.0
+    return np.where(bright, brightest[label], np.float32(0.0))
+
+
+def _quantiles(
+    values: Float32[np.ndarray, " n"], group: Int[np.ndarray, " n"], groups: int, quantile: float
+) -> Float32[np.ndarray, " g"]:
+    """A quantile of the values of each group; 0 of those without any."""
+    found = np.zeros(groups, np.float32)
+    if len(values):
+        order = np.lexsort((values, group))
+        own, first, size = np.unique(group[order], return_index=True, return_counts=True)
+        found[own] = values[order][first + (quantile * (size - 1)).astype(np.intp)]
+    return found
 
 
 def _spread(values: Grey, known: Bool[np.ndarray, "h w"]) -> Grey:
