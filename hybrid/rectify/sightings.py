@@ -87,8 +87,8 @@ class SplineConfig:
     is wide, as edges tell more of the film's inside than the coarse map does."""
     stiffness: tuple[float, float, int] = (5e3, 5e5, 5)
     """Lowest and highest bending weight tried, and how many; the evidence chooses. In 1 / (squared film units)."""
-    reweightings: int = 4
-    """Rounds of robust reweighting; in the last but one the stiffness is chosen."""
+    reweightings: int = 5
+    """Rounds of robust reweighting."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -252,7 +252,7 @@ def _solve_robust(system: _System, config: SplineConfig) -> tuple[np.ndarray, np
         scaled = weights / (noise * sigma) ** 2
         precision = system.precision(scaled, config)
         right = system.rows.T @ (scaled * system.right)
-        if step == config.reweightings - 2 and count > 1:
+        if step % 2 == 1 and count > 1:
             stiffness = max(candidates.tolist(), key=lambda c: _log_evidence(system, precision, right, c, config))
         solution, _ = _solve(system.stiffened(precision, stiffness), right)
         residual = system.rows @ solution - system.right
