@@ -128,7 +128,8 @@ def losses_text(report: Report) -> str:
 
 def _by_rival(found: Sequence[Duel]) -> list[list[Duel]]:
     """The same apart for each rival."""
-    return [[d for d in found if d.rival is rival] for rival in {id(d.rival): d.rival for d in found}.values()]
+    names = dict.fromkeys(d.rival.name for d in found)
+    return [[d for d in found if d.rival.name == name] for name in names]
 
 
 def _losses(found: Sequence[Duel]) -> str:
