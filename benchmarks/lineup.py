@@ -55,7 +55,7 @@ CONFIGURATIONS: dict[str, tuple[str, RectifyConfig]] = {
         ),
     ),
     "hybrid_no_phases": ("hybrid, cells by the print alone", RectifyConfig(told_cells=False)),
-    "hybrid_no_lines": ("hybrid, no rules or gutters", RectifyConfig(refine=RefineConfig(lines=False))),
+    "hybrid_no_lines": ("hybrid, no rules or gutters", RectifyConfig(refine=RefineConfig(line_rounds=0))),
     "hybrid_no_repeats": (
         "hybrid, no repeated cells",
         RectifyConfig(refine=RefineConfig(repeat=RepeatConfig(min_correlation=2.0))),  # no correlation reaches 2

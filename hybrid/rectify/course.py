@@ -65,8 +65,8 @@ class RefineConfig:
     """A round that moves the film by less than this is the last, in film units."""
     settled_sheet: float = 1e-3
     """The same for the rounds from an unstretched sheet."""
-    lines: bool = True
-    """Whether rules and gutters are looked for."""
+    line_rounds: int = 2
+    """Rounds in which lines are looked for where they have not been found: they show better in a straighter view."""
     max_move: float = 0.08
     """Largest displacement believed, in film units."""
     min_gain: float = 0.9
@@ -178,7 +178,7 @@ def begin(scene: Scene, outline: Sequence[Sightings], config: RefineConfig) -> P
 def followed(progress: Progress, config: RefineConfig, clock: Clock) -> Progress | None:
     """After all rounds, or fewer if they settle before. None where nothing is seen."""
     for number, matcher in enumerate(_matchers(config)):
-        after = _round(progress, number == 0, matcher, config, clock)
+        after = _round(progress, number, matcher, config, clock)
         if after is None or after.settled:
             return after
         progress = after
@@ -186,21 +186,19 @@ def followed(progress: Progress, config: RefineConfig, clock: Clock) -> Progress
 
 
 def _round(
-    progress: Progress, first: bool, matcher: Callable[..., tuple[Sightings, ...]], config: RefineConfig, clock: Clock
+    progress: Progress, number: int, matcher: Callable[..., tuple[Sightings, ...]], config: RefineConfig, clock: Clock
 ) -> Progress | None:
-    """One more round: what is printed is looked for through the improved map, and all is fitted anew.
-
-    In the first the cells are read and their lines looked for, from then on only followed.
-    """
+    """One more round: what is printed is looked for through the improved map, and all is fitted anew."""
     scene, outline, displacement = progress.scene, progress.outline, progress.attempt.displacement
+    looking = number < config.line_rounds
     view = view_of(scene, displacement)
-    told = phases_along(scene, displacement) if first else None
-    reading = read_view(view, progress.layout, told, config) if first else None
-    layout, lines = find_layout(view, progress.layout, first and config.lines, reading, config.grid, config.repeat)
+    told = phases_along(scene, displacement) if number == 0 else None
+    reading = read_view(view, progress.layout, told, config) if number == 0 else None
+    layout, lines = find_layout(view, progress.layout, looking, reading, config.grid, config.repeat)
     found = _observe_print(view, layout, lines, matcher, outline, config)
     clock.lap("grid")
     evidence = tuple(e.lifted(displacement) for e in found)
-    if first:
+    if number == 0:
         edges = find_outline(scene.photo, displacement.composed(scene.coarse), config.outline_again)
         outline = tuple(displacement.lift(s) for s in edges)
         clock.lap("outline")
@@ -213,7 +211,7 @@ def _round(
     moved = float(np.abs(fit.displacement.values - displacement.values).max())
     attempt = _Attempt(fit.displacement, evidence, fit.weights, fit.stiffness)
     least = config.settled_move if progress.sheet is None else config.settled_sheet
-    settled = not first and (moved < least or (progress.sheet is None and layout.is_enough))
+    settled = number >= 1 and (moved < least or (progress.sheet is None and layout.is_enough))
     return replace(progress, outline=outline, attempt=attempt, layout=layout, settled=settled)
 
 
@@ -248,7 +246,7 @@ def unstretched(progress: Progress, config: RefineConfig, clock: Clock) -> Progr
     clock.lap("sheet")
     still = _Attempt(no_displacement(config.spline))
     begun = Progress(scene, outline, still, layout, sheet=sheet, sheets=progress.sheets + 1)
-    return _round(begun, False, _matchers(config)[-1], config, clock)
+    return _round(begun, config.line_rounds, _matchers(config)[-1], config, clock)
 
 
 def ended(progress: Progress, config: RefineConfig, clock: Clock) -> Course:

@@ -48,7 +48,7 @@ class Layout:
 
     @property
     def is_enough(self) -> bool:
-        """True where there are no cells to match: lines have been followed once more, and more rounds find no more."""
+        """True where there are no cells to match: lines have been looked for twice, and more rounds find no more."""
         return not self.settled
 
     @property
