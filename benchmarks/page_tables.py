@@ -142,7 +142,7 @@ def _losses(found: Sequence[Duel]) -> str:
         sizes = ", ".join(f"{d.megapixels:g}" for d in slower)
         said.append(f"{times} times its seconds (processor seconds) at {sizes} MP")
     if further:
-        times, sizes = (", ".join(texts) for texts in zip(*((f"{t:.2g}", f"{s:g}") for s, t in further), strict=True))
+        times, sizes = ", ".join(f"{t:.2g}" for _, t in further), ", ".join(f"{s:g}" for s, _ in further)
         said.append(f"{times} times its error at {sizes} MP")
     return f"- `{found[0].method.label}` against {found[0].rival.label}: {'; '.join(said)}"
 

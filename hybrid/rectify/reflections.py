@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Int
+from jaxtyping import Bool, Float, Float32
 
 from hybrid.coords import centres_1d, film_centres_1d, pixel_from_film, sample_bilinear
 from hybrid.records import SliceGrid
@@ -80,7 +80,7 @@ def find_reflections(
     if not brightest.any():
         return none
     reflected = np.minimum(np.maximum(dark, 0.0), cv2.dilate(brightest, np.ones((3, 3), np.uint8)))
-    return _spread(reflected.astype(np.float32), known)
+    return _spread(reflected, known)
 
 
 def _cells(grid: SliceGrid, size: tuple[int, ...]) -> _Cells:
@@ -139,21 +139,12 @@ def _across_borders(
     pixels = np.bincount(label[bright] * grid.rows * grid.cols + cell[bright], minlength=count * grid.rows * grid.cols)
     spans = (pixels.reshape(count, -1) >= config.least_pixels).sum(axis=1)
     quantile, brighter = config.brightest
-    brightest = brighter * _quantiles(light[bright & sure], label[bright & sure], count, quantile)
-    brightest[spans < 2] = 0.0
+    brightest, told = np.zeros(count, np.float32), np.where(bright & sure, label, 0)
+    for k in np.flatnonzero(spans >= 2):
+        values = light[told == k]
+        if values.size:
+            brightest[k] = brighter * np.quantile(values, quantile, method="lower")
     return np.where(bright, brightest[label], np.float32(0.0))
-
-
-def _quantiles(
-    values: Float32[np.ndarray, " n"], group: Int[np.ndarray, " n"], groups: int, quantile: float
-) -> Float32[np.ndarray, " g"]:
-    """A quantile of the values of each group; 0 of those without any."""
-    found = np.zeros(groups, np.float32)
-    if len(values):
-        order = np.lexsort((values, group))
-        own, first, size = np.unique(group[order], return_index=True, return_counts=True)
-        found[own] = values[order][first + (quantile * (size - 1)).astype(np.intp)]
-    return found
 
 
 def _spread(values: Grey, known: Bool[np.ndarray, "h w"]) -> Grey:
