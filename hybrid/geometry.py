@@ -19,7 +19,7 @@ from hybrid.pyramid import Photo, Pyramid
 from hybrid.records import CoarseMaps, StageReport
 from hybrid.rectify.cell_phases import CellPhases
 from hybrid.rectify.consensus import geometric_median
-from hybrid.rectify.edge_paths import edge_support, put_on_edges, read_edges
+from hybrid.rectify.edge_paths import EdgesRead, edge_support, put_on_edges, read_edges
 from hybrid.rectify.flat import already_flat
 from hybrid.rectify.foreshortening import even
 from hybrid.rectify.glance import VIEW_PX, glance
@@ -134,7 +134,7 @@ def shape_of(
         on_edges = partial(put_on_edges, read=read, config=config.edges)
         start = on_edges(coarse)
         report.reason = f"{len(read.sightings)} of 4 edges read, up to {read.off:.1%} of the film beside the network's"
-    by_edges = partial(flat_film, refine=config.refine, config=config.plane)
+    by_edges = partial(flat_film, edges=read.seen_through(start), refine=config.refine, config=config.plane)
     flat = _on_copy(pyramid, start, phases, config.refine.working_px, by_edges)
     clock.reports += flat.stages
     if flat.believed:
@@ -157,7 +157,7 @@ def shape_of(
         )
     if config.exact:
         others = (evened(on_edges(side.backward)) for side in every)
-        return _exact(pyramid, start, phases, others, config, clock)
+        return _exact(pyramid, start, phases, read, others, config, clock)
     look_at = partial(
         glance, expected=NETWORK_ERROR, config=config.refine, why="the networks' map is kept in this effort"
     )
@@ -170,12 +170,13 @@ def _exact(
     pyramid: Pyramid,
     coarse: BackwardMap,
     phases: CellPhases | None,
+    read: EdgesRead,
     sides: Iterable[BackwardMap],
     config: RectifyConfig,
     clock: Clock,
 ) -> Refinement:
     """The network's map made exact by what is seen of the film; where the effort says so, from each side's map too."""
-    exactly = partial(_exactly, pyramid, phases, config)
+    exactly = partial(_exactly, pyramid, phases, read, config)
     first = exactly(coarse)
     clock.reports += first.stages
     with clock.stage("again") as report:
@@ -202,7 +203,7 @@ def flat_itself(
 ) -> Refinement | None:
     """The photo's frame as the film's map, if the photo is a scan or a film that was flattened before."""
     with clock.stage("flat") as report:
-        flat, report.reason = already_flat(pyramid, coarse, refined, partial(_exactly, pyramid, phases, config))
+        flat, report.reason = already_flat(pyramid, coarse, refined, partial(_exactly, pyramid, phases, None, config))
         report.ran = flat is not None
     return flat
 
@@ -233,9 +234,14 @@ def trusted(
     return verdict, expected_error_px(signs, config.trust)
 
 
-def _exactly(pyramid: Pyramid, phases: CellPhases | None, config: RectifyConfig, start: BackwardMap) -> Refinement:
-    """A map made exact, on a copy of the photo that is large enough for that."""
-    return _on_copy(pyramid, start, phases, config.refine.working_px, partial(refine, config=config.refine))
+def _exactly(
+    pyramid: Pyramid, phases: CellPhases | None, read: EdgesRead | None, config: RectifyConfig, start: BackwardMap
+) -> Refinement:
+    """A map made exact, on a copy of the photo that is large enough for that. read: the edges, if they were read."""
+    edges = () if read is None else read.seen_through(start)
+    return _on_copy(
+        pyramid, start, phases, config.refine.working_px, partial(refine, config=config.refine, edges=edges)
+    )
 
 
 def _on_copy(

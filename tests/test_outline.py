@@ -1,14 +1,16 @@
 """The sheet's edges: found to a fraction of a pixel where they show, and not found where they do not."""
 
+import cv2
 import numpy as np
 import pytest
 from scipy.stats import norm
 from synthetic_film import FilmDrawing, disturbed, make_photo
 
 from hybrid.backward import BackwardMap
-from hybrid.coords import linear_from_srgb, srgb_from_linear
+from hybrid.coords import film_centres_1d, linear_from_srgb, srgb_from_linear
 from hybrid.rectify.curves import best_paths, smooth_curve_weights
-from hybrid.rectify.outline import OutlineConfig, Strip, find_outline, subpixel_edge
+from hybrid.rectify.outline import OutlineConfig, Strip, edge_sightings, find_outline, subpixel_edge
+from hybrid.strips import SIDES
 
 CONFIG = OutlineConfig(band=0.03)
 RULE_PX = 2.0
@@ -47,6 +49,23 @@ def test_a_frame_printed_inside_is_not_the_edge():
     assert len(outline) == 4
     for sightings in outline:
         assert np.median(distance_from_edge(coarse, true, sightings)) < EDGE_PX
+
+
+def test_a_shadow_beside_the_sheet_is_not_its_edge_where_that_was_read():
+    rng = np.random.default_rng(8)
+    photo, true = make_photo(FilmDrawing(rules=False), rng, 200)
+    left, t = SIDES[2], film_centres_1d(64)
+    edge, shadow = (true.photo_from_film(left.film_points(t, np.full(64, depth))) for depth in (0.0, -0.02))
+    cv2.fillPoly(photo, [np.rint(np.concatenate([shadow, edge[::-1]])).astype(np.int32)], (70, 70, 70))
+    coarse = disturbed(true, 4.0, rng)
+    seen = coarse.film_near(edge, left.film_points(t, np.zeros(64)))
+    read = edge_sightings(left, seen[:, 1], seen[:, 0], np.full(64, 1e-3))
+    off = []
+    for edges in ((), (read,)):
+        (found,) = [s for s in find_outline(photo, coarse, CONFIG, edges) if (s.axis, s.known[0]) == (0, 0.0)]
+        off.append(float(np.median(distance_from_edge(coarse, true, found))))
+    assert off[0] > 5
+    assert off[1] < 1.5
 
 
 def test_black_film_on_black_gives_no_sightings():

@@ -50,7 +50,7 @@ def edges(bend: float = 0.0, shift: float = 0.0) -> list[Sightings]:
 
 def test_a_flat_film_is_found_to_a_fraction_of_a_pixel_from_a_rough_map():
     true = plane_map()
-    found = flat_film(flat_photo(), disturbed(true, 2.0, np.random.default_rng(2)), None, REFINE, CONFIG)
+    found = flat_film(flat_photo(), disturbed(true, 2.0, np.random.default_rng(2)), None, (), REFINE, CONFIG)
     assert found.expected_px is not None, found.stages[0].reason
     assert end_point_error(found.backward, true.nodes).max() < 0.6
     assert found.grid is not None
@@ -60,7 +60,7 @@ def test_a_flat_film_is_found_to_a_fraction_of_a_pixel_from_a_rough_map():
 @pytest.mark.parametrize("bow", [0.004, -0.008])
 def test_a_bowed_film_is_not_called_flat(bow: float):
     coarse = plane_map()
-    found = flat_film(flat_photo(bow), coarse, None, REFINE, CONFIG)
+    found = flat_film(flat_photo(bow), coarse, None, (), REFINE, CONFIG)
     assert found.expected_px is None
     assert found.backward is coarse
     assert "not surely flat" in found.stages[0].reason
@@ -69,7 +69,7 @@ def test_a_bowed_film_is_not_called_flat(bow: float):
 def test_where_the_map_is_far_from_a_plane_no_edge_is_looked_for():
     u = film_nodes((33, 33))[..., :1]
     bent = BackwardMap(plane_map().nodes + 60 * np.sin(np.pi * u) * [0, 1])
-    found = flat_film(flat_photo(), bent, None, REFINE, CONFIG)
+    found = flat_film(flat_photo(), bent, None, (), REFINE, CONFIG)
     assert not found.stages[0].ran
     assert found.expected_px is None
 

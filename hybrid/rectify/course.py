@@ -199,7 +199,8 @@ def _round(
     clock.lap("grid")
     evidence = tuple(e.lifted(displacement) for e in found)
     if number == 0:
-        edges = find_outline(scene.photo, displacement.composed(scene.coarse), config.outline_again)
+        near = displacement.composed(scene.coarse)
+        edges = find_outline(scene.photo, near, config.outline_again, scene.edges_through(near))
         outline = tuple(displacement.lift(s) for s in edges)
         clock.lap("outline")
     evidence += tuple(Evidence(_as_uncertain(s, layout, config)) for s in outline)
@@ -238,11 +239,12 @@ def unstretched(progress: Progress, config: RefineConfig, clock: Clock) -> Progr
     if sheet.backward.folds((33, 33)):
         return None
     layout = progress.layout.adjusted(placed.evidence, sheet.constants)
+    read = tuple(scene.edges_through(sheet.backward))
     if progress.sheet is None:
-        outline = find_outline(scene.photo, sheet.backward, config.outline_again)
+        outline = find_outline(scene.photo, sheet.backward, config.outline_again, read)
     else:
         outline = tuple(carried(s, scene.coarse, sheet.backward) for s in progress.outline)
-    scene = replace(scene, coarse=sheet.backward)
+    scene = replace(scene, coarse=sheet.backward, edges=read)
     clock.lap("sheet")
     still = _Attempt(no_displacement(config.spline))
     begun = Progress(scene, outline, still, layout, sheet=sheet, sheets=progress.sheets + 1)

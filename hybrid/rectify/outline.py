@@ -2,13 +2,15 @@
 
 Across each predicted edge the photo is sampled in a band. An edge is where two windows side by side are each
 homogeneous and differ: a printed rule or a text, thinner than a window, spoils its window's homogeneity and so
-is no edge. One path per side, coherent along it, is found by dynamic programming. The band is narrow: what lies
-parallel to the edge further off, as the frame of a print, was told from it before (edge_paths.py).
+is no edge. One path per side, coherent along it, is found by dynamic programming. What lies parallel to the edge, as
+the frame of a print or the sheet's shadow, was told from it before, by a network that reads edges but less exactly
+(edge_paths.py): the path stays near what it read.
 A side that shows no contrast gives no sightings.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -49,6 +51,12 @@ class OutlineConfig:
     """Stated noise of one edge point, in pixels."""
     prior: float = 0.02
     """Fraction of the film's size at which a path's distance from the prediction costs as much as half a score."""
+    read_free: float = 0.002
+    """How far a path may leave where an edge was read before, beyond the stated deviation of that, in film units."""
+    read_prior: float = 0.003
+    """Fraction of the film's size at which going further costs as much as half a score."""
+    read_near: float = 0.025
+    """How near along the edge it must have been read, in film units."""
 
 
 _NOWHERE = -10.0
@@ -75,16 +83,20 @@ class Strip:
 
 
 def find_outline(
-    photo: UInt8[np.ndarray, "H W 3"], backward: BackwardMap, config: OutlineConfig
+    photo: UInt8[np.ndarray, "H W 3"], backward: BackwardMap, config: OutlineConfig, read: Sequence[Sightings] = ()
 ) -> tuple[Sightings, ...]:
-    """Sightings of the sheet's edges through the map, one record for each side on which an edge is seen."""
+    """Sightings of the sheet's edges through the map, one record for each side on which an edge is seen.
+
+    read: the edges as they were read before (edge_paths.py), through the map; of what looks like an edge, what lies
+    there is one.
+    """
     strips = [sample_strip(photo, backward, side, config) for side in SIDES]
     deepest = max(len(strip.depth) for strip in strips)
     scores = np.full((len(strips), deepest, config.profiles), _NOWHERE)
-    for k, strip in enumerate(strips):
-        prior = 0.5 * (strip.depth / config.prior) ** 2
+    for k, (strip, side) in enumerate(zip(strips, SIDES, strict=True)):
+        prior = _prior(strip, [s for s in read if (s.axis, s.known[0]) == (side.axis, side.edge)], side, config)
         searched = np.abs(strip.depth) <= half_band(strip.pixel, config) * (1 + 1e-9)
-        score = edge_score(strip, config) - prior[:, None]
+        score = edge_score(strip, config) - prior
         scores[k, : len(strip.depth)] = np.where(searched[:, None], score, _NOWHERE)
     paths = best_paths(scores)
     at_path = np.take_along_axis(scores, paths[:, None], axis=1)[:, 0]
@@ -94,6 +106,20 @@ def find_outline(
     good &= smooth_curve_weights(strips[0].along, depth, good, rough) > 0.2
     seen = zip(strips, SIDES, depth, at_path, good, strict=True)
     return tuple(_side_sightings(*of_side, config) for of_side in seen if of_side[-1].mean() >= config.min_share)
+
+
+def _prior(strip: Strip, read: Sequence[Sightings], side: Side, config: OutlineConfig) -> Float[np.ndarray, "d p"]:
+    """What each place costs a path: by its distance from the prediction, and from where the edge was read."""
+    cost = np.repeat(0.5 * np.square(strip.depth / config.prior)[:, None], len(strip.along), axis=1)
+    for edge in read:
+        order = np.argsort(edge.seen[:, 1 - side.axis])
+        along, across = edge.seen[order, 1 - side.axis], edge.seen[order, side.axis]
+        depth, sigma = side.inward * (across - side.edge), edge.sigma[order]
+        off = np.abs(strip.depth[:, None] - np.interp(strip.along, along, depth))
+        off -= config.read_free + np.interp(strip.along, along, sigma)
+        near = np.abs(strip.along[:, None] - along).min(axis=1) < config.read_near
+        cost += np.where(near, 0.5 * np.square(np.maximum(off, 0.0) / config.read_prior), 0.0)
+    return cost
 
 
 def sample_strip(photo: UInt8[np.ndarray, "H W 3"], backward: BackwardMap, side: Side, config: OutlineConfig) -> Strip:

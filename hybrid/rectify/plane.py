@@ -18,7 +18,7 @@ from hybrid.rectify.held_out import MOST_RESIDUAL
 from hybrid.rectify.invert import fit_homography, project
 from hybrid.rectify.outline import find_outline
 from hybrid.rectify.refine import RefineConfig, Refinement
-from hybrid.rectify.sightings import Sightings
+from hybrid.rectify.sightings import Sightings, carried
 from hybrid.rectify.survey import survey_plane
 from hybrid.rectify.tps import MAD_TO_SIGMA, tukey_weights
 from hybrid.strips import SIDES
@@ -63,19 +63,21 @@ def flat_film(
     photo: UInt8[np.ndarray, "H W 3"],
     coarse: BackwardMap,
     phases: CellPhases | None,
+    edges: Sequence[Sightings],
     refine: RefineConfig,
     config: PlaneConfig,
 ) -> Refinement:
     """The map of a flat film by the lines of its edges, with the grid that shows through it.
 
-    coarse: the network's map. phases: what it tells of the cells. The map comes back, without expected_px, where the
-    film is not surely flat.
+    coarse: the network's map. phases: what it tells of the cells. edges: as they were read (edge_paths.py), through
+    ``coarse``. The map comes back, without expected_px, where the film is not surely flat.
     """
     start = perf_counter()
     decision, plane = survey_plane(coarse, config.max_off)
     found, evidence, lines = None, decision.reason, []
     if decision.yes:  # straight edges are straight as the nearest plane sheet shows them
-        lines = [edge_line(edge) for edge in find_outline(photo, plane, refine.outline)]
+        read = [carried(edge, coarse, plane) for edge in edges]
+        lines = [edge_line(edge) for edge in find_outline(photo, plane, refine.outline, read)]
         found, evidence = plane_by_edges(lines, plane, config)
     report = StageReport("plane", decision.yes, evidence, perf_counter() - start)
     if found is None:

@@ -7,6 +7,7 @@ smooth displacement (course.py). Then one bent sheet that does not stretch is fi
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -30,6 +31,7 @@ from hybrid.rectify.course import (
 )
 from hybrid.rectify.outline import find_outline
 from hybrid.rectify.scene import halved, phases_along, view_of, working_scene
+from hybrid.rectify.sightings import Sightings
 
 UNSTRETCHED = (
     "no sheet that does not stretch explains what is seen",
@@ -89,17 +91,22 @@ class Refinement:
 
 
 def refine(
-    photo: UInt8[np.ndarray, "H W 3"], coarse: BackwardMap, phases: CellPhases | None, config: RefineConfig
+    photo: UInt8[np.ndarray, "H W 3"],
+    coarse: BackwardMap,
+    phases: CellPhases | None,
+    config: RefineConfig,
+    edges: Sequence[Sightings] = (),
 ) -> Refinement:
     """The coarse map, corrected where the photo shows how.
 
-    photo: RGB, the one that ``coarse`` maps into. phases: what the network tells of the cells. Returns the coarse map
-    itself where nothing was seen, where the correction does not explain the photo better, or where it would fold the
-    film or move it too far; the report of stage ``spline`` says which. Raises nothing on any photo.
+    photo: RGB, the one that ``coarse`` maps into. phases: what the network tells of the cells. edges: as they were read
+    (edge_paths.py), through ``coarse``. Returns the coarse map itself where nothing was seen, where the correction does
+    not explain the photo better, or where it would fold the film or move it too far; the report of stage ``spline``
+    says which. Raises nothing on any photo.
     """
     clock = Clock()
-    scene = working_scene(photo, coarse, config.working_px, phases)
-    outline = find_outline(scene.photo, scene.coarse, config.outline)
+    scene = working_scene(photo, coarse, config.working_px, phases, tuple(edges))
+    outline = find_outline(scene.photo, scene.coarse, config.outline, scene.edges)
     clock.lap("outline")
     course = _course(begin(scene, outline, config), config, clock)
     if course is None:

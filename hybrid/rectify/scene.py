@@ -12,15 +12,16 @@ from hybrid.backward import BackwardMap
 from hybrid.coords import film_centres_1d
 from hybrid.film_view import FilmView, view_film
 from hybrid.rectify.cell_phases import AxisPhases, CellPhases
-from hybrid.rectify.sightings import Displacement
+from hybrid.rectify.sightings import Displacement, Sightings, carried
 
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """A photo, what the film is looked at in, the map to start from, and what the network tells of the cells.
+    """A photo, what the film is looked at in, the map to start from, and what the networks tell of the film.
 
     grey: the photo without colour; reduced where the exactness of small pixels is not needed, and the map with it.
-    film_size: (height, width) of a view of the film.
+    film_size: (height, width) of a view of the film. phases: of the cells. edges: the sheet's, as they were read,
+        through ``coarse``.
     """
 
     photo: UInt8[np.ndarray, "H W 3"]
@@ -28,10 +29,19 @@ class Scene:
     coarse: BackwardMap
     film_size: tuple[int, int]
     phases: CellPhases | None = None
+    edges: tuple[Sightings, ...] = ()
+
+    def edges_through(self, film: BackwardMap) -> list[Sightings]:
+        """The edges as if they had been read through a map that is near."""
+        return [carried(s, self.coarse, film) for s in self.edges]
 
 
 def working_scene(
-    photo: UInt8[np.ndarray, "H W 3"], coarse: BackwardMap, working_px: int, phases: CellPhases | None = None
+    photo: UInt8[np.ndarray, "H W 3"],
+    coarse: BackwardMap,
+    working_px: int,
+    phases: CellPhases | None = None,
+    edges: tuple[Sightings, ...] = (),
 ) -> Scene:
     """The photo scaled down, if need be, until the film's longer side has ``working_px`` pixels."""
     film_px = max(coarse.mean_film_pixels())
@@ -44,7 +54,7 @@ def working_scene(
         coarse, phases = coarse.cropped((0.0, 0.0), scale_xy), phases and phases.scaled(scale_xy)
     down, across = coarse.mean_film_pixels()
     film_size = (int(np.clip(round(down), 64, 4096)), int(np.clip(round(across), 64, 4096)))
-    return Scene(photo, cv2.cvtColor(photo, cv2.COLOR_RGB2GRAY), coarse, film_size, phases)
+    return Scene(photo, cv2.cvtColor(photo, cv2.COLOR_RGB2GRAY), coarse, film_size, phases, edges)
 
 
 def halved(scene: Scene) -> Scene:
@@ -54,7 +64,7 @@ def halved(scene: Scene) -> Scene:
     grey = cv2.resize(scene.grey, size, interpolation=cv2.INTER_AREA)
     scale_xy, film_size = (size[0] / width, size[1] / height), (scene.film_size[0] // 2, scene.film_size[1] // 2)
     coarse, phases = scene.coarse.cropped((0.0, 0.0), scale_xy), scene.phases and scene.phases.scaled(scale_xy)
-    return Scene(scene.photo, grey, coarse, film_size, phases)
+    return Scene(scene.photo, grey, coarse, film_size, phases, scene.edges)
 
 
 def view_of(scene: Scene, displacement: Displacement) -> FilmView:
