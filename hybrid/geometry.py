@@ -19,7 +19,7 @@ from hybrid.pyramid import Photo, Pyramid
 from hybrid.records import CoarseMaps, StageReport
 from hybrid.rectify.cell_phases import CellPhases
 from hybrid.rectify.consensus import geometric_median
-from hybrid.rectify.edge_paths import EdgesRead, edge_support, put_on_edges, read_edges
+from hybrid.rectify.edge_paths import EdgesRead, look_across, put_on_edges, read_edges
 from hybrid.rectify.flat import already_flat
 from hybrid.rectify.foreshortening import even
 from hybrid.rectify.glance import VIEW_PX, glance
@@ -157,7 +157,7 @@ def shape_of(
         )
     if config.exact:
         others = (evened(on_edges(side.backward)) for side in every)
-        return _exact(pyramid, start, phases, read, others, config, clock)
+        return _exact(pyramid, start, phases, read, reader, others, config, clock)
     look_at = partial(
         glance, expected=NETWORK_ERROR, config=config.refine, why="the networks' map is kept in this effort"
     )
@@ -171,6 +171,7 @@ def _exact(
     coarse: BackwardMap,
     phases: CellPhases | None,
     read: EdgesRead,
+    reader: EdgeReader,
     sides: Iterable[BackwardMap],
     config: RectifyConfig,
     clock: Clock,
@@ -179,6 +180,8 @@ def _exact(
     exactly = partial(_exactly, pyramid, phases, read, config)
     first = exactly(coarse)
     clock.reports += first.stages
+    with clock.stage("reread") as report:
+        first = reread(pyramid, phases, first, reader, config, report)
     with clock.stage("again") as report:
         expected = np.inf if first.expected_px is None else first.expected_px / max(first.backward.mean_film_pixels())
         report.ran = bool(expected > config.again_above)
@@ -191,6 +194,30 @@ def _exact(
         counts = "the surest" if len(surest) == 1 else f"the middle of the {len(surest)} that are surest"
         report.reason = f"from each of {len(found) - 1} sides: {counts}"
         return middle(surest) if surest else first
+
+
+def reread(
+    pyramid: Pyramid,
+    phases: CellPhases | None,
+    first: Refinement,
+    reader: EdgeReader,
+    config: RectifyConfig,
+    report: Report,
+) -> Refinement:
+    """A refinement whose edges are read where it puts them, or one more from where they are read through its map, if
+    they are more surely there then."""
+    read = look_across(pyramid, first.backward, reader, config.edges)
+    least, options = float(read.support.min()), config.edges
+    first = replace(first, support=read.support)
+    report.ran = first.believed and least < options.doubtful and read.off > options.beside
+    report.reason = f"an edge reads as one to {least:.0%} at least, up to {read.off:.2%} of the film beside"
+    if not report.ran:
+        return first
+    second = _exactly(pyramid, phases, read, config, put_on_edges(first.backward, read, options))
+    support = look_across(pyramid, second.backward, reader, options).support
+    report.reason += f"; {float(support.min()):.0%} once refined from there"
+    surer = second.believed and support.min() > least + options.surer
+    return replace(second, support=support) if surer else first
 
 
 def flat_itself(
@@ -227,8 +254,10 @@ def trusted(
     with clock.stage("verdict") as report:
         plane = plane_of(refinement.backward.cropped((0.0, 0.0), (1 / seen.factor, 1 / seen.factor)))
         (again,) = look(network, seen.photo, [film_view(plane, config.predict.margin)])
-        edges = edge_support(pyramid, refinement.backward, reader)
-        signs = signs_of(pyramid, seen.maps, coarse.backward, refinement, again.enlarged(seen.factor), edges, flat)
+        support = refinement.support
+        if support is None:
+            support = look_across(pyramid, refinement.backward, reader, config.edges).support
+        signs = signs_of(pyramid, seen.maps, coarse.backward, refinement, again.enlarged(seen.factor), support, flat)
         verdict = film_verdict(signs, config.trust)
         report.reason = verdict.reason
     return verdict, expected_error_px(signs, config.trust)

@@ -7,12 +7,15 @@ from synthetic_film import FilmDrawing, make_photo
 
 from hybrid.backward import BackwardMap
 from hybrid.coords import film_nodes
+from hybrid.effort import RectifyConfig
+from hybrid.geometry import Report, reread
 from hybrid.learn.edge_data import true_rows
 from hybrid.learn.edges import EdgeNet, EdgeNetConfig, EdgeTargets, edge_losses, edge_reader
 from hybrid.learn.network import fused
 from hybrid.learn.weights import packaged_edge_net, parameter_count
 from hybrid.pyramid import Pyramid
-from hybrid.rectify.edge_paths import EdgeConfig, edge_support, put_on_edges, read_edges, read_paths
+from hybrid.rectify.edge_paths import EdgeConfig, look_across, put_on_edges, read_edges, read_paths
+from hybrid.rectify.refine import Refinement
 from hybrid.strips import EdgeReader, StripConfig, edge_strips, strip_copy
 
 STRIP = StripConfig()
@@ -146,8 +149,23 @@ def test_a_map_stays_where_no_edge_is_read():
 def test_support_tells_edges_that_are_right_from_others():
     photo, film = sheet_photo()
     pyramid = Pyramid(photo)
-    assert (edge_support(pyramid, film, STEPS) > 0.8).all()
-    assert (edge_support(pyramid, moved_edges(film, 0.02), STEPS) < 0.1).all()
+    assert (look_across(pyramid, film, STEPS, CONFIG).support > 0.8).all()
+    assert (look_across(pyramid, moved_edges(film, 0.02), STEPS, CONFIG).support < 0.1).all()
+
+
+def test_a_refinement_with_a_wrong_edge_starts_once_more_from_where_edges_are_read():
+    photo, film = sheet_photo()
+    reports = []
+    for outwards in (-0.02, 0.0):
+        first = Refinement(moved_edges(film, outwards), None, (), expected_px=1.0)
+        report = Report()
+        found = reread(Pyramid(photo), None, first, STEPS, RectifyConfig(), report)
+        off = np.linalg.norm(found.backward.photo_from_film(film_nodes((9, 9))) - film.nodes, axis=2)
+        assert off.max() < 1.5
+        assert found.support is not None
+        assert (found.support > 0.8).all()
+        reports.append(report)
+    assert [report.ran for report in reports] == [True, False]
 
 
 # ---------------------------------------------------------------- the network

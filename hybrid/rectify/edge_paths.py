@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from hybrid.backward import BackwardMap
 from hybrid.coords import film_centres_1d
@@ -34,7 +34,9 @@ class EdgeConfig:
     path steps from column to column, and the log-probability that each costs. near: rows around the path that count
     for it. min_mass: least probability of these rows, in columns that count. row_sigma: stated deviation of the
     network's likeliest place, in rows. min_columns: of a side that counts. far: parts of the film by which edges
-    lie beside those predicted where they are looked at once more. spline: of the displacement.
+    lie beside those predicted where they are looked at once more. doubtful, beside, surer: refinement is done once
+    more if it puts an edge where it is read with less than this probability, and one is read this far beside it, in
+    parts of the film; that counts if it raises the probability by so much. spline: of the displacement.
     """
 
     floor: float = -9.0
@@ -45,6 +47,9 @@ class EdgeConfig:
     row_sigma: float = 0.5
     min_columns: int = 6
     far: float = 0.02
+    doubtful: float = 0.8
+    beside: float = 0.0015
+    surer: float = 0.03
     spline: SplineConfig = field(default_factory=SplineConfig)
 
 
@@ -89,11 +94,13 @@ def path_sightings(paths: EdgePaths, strip: StripConfig, config: EdgeConfig) -> 
 class EdgesRead:
     """The sheet's edges as they were read. through: the map across whose edges was looked. sightings: through it, one
     record for each side that was seen. off: how far beside the edges of the map asked for the farthest of them lies, in
-    parts of the film."""
+    parts of the film. support: for SIDES, the mean probability that the sheet's edge lies within SUPPORT_ROWS of where
+    that map puts it; 1 for a side that the photo hardly shows."""
 
     through: BackwardMap
     sightings: tuple[Sightings, ...]
     off: float
+    support: Float[np.ndarray, " 4"]
 
     def seen_through(self, film: BackwardMap) -> list[Sightings]:
         """The sightings as if they had been made through a map that is near."""
@@ -102,10 +109,10 @@ class EdgesRead:
 
 def read_edges(pyramid: Pyramid, film: BackwardMap, reader: EdgeReader, config: EdgeConfig) -> EdgesRead:
     """What is read across the edges of a map; where that is far beside them, once more across those it says."""
-    read = _look(pyramid, film, reader, config)
+    read = look_across(pyramid, film, reader, config)
     if read.off <= config.far:
         return read
-    return replace(_look(pyramid, put_on_edges(film, read, config), reader, config), off=read.off)
+    return replace(look_across(pyramid, put_on_edges(film, read, config), reader, config), off=read.off)
 
 
 def put_on_edges(film: BackwardMap, read: EdgesRead, config: EdgeConfig) -> BackwardMap:
@@ -117,23 +124,21 @@ def put_on_edges(film: BackwardMap, read: EdgesRead, config: EdgeConfig) -> Back
     return film if moved.folds((17, 17)) else moved
 
 
-def _look(pyramid: Pyramid, film: BackwardMap, reader: EdgeReader, config: EdgeConfig) -> EdgesRead:
+def look_across(pyramid: Pyramid, film: BackwardMap, reader: EdgeReader, config: EdgeConfig) -> EdgesRead:
     """What is read across the edges of a map, once."""
     photo, on_copy = strip_copy(pyramid, film, reader.strip)
-    paths = read_paths(reader.logs(*edge_strips(photo, on_copy, reader.strip)), config)
-    sightings = path_sightings(paths, reader.strip, config)
-    off = max((float(np.median(np.abs(s.offsets()))) for s in sightings), default=0.0)
-    return EdgesRead(film, tuple(sightings), off)
-
-
-def edge_support(pyramid: Pyramid, film: BackwardMap, reader: EdgeReader) -> Float[np.ndarray, " 4"]:
-    """For SIDES, the mean probability that the sheet's edge lies within SUPPORT_ROWS of where a map puts it; 1 for a
-    side that the photo hardly shows."""
-    photo, on_copy = strip_copy(pyramid, film, reader.strip)
     images, inside = edge_strips(photo, on_copy, reader.strip)
-    middle = reader.strip.rows // 2
+    logs = reader.logs(images, inside)
+    sightings = path_sightings(read_paths(logs, config), reader.strip, config)
+    off = max((float(np.median(np.abs(s.offsets()))) for s in sightings), default=0.0)
+    return EdgesRead(film, tuple(sightings), off, _support(logs, inside))
+
+
+def _support(logs: Float[np.ndarray, "4 r1 c"], inside: Bool[np.ndarray, "4 r c2"]) -> Float[np.ndarray, " 4"]:
+    """As EdgesRead.support: the network's columns may each stand for several of the strip's."""
+    middle = inside.shape[1] // 2
     near = slice(middle - SUPPORT_ROWS, middle + SUPPORT_ROWS)
-    chances = np.exp(reader.logs(images, inside))[:, near].sum(axis=1)
+    chances = np.exp(logs)[:, near].sum(axis=1)
     shown = inside[:, near].all(axis=1).reshape(*chances.shape, -1).all(axis=2)
     seen = shown.mean(axis=1) > LEAST_SHOWN
     return np.where(seen, (chances * shown).sum(axis=1) / np.maximum(shown.sum(axis=1), 1), 1.0)
@@ -143,7 +148,7 @@ __all__ = [
     "EdgeConfig",
     "EdgePaths",
     "EdgesRead",
-    "edge_support",
+    "look_across",
     "put_on_edges",
     "read_edges",
     "read_paths",

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import Float, UInt8
 
 from hybrid.backward import BackwardMap
 from hybrid.coords import film_nodes
@@ -74,6 +74,8 @@ class Refinement:
     edges: number of the sheet's edges that were seen.
     held_out: residual of sightings that the correction was not fitted to, in stated deviations; None without any.
     aspect: height over width of the unstretched sheet that explains what is seen; None where none does.
+    support: for SIDES (strips.py), the probability that an edge lies where the map puts it (edge_paths.py); None where
+        that was not looked at.
     """
 
     backward: BackwardMap
@@ -83,6 +85,7 @@ class Refinement:
     edges: int = 0
     held_out: float | None = None
     aspect: float | None = None
+    support: Float[np.ndarray, " 4"] | None = None
 
     @property
     def believed(self) -> bool:
