@@ -54,6 +54,7 @@ CONFIGURATIONS: dict[str, tuple[str, RectifyConfig]] = {
             refine=RefineConfig(outline=OutlineConfig(band=0.05)),
         ),
     ),
+    "hybrid_read_once": ("hybrid, edges not read again", RectifyConfig(edges=EdgeConfig(doubtful=0.0))),
     "hybrid_no_phases": ("hybrid, cells by the print alone", RectifyConfig(told_cells=False)),
     "hybrid_no_lines": ("hybrid, no rules or gutters", RectifyConfig(refine=RefineConfig(line_rounds=0))),
     "hybrid_no_repeats": (
