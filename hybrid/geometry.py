@@ -312,4 +312,4 @@ def middle(refinements: Sequence[Refinement]) -> Refinement:
     backward, grid = BackwardMap(between), nearest.grid
     if grid is not None:
         grid = replace(grid, vertices_photo=backward.photo_from_film(grid.vertices))
-    return replace(nearest, backward=backward, grid=grid)
+    return replace(nearest, backward=backward, grid=grid, support=None)
