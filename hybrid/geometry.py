@@ -19,7 +19,7 @@ from hybrid.pyramid import Photo, Pyramid
 from hybrid.records import CoarseMaps, StageReport
 from hybrid.rectify.cell_phases import CellPhases
 from hybrid.rectify.consensus import geometric_median
-from hybrid.rectify.edge_paths import EdgesRead, look_across, put_on_edges, read_edges
+from hybrid.rectify.edge_paths import EdgesRead, edge_support, look_across, put_on_edges, read_edges
 from hybrid.rectify.flat import already_flat
 from hybrid.rectify.foreshortening import even
 from hybrid.rectify.glance import VIEW_PX, glance
@@ -206,15 +206,16 @@ def reread(
 ) -> Refinement:
     """A refinement whose edges are read where it puts them, or one more from where they are read through its map, if
     they are more surely there then."""
-    read = look_across(pyramid, first.backward, reader, config.edges)
-    least, options = float(read.support.min()), config.edges
+    options = config.edges
+    read = look_across(pyramid, first.backward, reader, options)
+    least = float(read.support.min())
     first = replace(first, support=read.support)
     report.ran = first.believed and least < options.doubtful and read.off > options.beside
     report.reason = f"an edge reads as one to {least:.0%} at least, up to {read.off:.2%} of the film beside"
     if not report.ran:
         return first
     second = _exactly(pyramid, phases, read, config, put_on_edges(first.backward, read, options))
-    support = look_across(pyramid, second.backward, reader, options).support
+    support = edge_support(pyramid, second.backward, reader)
     report.reason += f"; {float(support.min()):.0%} once refined from there"
     surer = second.believed and support.min() > least + options.surer
     return replace(second, support=support) if surer else first
@@ -256,7 +257,7 @@ def trusted(
         (again,) = look(network, seen.photo, [film_view(plane, config.predict.margin)])
         support = refinement.support
         if support is None:
-            support = look_across(pyramid, refinement.backward, reader, config.edges).support
+            support = edge_support(pyramid, refinement.backward, reader)
         signs = signs_of(pyramid, seen.maps, coarse.backward, refinement, again.enlarged(seen.factor), support, flat)
         verdict = film_verdict(signs, config.trust)
         report.reason = verdict.reason

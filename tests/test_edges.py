@@ -14,7 +14,7 @@ from hybrid.learn.edges import EdgeNet, EdgeNetConfig, EdgeTargets, edge_losses,
 from hybrid.learn.network import fused
 from hybrid.learn.weights import packaged_edge_net, parameter_count
 from hybrid.pyramid import Pyramid
-from hybrid.rectify.edge_paths import EdgeConfig, look_across, put_on_edges, read_edges, read_paths
+from hybrid.rectify.edge_paths import EdgeConfig, edge_support, put_on_edges, read_edges, read_paths
 from hybrid.rectify.refine import Refinement
 from hybrid.strips import EdgeReader, StripConfig, edge_strips, strip_copy
 
@@ -149,8 +149,8 @@ def test_a_map_stays_where_no_edge_is_read():
 def test_support_tells_edges_that_are_right_from_others():
     photo, film = sheet_photo()
     pyramid = Pyramid(photo)
-    assert (look_across(pyramid, film, STEPS, CONFIG).support > 0.8).all()
-    assert (look_across(pyramid, moved_edges(film, 0.02), STEPS, CONFIG).support < 0.1).all()
+    assert (edge_support(pyramid, film, STEPS) > 0.8).all()
+    assert (edge_support(pyramid, moved_edges(film, 0.02), STEPS) < 0.1).all()
 
 
 def test_a_refinement_with_a_wrong_edge_starts_once_more_from_where_edges_are_read():

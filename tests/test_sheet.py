@@ -159,7 +159,7 @@ def test_sightings_that_are_carried_to_another_map_show_the_same_points():
     true = cylinder(1.5, 30, -12)
     before, after = larger(true), true
     (edge, *_) = edges_seen(true, before, np.random.default_rng(0), 0.5)
-    moved = carried(edge, before, after)
+    (moved,) = carried([edge], before, after)
     assert after.photo_from_film(moved.seen) == pytest.approx(before.photo_from_film(edge.seen), abs=0.02)
     assert (moved.known == edge.known).all()
 

@@ -200,7 +200,7 @@ def _round(
     evidence = tuple(e.lifted(displacement) for e in found)
     if number == 0:
         near = displacement.composed(scene.coarse)
-        edges = find_outline(scene.photo, near, config.outline_again, scene.edges_through(near))
+        edges = find_outline(scene.photo, near, config.outline_again, carried(scene.edges, scene.coarse, near))
         outline = tuple(displacement.lift(s) for s in edges)
         clock.lap("outline")
     evidence += tuple(Evidence(_as_uncertain(s, layout, config)) for s in outline)
@@ -239,12 +239,12 @@ def unstretched(progress: Progress, config: RefineConfig, clock: Clock) -> Progr
     if sheet.backward.folds((33, 33)):
         return None
     layout = progress.layout.adjusted(placed.evidence, sheet.constants)
-    read = tuple(scene.edges_through(sheet.backward))
     if progress.sheet is None:
+        read = carried(scene.edges, scene.coarse, sheet.backward)
         outline = find_outline(scene.photo, sheet.backward, config.outline_again, read)
     else:
-        outline = tuple(carried(s, scene.coarse, sheet.backward) for s in progress.outline)
-    scene = replace(scene, coarse=sheet.backward, edges=read)
+        outline = carried(progress.outline, scene.coarse, sheet.backward)
+    scene = replace(scene, coarse=sheet.backward, edges=())  # from now on edges are carried, not looked for
     clock.lap("sheet")
     still = _Attempt(no_displacement(config.spline))
     begun = Progress(scene, outline, still, layout, sheet=sheet, sheets=progress.sheets + 1)

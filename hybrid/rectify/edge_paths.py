@@ -102,9 +102,9 @@ class EdgesRead:
     off: float
     support: Float[np.ndarray, " 4"]
 
-    def seen_through(self, film: BackwardMap) -> list[Sightings]:
+    def seen_through(self, film: BackwardMap) -> tuple[Sightings, ...]:
         """The sightings as if they had been made through a map that is near."""
-        return [s if film is self.through else carried(s, self.through, film) for s in self.sightings]
+        return carried(self.sightings, self.through, film)
 
 
 def read_edges(pyramid: Pyramid, film: BackwardMap, reader: EdgeReader, config: EdgeConfig) -> EdgesRead:
@@ -126,12 +126,24 @@ def put_on_edges(film: BackwardMap, read: EdgesRead, config: EdgeConfig) -> Back
 
 def look_across(pyramid: Pyramid, film: BackwardMap, reader: EdgeReader, config: EdgeConfig) -> EdgesRead:
     """What is read across the edges of a map, once."""
-    photo, on_copy = strip_copy(pyramid, film, reader.strip)
-    images, inside = edge_strips(photo, on_copy, reader.strip)
-    logs = reader.logs(images, inside)
+    logs, inside = _logs_across(pyramid, film, reader)
     sightings = path_sightings(read_paths(logs, config), reader.strip, config)
     off = max((float(np.median(np.abs(s.offsets()))) for s in sightings), default=0.0)
     return EdgesRead(film, tuple(sightings), off, _support(logs, inside))
+
+
+def edge_support(pyramid: Pyramid, film: BackwardMap, reader: EdgeReader) -> Float[np.ndarray, " 4"]:
+    """Of what is read across the edges of a map only EdgesRead.support."""
+    return _support(*_logs_across(pyramid, film, reader))
+
+
+def _logs_across(
+    pyramid: Pyramid, film: BackwardMap, reader: EdgeReader
+) -> tuple[Float[np.ndarray, "4 r1 c"], Bool[np.ndarray, "4 r c2"]]:
+    """What the network says of the strips across a map's edges, and where the photo covers these."""
+    photo, on_copy = strip_copy(pyramid, film, reader.strip)
+    images, inside = edge_strips(photo, on_copy, reader.strip)
+    return reader.logs(images, inside), inside
 
 
 def _support(logs: Float[np.ndarray, "4 r1 c"], inside: Bool[np.ndarray, "4 r c2"]) -> Float[np.ndarray, " 4"]:
@@ -148,6 +160,7 @@ __all__ = [
     "EdgeConfig",
     "EdgePaths",
     "EdgesRead",
+    "edge_support",
     "look_across",
     "put_on_edges",
     "read_edges",

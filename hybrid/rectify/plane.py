@@ -76,7 +76,7 @@ def flat_film(
     decision, plane = survey_plane(coarse, config.max_off)
     found, evidence, lines = None, decision.reason, []
     if decision.yes:  # straight edges are straight as the nearest plane sheet shows them
-        read = [carried(edge, coarse, plane) for edge in edges]
+        read = carried(edges, coarse, plane)
         lines = [edge_line(edge) for edge in find_outline(photo, plane, refine.outline, read)]
         found, evidence = plane_by_edges(lines, plane, config)
     report = StageReport("plane", decision.yes, evidence, perf_counter() - start)

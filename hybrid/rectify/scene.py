@@ -12,7 +12,7 @@ from hybrid.backward import BackwardMap
 from hybrid.coords import film_centres_1d
 from hybrid.film_view import FilmView, view_film
 from hybrid.rectify.cell_phases import AxisPhases, CellPhases
-from hybrid.rectify.sightings import Displacement, Sightings, carried
+from hybrid.rectify.sightings import Displacement, Sightings
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,10 +30,6 @@ class Scene:
     film_size: tuple[int, int]
     phases: CellPhases | None = None
     edges: tuple[Sightings, ...] = ()
-
-    def edges_through(self, film: BackwardMap) -> list[Sightings]:
-        """The edges as if they had been read through a map that is near."""
-        return [carried(s, self.coarse, film) for s in self.edges]
 
 
 def working_scene(

@@ -119,9 +119,11 @@ class Displacement:
         return replace(sightings, seen=lifted)
 
 
-def carried(sightings: Sightings, before: BackwardMap, after: BackwardMap) -> Sightings:
+def carried(sightings: Sequence[Sightings], before: BackwardMap, after: BackwardMap) -> tuple[Sightings, ...]:
     """Sightings made through one map, as if they had been made through another that is near (Newton's method)."""
-    return replace(sightings, seen=after.film_near(before.photo_from_film(sightings.seen), sightings.seen))
+    if after is before:
+        return tuple(sightings)
+    return tuple(replace(s, seen=after.film_near(before.photo_from_film(s.seen), s.seen)) for s in sightings)
 
 
 @lru_cache(maxsize=4)
