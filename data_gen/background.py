@@ -10,7 +10,8 @@ import cv2
 import numpy as np
 from jaxtyping import Float
 
-from data_gen.ground import Ground, film_shade, ground_below, ground_light, ground_material, place_things
+from data_gen.ground import Ground, ground_below, ground_light, ground_material, place_things
+from data_gen.ground_shadows import lit_ground
 from data_gen.lamps import lamp_seen
 from data_gen.lighting import room_from_film
 from data_gen.rooms import FilteredEnvironment, sample_environment
@@ -89,14 +90,12 @@ def _plane(
     backdrop = scene.backdrop
     ground = ground_below(film, camera, backdrop)
     reflectance, seen = ground_material(ground, camera, backdrop)
-    matt, gloss = ground_light(ground, camera, scene, room, (COARSE, COARSE))
+    received = ground_light(ground, camera, scene, room, (COARSE, COARSE))
     shade, glows = place_things(reflectance, ground, camera, backdrop, np.random.default_rng(backdrop.seed))
-    shade *= film_shade(ground, film, camera, scene, room)
-    size = camera.size[::-1]
-    light = cv2.resize(matt, size, interpolation=cv2.INTER_LINEAR)
+    light = lit_ground(ground, film, camera, scene, room, received)
     light *= shade[..., None]
     picture = reflectance * light
-    picture += cv2.resize(gloss, size, interpolation=cv2.INTER_LINEAR)
+    picture += cv2.resize(received.gloss, camera.size[::-1], interpolation=cv2.INTER_LINEAR)
     for box, radiance in glows:
         picture[box] += radiance
     if not seen.all():  # above the plane's horizon
@@ -117,13 +116,13 @@ def _panel(
     half = np.array(lamp.half_mm)
     centre = film_centres((COARSE, COARSE))
     around, _ = ground_material(ground, camera, scene.backdrop)
-    matt, gloss = ground_light(ground, camera, scene, room, (COARSE, COARSE))
+    received = ground_light(ground, camera, scene, room, (COARSE, COARSE))
     rim = rng.uniform(6, 35)
     panel = outline_share(ground, camera, -half, half)
     frame = outline_share(ground, camera, -half - rim, half + rim)
     plastic = 10 ** rng.uniform(-1.9, -0.2)
     around += (np.float32(plastic) - around) * frame[..., None]
-    light = cv2.resize(matt + gloss, camera.size[::-1], interpolation=cv2.INTER_LINEAR)
+    light = cv2.resize(received.all(), camera.size[::-1], interpolation=cv2.INTER_LINEAR)
     spill = cv2.resize(frame, (64, 64), interpolation=cv2.INTER_AREA)
     spill = cv2.resize(cv2.GaussianBlur(spill, (0, 0), 5.0), camera.size[::-1], interpolation=cv2.INTER_LINEAR)
     light += spill[..., None] * np.array(box.radiance, np.float32) * np.float32(0.05)

@@ -1,4 +1,4 @@
-"""The plane behind a film: where it lies, its material, its light, the film's shadow on it, and things upon it."""
+"""The plane behind a film: where it lies, its material, its light, and things upon it."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from data_gen.lighting import room_from_film
 from data_gen.patches import Box, blurred, filled, frame_box
 from data_gen.rooms import FilteredEnvironment, sample_filtered, sample_irradiance
 from data_gen.scene import Scene
-from hybrid.coords import centres_1d, film_centres, node_centres_1d, opencv_from_photo
+from hybrid.coords import centres_1d, film_centres, opencv_from_photo
 from hybrid.mesh.camera import Camera
 from hybrid.mesh.film import FilmMesh
 
@@ -25,9 +25,6 @@ NEAREST_MM = 60.0
 
 FARTHEST_MM = 4000.0
 """Things farther from the film are left out."""
-
-SHADOW_SIDE = 256
-"""Shadows are drawn on pictures of at most this side."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,18 +118,35 @@ def ground_material(
 _DECODED = ((np.arange(256) / 255) ** 2).astype(np.float32)[None]
 
 
+@dataclass(frozen=True, eq=False)
+class GroundLight:
+    """Radiance of white matt ground and of its gloss, on a coarse lattice over the photo.
+
+    room: by the environment. lamps: by each lamp. gloss: of the environment.
+    """
+
+    room: Float[np.ndarray, "a b 3"]
+    lamps: tuple[Float[np.ndarray, "a b 3"], ...]
+    gloss: Float[np.ndarray, "a b 3"]
+
+    def all(self) -> Float[np.ndarray, "a b 3"]:
+        """Their sum."""
+        return sum(self.lamps, self.room + self.gloss)
+
+
 def ground_light(
     ground: Ground, camera: Camera, scene: Scene, room: FilteredEnvironment, size: tuple[int, int]
-) -> tuple[Float[np.ndarray, "a b 3"], Float[np.ndarray, "a b 3"]]:
-    """Radiance of white matt ground, and of its gloss, on a coarse lattice over the photo."""
+) -> GroundLight:
+    """What the ground receives, with nothing upon it, by its sources; ``size``: of the lattice."""
     light, turn = scene.light, room_from_film(scene.light).T
     points = ground.world(ground.coordinates(camera, film_centres(size))).astype(np.float32)
     normals = np.broadcast_to(ground.normal.astype(np.float32), points.shape)
     matt = np.repeat(sample_irradiance(room, ground.normal[None] @ turn), points[..., 0].size, axis=0)
     matt = matt.reshape(points.shape) * np.float32(light.front / np.pi)
+    lamps = []
     for lamp in light.lamps:
         received, _ = surface_irradiance(vector_irradiance(lamp.placed(camera.centre_world), points), normals)
-        matt += received[..., None] / np.float32(np.pi) * np.array(lamp.radiance, np.float32)
+        lamps.append(received[..., None] / np.float32(np.pi) * np.array(lamp.radiance, np.float32))
     material = tile(scene.backdrop.material, scene.backdrop.variant)
     view = camera.centre_world - points
     view /= np.linalg.norm(view, axis=-1, keepdims=True)
@@ -141,50 +155,7 @@ def ground_light(
     fresnel = material.f0 + (1 - material.f0) * (1 - cosine) ** 5 * (1 - material.roughness)
     seen = sample_filtered(room, (mirror @ turn).astype(np.float32), material.roughness)
     gloss = seen * fresnel * (light.front if material.f0 else 0.0)
-    return matt, gloss.astype(np.float32)
-
-
-def film_shade(
-    ground: Ground, film: FilmMesh, camera: Camera, scene: Scene, room: FilteredEnvironment
-) -> Float[np.ndarray, "h w"]:
-    """Factor on the ground's light beside the film: its shadow by the main light, and the sky that it takes away."""
-    small = camera.resized((min(camera.size[0], SHADOW_SIDE), min(camera.size[1], SHADOW_SIDE)))
-    t = node_centres_1d(12)
-    lattice = film.surface(t, t)
-    rim = np.concatenate([lattice[0], lattice[1:, -1], lattice[-1, -2::-1], lattice[-2:0:-1, 0]])
-    rise = np.maximum((rim - ground.origin) @ ground.normal, 0.0)
-    gap = float(rise.mean())
-    flux, directed = main_light(scene, room, camera)
-    per_mm = float(small.intrinsics[0, 0] / np.maximum(small.camera_points(ground.origin[None])[0, 2], NEAREST_MM))
-    shade = np.ones(small.size, np.float32)
-    steep = float(flux @ ground.normal)
-    casts = [(ground.normal, 1.0, 0.7 * gap + 2.0, 0.75 * (1 - 0.5 * directed) / (1 + (gap / 150) ** 2))]
-    if steep > 0.2:
-        casts.append((flux, steep, 0.5 * gap * (1 - directed) + 0.06 * gap + 1.0, 0.85 * directed))
-    for way, cosine, blur_mm, depth in casts:
-        foot = rim - way * (rise / cosine)[:, None]
-        if small.camera_points(foot)[:, 2].min() < NEAREST_MM or blur_mm * per_mm > 80:
-            continue
-        mask = filled(small.photo_from_world(foot), small.size)
-        shade *= 1 - np.float32(depth) * blurred(mask, max(blur_mm * per_mm, 0.4))
-    return cv2.resize(shade, camera.size[::-1], interpolation=cv2.INTER_LINEAR)
-
-
-def main_light(scene: Scene, room: FilteredEnvironment, camera: Camera) -> tuple[Float[np.ndarray, "3"], float]:
-    """Unit direction, in the film's world, from which most light comes, and the share of light that comes from there.
-
-    The difference of the irradiance on the two sides of a surface is the net flux through it, so three pairs of
-    lookups give the environment's flux vector exactly.
-    """
-    axes = np.concatenate([np.eye(3), -np.eye(3)])
-    received = sample_irradiance(room, axes @ room_from_film(scene.light).T).mean(axis=-1) * scene.light.front
-    flux = (received[:3] - received[3:]).astype(np.float64)
-    total = float(received.sum()) / 2
-    for lamp in scene.light.lamps:
-        vector = vector_irradiance(lamp.placed(camera.centre_world), np.zeros((1, 3)))[0] * np.mean(lamp.radiance)
-        flux, total = flux + vector, total + float(np.linalg.norm(vector))
-    size = float(np.linalg.norm(flux))
-    return flux / max(size, 1e-9), float(np.clip(size / max(total, 1e-9), 0.0, 1.0))
+    return GroundLight(matt, tuple(lamps), gloss.astype(np.float32))
 
 
 # ---------------------------------------------------------------- things

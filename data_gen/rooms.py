@@ -70,7 +70,7 @@ class FilteredEnvironment:
         lobe, the finer the image.
     irradiance: (h, w, 3) integral of radiance times c, the cosine to a normal, over the hemisphere around it.
     grazing: (h, w, 3) integral of radiance times c (1 - c)^5: what a smooth surface keeps from entering.
-    coarse: (rows, columns, 3) the radiance itself, in few pixels.
+    coarse: (rows, columns, 3) the radiance itself, in few pixels. medium: in more.
     """
 
     environment: Environment
@@ -79,6 +79,7 @@ class FilteredEnvironment:
     irradiance: Float[np.ndarray, "h w 3"]
     grazing: Float[np.ndarray, "h w 3"]
     coarse: Float[np.ndarray, "rows columns 3"]
+    medium: Float[np.ndarray, "r c 3"]
 
 
 def mean_luminance(radiance: Float[np.ndarray, "H W 3"]) -> float:
@@ -180,7 +181,8 @@ def prefilter(env: Environment, roughness_levels: tuple[float, ...] = ROUGHNESS_
     stack = tuple(_convolve(_ggx_spectrum(r, _filtered_size(r)), spectra[_filtered_size(r)]) for r in levels)
     matt, grazing = (_convolve(_cosine_spectrum(power, MATT_SIZE), spectra[MATT_SIZE]) for power in (0, 5))
     matt, grazing = np.float32(np.pi) * matt, np.float32(np.pi * GRAZING_MEAN) * grazing
-    return FilteredEnvironment(env, levels, stack, matt, grazing, resize_environment(env.radiance, COARSE_SIZE))
+    coarse, medium = (resize_environment(env.radiance, size) for size in (COARSE_SIZE, MEDIUM_SIZE))
+    return FilteredEnvironment(env, levels, stack, matt, grazing, coarse, medium)
 
 
 MATT_SIZE = (32, 64)
@@ -189,6 +191,12 @@ MATT_SIZE = (32, 64)
 
 COARSE_SIZE = (24, 48)
 """7.5 degrees for a pixel: a lobe of roughness 0.35 is 18 degrees wide."""
+
+MEDIUM_SIZE = (64, 128)
+"""2.8 degrees for a pixel: what lights of a room throw shadows."""
+
+BRIGHT = 6.0
+"""Luminance, over the mean of all directions, from which on something is a lamp, a window or the sun."""
 
 
 def _filtered_size(roughness: float) -> tuple[int, int]:
@@ -229,6 +237,55 @@ def sample_irradiance(
     a, b = (np.float32(weight) for weight in entry)
     weighted = filtered.irradiance if (a, b) == (1, 0) else a * filtered.irradiance + b * filtered.grazing
     return SphereLookup(normals).values(weighted)
+
+
+def room_lights(
+    filtered: FilteredEnvironment, normal: Float[np.ndarray, "3"], count: int
+) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+    """The light that falls on a plane from all around as at most ``count`` lights, each of nearby directions.
+
+    What is ``BRIGHT`` is told from the rest first, a sun from its sky. Then of the parts the one with the most light
+    times variance of direction is cut at its mean, across the axis along which it varies most (after Wu 1991, who so
+    chooses colours).
+    normal: unit, world. Returns unit directions, shares of the irradiance, and one sigma of the directions in radians.
+    """
+    size = filtered.medium.shape[:2]
+    rays = directions(size).reshape(-1, 3).astype(np.float64)
+    luminance = filtered.medium @ LUMINANCE
+    light = (luminance * solid_angles(size)[:, None]).reshape(-1) * np.maximum(rays @ normal, 0)
+    bright = luminance.reshape(-1) > BRIGHT
+    parts = [_part(rays[some], light[some]) for some in (bright & (light > 0), ~bright & (light > 0)) if some.any()]
+    while 0 < len(parts) < count:
+        worst = max(range(len(parts)), key=lambda k: parts[k].spread)
+        if parts[worst].spread <= 0:
+            break
+        parts[worst : worst + 1] = parts[worst].cut()
+    total = max(float(light.sum()), 1e-12)
+    share = np.array([p.light.sum() / total for p in parts])
+    sigma = np.sqrt([p.spread / p.light.sum() / 2 for p in parts])
+    return np.array([p.mean / np.linalg.norm(p.mean) for p in parts]).reshape(-1, 3), share, sigma
+
+
+@dataclass(frozen=True, eq=False)
+class _Part:
+    """Directions and the light from each; their mean; the sum of light times squared distance from it."""
+
+    rays: Float[np.ndarray, "m 3"]
+    light: Float[np.ndarray, " m"]
+    mean: Float[np.ndarray, "3"]
+    spread: float
+
+    def cut(self) -> list[_Part]:
+        offset = self.rays - self.mean
+        axis = np.linalg.eigh((offset * self.light[:, None]).T @ offset)[1][:, -1]
+        beyond = offset @ axis > 0
+        return [_part(self.rays[side], self.light[side]) for side in (beyond, ~beyond)]
+
+
+def _part(rays: Float[np.ndarray, "m 3"], light: Float[np.ndarray, " m"]) -> _Part:
+    mean = light @ rays / light.sum()
+    spread = float(light @ ((rays - mean) ** 2).sum(axis=1)) if len(rays) > 1 else 0.0
+    return _Part(rays, light, mean, spread)
 
 
 def _convolve(kernel: Float[np.ndarray, "m h h"], spectrum: Complex[np.ndarray, "h m 3"]) -> Float[np.ndarray, "h w 3"]:
@@ -277,6 +334,7 @@ __all__ = [
     "load_hdri",
     "prefilter",
     "procedural_room",
+    "room_lights",
     "sample_environment",
     "sample_filtered",
     "sample_irradiance",

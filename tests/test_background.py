@@ -1,5 +1,7 @@
 """What lies behind the film: light in, light out in proportion; the plane where the camera sees it; the same twice."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from surroundings_case import FILM, SIZE, camera, even_room, scene
@@ -8,10 +10,13 @@ from data_gen._clutter import _SIZE_MM, sprite
 from data_gen._materials import _PAINTED, TILE, tile
 from data_gen.backdrop import KINDS, sample_backdrop
 from data_gen.background import background
-from data_gen.ground import film_shade, ground_below, ground_light
+from data_gen.ground import Ground, ground_below, ground_light
+from data_gen.ground_shadows import lit_ground, through
+from data_gen.lamps import Lamp
 from data_gen.lighting import Light, LightBox, sample_light
 from data_gen.patches import filled
 from data_gen.rooms import prefilter, procedural_room
+from data_gen.shadows import Shadow
 from hybrid.coords import film_centres, pixel_centres
 
 BASE = np.array([0.02, 0.02, 0.021])
@@ -87,22 +92,75 @@ def test_coordinates_on_the_plane_project_back_to_their_place():
 def test_white_matt_ground_in_even_light_is_as_bright_as_the_light():
     photographed = scene("table", 4)
     ground = ground_below(FILM, photographed.camera, photographed.backdrop)
-    matt, gloss = ground_light(ground, photographed.camera, photographed, even_room(0.7), (5, 5))
-    np.testing.assert_allclose(matt, 0.7, rtol=1e-3)
-    assert (gloss >= 0).all()
-    assert gloss.max() < 0.7
+    light = ground_light(ground, photographed.camera, photographed, even_room(0.7), (5, 5))
+    np.testing.assert_allclose(light.room, 0.7, rtol=1e-3)
+    assert light.lamps == ()
+    assert (light.gloss >= 0).all()
+    assert light.gloss.max() < 0.7
+    np.testing.assert_allclose(light.all(), light.room + light.gloss)
 
 
-def test_shadows_only_darken_and_grow_fainter_with_the_gap(room):
+# ---------------------------------------------------------------- shadows on it
+
+BULB = Lamp("sphere", (-500.0, 0.0, -900.0), (0.0, 0.0, 1.0), (1.0, 0.0, 0.0), (8.0, 8.0), (3000.0, 3000.0, 3000.0))
+
+
+def shadow_of(room, light, film=FILM, shadows=(), ground=None, **changes):
+    """Light on the ground over the light without anything upon it, the scene and its ground."""
+    photographed = replace(scene("table", 5, light, tilt=(0.0, 0.0), **changes), camera=OVERHEAD, shadows=shadows)
+    ground = ground or ground_below(film, photographed.camera, photographed.backdrop)
+    free = ground_light(ground, photographed.camera, photographed, room, SIZE)
+    lit = lit_ground(ground, film, photographed.camera, photographed, room, free)
+    return (lit / (free.room + sum(free.lamps)))[..., 1], photographed, ground
+
+
+OVERHEAD = camera(SIZE, 1500.0)
+
+
+def test_shadows_only_darken_and_in_even_light_grow_fainter_with_the_gap(room):
     darkest = []
     for gap in (0.5, 30.0, 400.0):
-        photographed = scene("table", 5, gap_mm=gap)
-        ground = ground_below(FILM, photographed.camera, photographed.backdrop)
-        shade = film_shade(ground, FILM, photographed.camera, photographed, room)
-        assert shade.min() > 0
-        assert shade.max() <= 1
-        darkest.append(shade.min())
-    assert darkest[0] < darkest[2]
+        for lit in (room, even_room()):
+            factor, _, _ = shadow_of(lit, light_for("table"), gap_mm=gap)
+            assert factor.min() > 0
+            assert factor.max() <= 1 + 1e-5
+        darkest.append(factor.min())
+    assert darkest[0] < darkest[1] < darkest[2]
+
+
+def test_a_bulb_throws_the_film_where_its_rays_go():
+    """40 mm above the ground a bulb at the left throws the right edge 40 / 900 of its distance farther right."""
+    factor, photographed, ground = shadow_of(even_room(1e-6), Light(1.0, 0.0, True, lamps=(BULB,)), gap_mm=40.0)
+    right = 175.0 + 40.0 * (175.0 + 500.0) / 900.0
+    row = np.array([[right - 25.0, 0.0, 40.0], [right + 25.0, 0.0, 40.0]])
+    assert np.abs((row - ground.origin) @ ground.normal).max() < 1e-6
+    inside, outside = (factor[int(y), int(x)] for x, y in photographed.camera.photo_from_world(row))
+    assert inside == pytest.approx(through(photographed.material), abs=0.02)
+    assert outside == pytest.approx(1, abs=0.02)
+
+
+def test_a_shadows_rim_is_soft_where_the_sheet_is_lifted():
+    """Seen by a large lamp overhead, one side of a sloping sheet on the ground, the other 150 mm above it."""
+    t = np.linspace(0, 1, FILM.shape[1])[None, :, None]
+    sloping = FILM.bent(FILM.vertices - t * np.array([0.0, 0.0, 150.0]))
+    lamp = replace(BULB, kind="disc", centre_mm=(0.0, 0.0, -1500.0), half_mm=(300.0, 300.0))
+    light = Light(1.0, 0.0, True, lamps=(lamp,))
+    below = Ground(np.zeros(3), np.array([1.0, 0, 0]), np.array([0, 1.0, 0]), np.array([0, 0, -1.0]))
+    factor, _, _ = shadow_of(even_room(1e-6), light, sloping, ground=below)
+    row = factor[SIZE[0] // 2]
+    steepest = np.abs(np.diff(row))
+    assert steepest[: len(row) // 2].max() > 1.5 * steepest[len(row) // 2 :].max()
+
+
+def test_what_shadows_the_film_shadows_the_table_beside_it():
+    """The rim of a door's shadow runs across the film's middle and on."""
+    door = Shadow("edge", (0.5, 0.5), 0.0, 1.0, 2.0, 0.7, 0)
+    factor, photographed, _ = shadow_of(even_room(), Light(1.0, 0.0, True), shadows=(door,), gap_mm=1.0)
+    beside = photographed.camera.photo_from_world(np.array([[230.0, -60.0, 0.0], [230.0, 60.0, 0.0]]))
+    dark, bright = (factor[int(y), int(x)] for x, y in beside)
+    assert dark < 0.5 * bright
+    far, _, _ = shadow_of(even_room(), Light(1.0, 0.0, True), shadows=(door,), gap_mm=500.0)
+    assert far.min() > 0.6
 
 
 def test_an_outline_is_filled_by_its_area():

@@ -16,6 +16,7 @@ from data_gen.rooms import (
     prefilter,
     procedural_room,
     resize_environment,
+    room_lights,
     sample_environment,
     sample_filtered,
     sample_irradiance,
@@ -114,6 +115,31 @@ def test_turning_the_room_turns_the_blur():
     straight, turned = (prefilter(Environment(np.roll(radiance, k, axis=1), "x")) for k in (0, 32))
     for a, b in zip((*straight.stack, straight.irradiance), (*turned.stack, turned.irradiance), strict=True):
         assert np.allclose(np.roll(a, a.shape[1] // 4, axis=1), b, rtol=1e-3)
+
+
+def test_a_rooms_lights_tell_the_sun_from_its_sky():
+    """A sun as strong as the sky around it is one light, in its place; what is below the plane is none."""
+    size, up = (64, 128), np.array([0.0, 0.0, 1.0])
+    radiance = np.ones((*size, 3), np.float32)
+    radiance[12, 40] += np.pi / (solid_angles(size)[12] * directions(size)[12, 40, 2])
+    radiance[50:] = 3.0
+    ways, shares, sigmas = room_lights(prefilter(Environment(radiance, "sun")), up, 6)
+    np.testing.assert_allclose(shares.sum(), 1, rtol=1e-6)
+    np.testing.assert_allclose(np.linalg.norm(ways, axis=1), 1, rtol=1e-6)
+    sun = int(np.argmin(sigmas))
+    assert shares[sun] == pytest.approx(0.5, abs=0.02)
+    assert ways[sun] @ directions(size)[12, 40] > 0.999
+    assert sigmas[sun] < 0.02 < np.delete(sigmas, sun).min()
+
+
+def test_light_of_one_direction_is_one_light_and_darkness_none():
+    radiance = np.zeros((64, 128, 3), np.float32)
+    assert len(room_lights(prefilter(Environment(radiance, "dark")), np.array([0, 0, 1.0]), 4)[0]) == 0
+    radiance[5, 7] = 1
+    ways, shares, sigmas = room_lights(prefilter(Environment(radiance, "lamp")), np.array([0, 0, 1.0]), 4)
+    assert len(ways) == 1
+    assert shares[0] == pytest.approx(1)
+    assert sigmas[0] == pytest.approx(0, abs=1e-6)
 
 
 @pytest.mark.parametrize("levels", [(), (0.0, 0.5), (0.5, 0.2), (0.5, 1.5)])
