@@ -183,9 +183,19 @@ def test_the_loss_prefers_the_true_row_and_knows_of_edges_that_are_not_shown():
 
 def test_the_network_gives_every_row_and_half_of_the_columns():
     network = EdgeNet(EdgeNetConfig()).eval()
-    logits = network(torch.rand(2, 4, STRIP.rows, STRIP.columns))
-    assert logits.shape == (2, STRIP.rows + 1, COLUMNS)
+    logits = network(torch.rand(8, 4, STRIP.rows, STRIP.columns))
+    assert logits.shape == (8, STRIP.rows + 1, COLUMNS)
     assert parameter_count(network) < 500_000
+
+
+@torch.inference_mode()
+def test_the_strips_of_a_film_are_read_together_and_films_apart():
+    network, strips = fused(packaged_edge_net()), torch.rand(8, 4, STRIP.rows, STRIP.columns)
+    before = network(strips)
+    strips[5] = torch.rand(strips[5].shape)  # one side of the second film
+    moved = (network(strips) - before).abs().amax(dim=(1, 2))
+    assert (moved[:4] < 1e-4).all()
+    assert (moved[4:] > 1e-3).all()
 
 
 @pytest.mark.parametrize("ground", [None, 60, 200])

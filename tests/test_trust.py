@@ -34,7 +34,7 @@ def test_a_film_that_all_signs_speak_for_is_flattened() -> None:
     ("change", "text"),
     [
         ({"grid": False}, "no grid seen"),
-        ({"edges": 2}, "2 of 4 edges seen"),
+        ({"edges": 3}, "3 of 4 edges seen"),
         ({"levels": 13.0}, "only 13 of 255 grey levels"),
         ({"corrected": False}, "not corrected"),
         ({"support": 0.3}, "an edge reads as one to 30% only"),

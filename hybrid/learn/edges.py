@@ -2,7 +2,7 @@
 
 FilmNet sees a film some 110 pixels wide; strips along its edges show them four times as finely. Near an edge lie other
 straight lines: rules of the print, other films, bars of the light box. Which of them ends the sheet is told by what is
-on both sides, over the whole length, and that can be learnt.
+on both sides, over the whole length, and by what the sheet's other edges look like; and that can be learnt.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from torch.nn import functional
 
 from hybrid.learn.network import ConvNorm, Residual, local_contrast, view_coordinates
 from hybrid.learn.tensors import Tensors, image_batch
-from hybrid.strips import EdgeReader, StripConfig
+from hybrid.strips import SIDES, EdgeReader, StripConfig
 
 
 @dataclass(frozen=True)
@@ -50,6 +50,7 @@ class EdgeNet(nn.Module):
         self.down2 = nn.Sequential(ConvNorm(8, w2, 5, 2), Residual(w2))
         self.down4 = nn.Sequential(ConvNorm(w2, w4, 3, 2), Residual(w4), Residual(w4))
         self.down8 = nn.Sequential(ConvNorm(w4, w8, 3, 2), Residual(w8), Residual(w8), Residual(w8))
+        self.together = nn.Conv2d(w8, w8, 1)
         self.lateral4, self.lateral2 = nn.Conv2d(w8, w4, 1), nn.Conv2d(w4, w2, 1)
         self.up4, self.up2 = Residual(w4), Residual(w2)
         self.head = nn.Conv2d(w2, 2, 3, 1, 1)
@@ -58,18 +59,26 @@ class EdgeNet(nn.Module):
     def forward(self, strips: Float[Tensor, "b 4 r c"]) -> Float[Tensor, "b r+1 c2"]:
         """Logits of the rows at which the edge crosses each pair of columns; the last: it is not in the strip.
 
-        strips: sRGB in [0, 1] and 1 where the photo covers the strip."""
+        strips: of one film after the other, four of each, in the order of SIDES; sRGB in [0, 1], and 1 where the photo
+        covers the strip."""
         colours, covered = strips[:, :3], strips[:, 3:]
         dark = torch.log2(8 * colours.mean(dim=1, keepdim=True) + 0.125) / 4  # grey levels of 255 tell from 2 on
         seen = [colours - 0.4, local_contrast(colours), dark, covered, view_coordinates(strips)]
         x2 = self.down2(torch.cat(seen, dim=1))
         x4 = self.down4(x2)
-        x8 = self.down8(x4)
+        x8 = self.down8[:2](x4)
+        x8 = self.down8[2:](x8 + self.together(_of_all_sides(x8)))
         y4 = self.up4(x4 + functional.interpolate(self.lateral4(x8), scale_factor=2, mode="nearest"))
         y2 = self.up2(x2 + functional.interpolate(self.lateral2(y4), scale_factor=2, mode="nearest"))
         rows = self.head(y2).transpose(1, 2).flatten(1, 2)  # two rows from each of the half resolution
         unseen = self.unseen(x8.mean(dim=2)).transpose(1, 2).flatten(1, 2)  # four columns from each of the eighth
         return torch.cat([rows, unseen[:, None]], dim=1)
+
+
+def _of_all_sides(x: Float[Tensor, "b k r c"]) -> Float[Tensor, "b k r 1"]:
+    """The mean of each row over the four strips of a film, for each of them."""
+    films = x.mean(dim=3).unflatten(0, (-1, len(SIDES)))
+    return films.mean(dim=1, keepdim=True).expand_as(films).flatten(0, 1)[..., None]
 
 
 SOFT_ROWS = 0.7

@@ -51,12 +51,13 @@ class TrustConfig:
 
     limit_px: float = 5.0
     """Largest error of a film that is called flattened, in pixels of a photo of 1080; at least one of its own."""
-    safety: float = 0.16
+    safety: float = 0.2
     """The expected error must be below this part of the limit: single errors are up to several times as large."""
     exact: bool = True
     """Whether a map counts only if it was corrected by what is seen on the film."""
-    min_edges: int = 3
-    """Least number of the sheet's edges that are seen: what only repeats tells neither place nor size."""
+    min_edges: int = 4
+    """Least number of the sheet's edges that are seen: what only repeats tells neither place nor size, and a printed
+    line may be taken for the edge that is not seen."""
     min_support: float = 0.6
     """Least mean probability that an edge lies where the map puts it: others look like none to who reads them."""
     min_in_step: float = 0.88
