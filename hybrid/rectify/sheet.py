@@ -41,12 +41,16 @@ class SheetConfig:
     """Standard deviation of the network's map; smooth, so that all nodes tell as much as six."""
     strain: float = 1.5e-3
     """Standard deviation of the strain at 40 places: what the splines cannot follow; film itself strains far less."""
-    bending: tuple[float, float] = (120.0, 25.0)
-    """Weight of the mean squared second derivatives, in units of the film's height: of most films, and of those that
-    are bent sharply."""
+    bending: tuple[float, ...] = (120.0, 25.0, 5.0)
+    """Weights of the mean squared second derivatives, in units of the film's height: of most films, of those that are
+    bent sharply, and of those that are rolled."""
     bent_share: float = 0.25
-    """The lower weight is tried where bending makes more than this part of the cost."""
+    """The next lower weight is tried where bending makes more than this part of the cost."""
     sharper: float = 0.6
+    """It counts if the cost is less than this part then."""
+    doubtful: float = 0.4
+    """Cost for each point that is seen from which on the sheet is tried bent the other way round, too."""
+    reversed_gain: float = 0.75
     """It counts if the cost is less than this part then."""
     focal: float = 1.1
     """Usual focal length of a phone, in sides of the photo."""
@@ -238,6 +242,14 @@ def _refiner(before: int, after: int) -> Float[np.ndarray, "k n"]:
     return np.linalg.lstsq(basis(places, after), basis(places, before), rcond=None)[0]
 
 
+@lru_cache(maxsize=4)
+def _plane(intervals: int) -> Float[np.ndarray, "n 3"]:
+    """Coefficients of the functions u, v and 1: where those of a linear function have its values."""
+    knots = np.arange(-1, intervals + 2) / intervals
+    u, v = np.meshgrid(knots, knots)
+    return np.stack([u.ravel(), v.ravel(), np.ones(u.size)], axis=1)
+
+
 def flat_sheet(coarse: BackwardMap, frame: Frame, intervals: int, focal: float) -> Sheet:
     """The flat sheet that shows about what a map says, from the homography between film and photo."""
     uv = film_nodes((17, 17)).reshape(-1, 2)
@@ -246,13 +258,24 @@ def flat_sheet(coarse: BackwardMap, frame: Frame, intervals: int, focal: float) 
     if pose[2] @ np.array([0.5, 0.5, 1.0]) < 0:
         pose = -pose
     pose = pose / np.linalg.norm(pose[:, 1])
-    knots = np.arange(-1, intervals + 2) / intervals
-    u, v = np.meshgrid(knots, knots)  # coefficients there make a linear function
-    control = np.stack([u.ravel(), v.ravel(), np.ones(u.size)], axis=1) @ pose.T
+    control = _plane(intervals) @ pose.T
     middle = float(pose[2] @ np.array([0.5, 0.5, 1.0]))
     control[:, 2] -= middle
     log_aspect = float(np.log(np.linalg.norm(pose[:, 0])))
     return Sheet(intervals, middle / focal, control, float(np.log(focal)), log_aspect, 0.0)
+
+
+def relief_reversed(sheet: Sheet) -> Sheet:
+    """The sheet mirrored at the plane that is nearest to it: bent towards the camera where it was bent away.
+
+    From afar both look the same; what little they differ by, perspective, is also had by another focal length.
+    """
+    plane = _plane(sheet.intervals)
+    pose = np.linalg.lstsq(plane, sheet.control, rcond=None)[0]
+    normal = np.cross(pose[0], pose[1])
+    normal /= np.linalg.norm(normal)
+    above = (sheet.control - plane @ pose) @ normal
+    return replace(sheet, control=sheet.control - 2.0 * above[:, None] * normal)
 
 
 __all__ = [
@@ -267,6 +290,7 @@ __all__ = [
     "inner",
     "node_weights",
     "project",
+    "relief_reversed",
     "slopes",
     "surface",
 ]

@@ -24,7 +24,7 @@ from scipy.linalg import LinAlgError
 
 from hybrid.backward import BackwardMap
 from hybrid.coords import film_nodes
-from hybrid.rectify.sheet import NODES, Frame, Sheet, SheetConfig, flat_sheet
+from hybrid.rectify.sheet import NODES, Frame, Sheet, SheetConfig, flat_sheet, relief_reversed
 from hybrid.rectify.sheet_problem import Problem, State, bending_cost, minimised
 from hybrid.rectify.sheet_seen import NOTHING, seen_through
 from hybrid.rectify.sightings import Sightings
@@ -64,33 +64,59 @@ def fit_sheet(
         if before is not None:
             problem = replace(problem, bending=before.bending)
             return _result(minimised(problem, problem.begun(before.sheet), config.steps[2]), frame, sightings, problem)
-        start = _near_map(replace(problem, bending=config.bending[1]), near, frame)
-        state, problem = _as_bent_as_needed(problem, start, config.steps[2])
+        state, problem = _bent_either_way(problem, near, frame)
     except LinAlgError:
         return None
     return _result(state, frame, sightings, problem)
 
 
-def _as_bent_as_needed(problem: Problem, start: State, steps: int) -> tuple[State, Problem]:
-    """The sheet found with the lower weight of bending, and the problem with that weight, if it is worth it."""
+def _bent_either_way(problem: Problem, near: BackwardMap, frame: Frame) -> tuple[State, Problem]:
+    """The sheet that explains best what is seen, bent towards the camera or away from it, and the problem it solves.
+
+    From some way off both look nearly the same, so that steps from one do not lead to the other: where the first does
+    not explain well what is seen its mirror images are tried, too, as it was before and after that was looked at.
+    """
     config = problem.config
-    state = minimised(problem, start, steps)
-    if bending_cost(state.sheet, problem.bending) > config.bent_share * state.cost:
-        softer = replace(problem, bending=config.bending[1])
-        sharper = minimised(softer, state, steps)
-        if sharper.cost < config.sharper * state.cost:
-            return sharper, softer
+    blind = _blind(problem, near, frame)
+    start = _near_map(blind, near, frame)
+    best, weighed = first, _ = _as_bent_as_needed(problem, problem.begun(start))
+    for sheet in (start, first.sheet):
+        if best.cost < config.doubtful * len(problem.seen.along):
+            break
+        mirrored = minimised(blind, blind.begun(relief_reversed(sheet)), config.steps[1])
+        state, own = _as_bent_as_needed(problem, problem.begun(mirrored.sheet))
+        if state.cost < config.reversed_gain * best.cost:
+            best, weighed = state, own
+    return best, weighed
+
+
+def _as_bent_as_needed(problem: Problem, start: State) -> tuple[State, Problem]:
+    """The sheet found with ever lower weights of bending, as long as that is worth it, and the problem with the last."""
+    config = problem.config
+    state = minimised(problem, start, config.steps[2])
+    for weight in config.bending[1:]:
+        if bending_cost(state.sheet, problem.bending) <= config.bent_share * state.cost:
+            break
+        softer = replace(problem, bending=weight)
+        sharper = minimised(softer, state, config.steps[2])
+        if sharper.cost >= config.sharper * state.cost:
+            break
+        state, problem = sharper, softer
     return state, problem
 
 
-def _near_map(problem: Problem, near: BackwardMap, frame: Frame) -> State:
-    """The unstretched sheet that comes nearest to a map; of what is seen it knows nothing."""
-    config = problem.config
+def _blind(problem: Problem, near: BackwardMap, frame: Frame) -> Problem:
+    """The problem to come near to a map: of what is seen it knows nothing."""
+    config = replace(problem.config, network_px=1.0)
+    return Problem(seen_through(near, [NOTHING], frame, config), problem.target, config.bending[1], config)
+
+
+def _near_map(blind: Problem, near: BackwardMap, frame: Frame) -> Sheet:
+    """The unstretched sheet that comes nearest to a map."""
+    config = blind.config
     first, last = config.intervals
-    blind = replace(problem, seen=seen_through(near, [NOTHING], frame, config), config=replace(config, network_px=1.0))
     state = minimised(blind, blind.begun(flat_sheet(near, frame, first, config.focal)), config.steps[0])
-    state = minimised(blind, replace(state, sheet=state.sheet.finer(last)), config.steps[1])
-    return problem.begun(state.sheet)
+    return minimised(blind, replace(state, sheet=state.sheet.finer(last)), config.steps[1]).sheet
 
 
 def _target(coarse: BackwardMap, frame: Frame) -> Float[np.ndarray, "m 2"]:
