@@ -48,8 +48,10 @@ class SheetConfig:
     """The next lower weight is tried where bending makes more than this part of the cost."""
     sharper: float = 0.6
     """It counts if the cost is less than this part then."""
-    doubtful: float = 0.4
+    doubtful: float = 0.5
     """Cost for each point that is seen from which on the sheet is tried bent the other way round, too."""
+    same_relief: float = 0.05
+    """That is the same sheet again where no coefficient lies this far, in film heights, from where it was."""
     reversed_gain: float = 0.75
     """It counts if the cost is less than this part then."""
     focal: float = 1.1

@@ -83,15 +83,17 @@ def _bent_either_way(problem: Problem, near: BackwardMap, frame: Frame) -> tuple
     for sheet in (start, first.sheet):
         if best.cost < config.doubtful * len(problem.seen.along):
             break
-        mirrored = minimised(blind, blind.begun(relief_reversed(sheet)), config.steps[1])
-        state, own = _as_bent_as_needed(problem, problem.begun(mirrored.sheet))
+        mirrored = minimised(blind, blind.begun(relief_reversed(sheet)), config.steps[1]).sheet
+        if np.abs(mirrored.control - sheet.control).max() < config.same_relief:
+            continue
+        state, own = _as_bent_as_needed(problem, problem.begun(mirrored))
         if state.cost < config.reversed_gain * best.cost:
             best, weighed = state, own
     return best, weighed
 
 
 def _as_bent_as_needed(problem: Problem, start: State) -> tuple[State, Problem]:
-    """The sheet found with ever lower weights of bending, as long as that is worth it, and the problem with the last."""
+    """The sheet found with ever lower weights of bending, as long as that is worth it, and the last one's problem."""
     config = problem.config
     state = minimised(problem, start, config.steps[2])
     for weight in config.bending[1:]:
