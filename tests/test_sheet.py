@@ -94,16 +94,17 @@ def test_the_edges_of_a_flat_sheet_tell_its_inside_to_half_a_pixel():
 
 @pytest.mark.parametrize(("radius", "turn", "tilt"), [(1.2, 0, 10), (1.5, 30, -12), (1.0, 90, 8)])
 def test_the_usual_steps_end_where_many_more_do(radius, turn, tilt):
+    stiff = replace(CONFIG, bending=CONFIG.bending[:2])  # else they may end with different ones
     true = cylinder(radius, turn, tilt)
     coarse = larger(true)
     edges = edges_seen(true, coarse, np.random.default_rng(0), 0.1)
     usual, long = (
         fit_sheet(coarse, coarse, PHOTO, edges, config)
-        for config in (CONFIG, replace(CONFIG, steps=(200, 200, 200), settled=1e-6))
+        for config in (stiff, replace(stiff, steps=(200, 200, 200), settled=1e-6))
     )
     assert usual is not None
     assert long is not None
-    assert usual.cost < 1.02 * long.cost + 0.5  # half a squared deviation of hundreds of points
+    assert usual.cost < 1.02 * long.cost
 
 
 @pytest.mark.parametrize(("radius", "focal"), [(-0.4, 2.0), (-0.4, 3.0), (-0.55, 3.0)])
