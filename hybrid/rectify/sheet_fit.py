@@ -79,17 +79,26 @@ def _bent_either_way(problem: Problem, near: BackwardMap, frame: Frame) -> tuple
     config = problem.config
     blind = _blind(problem, near, frame)
     start = _near_map(blind, near, frame)
-    best, weighed = first, _ = _as_bent_as_needed(problem, problem.begun(start))
-    for sheet in (start, first.sheet):
-        if best.cost < config.doubtful * len(problem.seen.along):
+    best = first = _as_bent_as_needed(problem, problem.begun(start))
+    for sheet in (start, first[0].sheet):
+        if best[0].cost < config.doubtful * len(problem.seen.along):
             break
+        other = _mirrored(problem, blind, sheet)
+        if other is not None and other[0].cost < config.reversed_gain * best[0].cost:
+            best = other
+    return best
+
+
+def _mirrored(problem: Problem, blind: Problem, sheet: Sheet) -> tuple[State, Problem] | None:
+    """The sheet found from the mirror image of one; None where that comes to be the same, or to nothing."""
+    config = problem.config
+    try:
         mirrored = minimised(blind, blind.begun(relief_reversed(sheet)), config.steps[1]).sheet
         if np.abs(mirrored.control - sheet.control).max() < config.same_relief:
-            continue
-        state, own = _as_bent_as_needed(problem, problem.begun(mirrored))
-        if state.cost < config.reversed_gain * best.cost:
-            best, weighed = state, own
-    return best, weighed
+            return None
+        return _as_bent_as_needed(problem, problem.begun(mirrored))
+    except LinAlgError:
+        return None
 
 
 def _as_bent_as_needed(problem: Problem, start: State) -> tuple[State, Problem]:
