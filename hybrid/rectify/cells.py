@@ -23,6 +23,8 @@ from hybrid.rectify.repeat import Repeats, autocorrelation, detail, highest
 
 SAME_PLACE = 0.012
 """Grids of as many cells whose borders lie this near to each other are one, in film units."""
+LEAST_PROBABILITY = 0.3
+"""A grid less probable than this is none."""
 
 
 @dataclass(frozen=True)
@@ -101,6 +103,11 @@ class Reading:
     columns: Repeats
     rows: Repeats
     probability: float
+
+    @property
+    def is_likely(self) -> bool:
+        """Whether they count as the film's grid."""
+        return self.probability >= LEAST_PROBABILITY
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,9 +16,6 @@ from hybrid.rectify.grid import Comb, GridConfig, find_comb
 from hybrid.rectify.repeat import RepeatConfig, Repeats, find_repeats
 from hybrid.rectify.sightings import Displacement, Sightings
 
-LEAST_PROBABILITY = 0.3
-"""A grid less probable than this is none."""
-
 GOOD_SHARE = 0.0025
 """Expected error of the map, in parts of the film, from which on a grid is trusted less: about 2 px of a photo."""
 
@@ -76,7 +73,7 @@ class Layout:
         if reading is None:
             return "the view of the film is too small to count cells"
         read = f"{reading.rows.cells} x {reading.columns.cells} cells are {reading.probability:.0%} probable"
-        if reading.probability < LEAST_PROBABILITY:
+        if not reading.is_likely:
             return f"no grid is likely: {read} at best"
         how = []
         for name, one in (("columns", reading.columns), ("rows", reading.rows)):
@@ -98,7 +95,7 @@ class Layout:
         Where lines or repetition that were fitted tell the same cells, they tell more exactly where these lie.
         expected: error of the map, in parts of the film: vertices lie no better than that.
         """
-        if reading is None or reading.probability < LEAST_PROBABILITY:
+        if reading is None or not reading.is_likely:
             return None
         columns, rows = (_fitted(one, self.along(one.axis)) for one in (reading.columns, reading.rows))
         u, v = np.meshgrid(np.clip(columns.lines(), 0.0, 1.0), np.clip(rows.lines(), 0.0, 1.0))
@@ -144,7 +141,7 @@ def _as_read(repeat: Repeats | None, axis: int, reading: Reading | None) -> Repe
 
     Repetition tells the pitch better, but its peaks are mistaken for one another where the map is crooked yet.
     """
-    if reading is None or reading.probability < LEAST_PROBABILITY:
+    if reading is None or not reading.is_likely:
         return repeat
     read = (reading.columns, reading.rows)[axis]
     if repeat is not None and repeat.cells == read.cells:
