@@ -51,7 +51,7 @@ class TrustConfig:
 
     limit_px: float = 5.0
     """Largest error of a film that is called flattened, in pixels of a photo of 1080; at least one of its own."""
-    safety: float = 0.2
+    safety: float = 0.18
     """The expected error must be below this part of the limit: single errors are up to several times as large."""
     exact: bool = True
     """Whether a map counts only if it was corrected by what is seen on the film."""
