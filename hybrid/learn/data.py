@@ -230,7 +230,7 @@ def disturbed(image: np.ndarray, rng: np.random.Generator) -> np.ndarray:
         noise = rng.standard_normal(image.shape, dtype=np.float32) * np.float32(rng.uniform(1, 10))
         image = np.clip(image + noise, 0, 255).astype(np.uint8)
     if rng.random() < 0.1:
-        x0, y0 = rng.integers(0, image.shape[0], 2)
-        w, h = rng.integers(4, image.shape[0] // 5, 2)
+        y0, x0 = rng.integers(0, image.shape[:2])
+        w, h = rng.integers(4, min(image.shape[:2]) // 5, 2)
         image[y0 : y0 + h, x0 : x0 + w] = rng.integers(0, 256, 3)
     return image

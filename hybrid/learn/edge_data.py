@@ -1,19 +1,29 @@
-"""Training views of EdgeNet: strips across the edges that a disturbed map predicts, and where the edges really are."""
+"""Training views of EdgeNet: strips across the edges that a map predicts, and where the edges really are.
+
+Predicted are they by the true map, disturbed, or by what FilmNet made of the photo (data_gen/film_maps.py). Only that
+errs as it does in use: where a shadow or a frame looks like the sheet's edge FilmNet is drawn to it first.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
 from hybrid.backward import BackwardMap, Orientation, film_as_seen
 from hybrid.coords import film_centres_1d, rescale_points, sample_bilinear
+from hybrid.errors import DataError, describe
 from hybrid.learn.data import BEND_ERROR_NODES, disturbed, disturbed_map, log_uniform
-from hybrid.learn.samples import Place, film_mask, film_of, photo_of
+from hybrid.learn.samples import Place, film_mask, film_of, open_places, photo_of
 from hybrid.learn.views import plane_of
 from hybrid.pyramid import Pyramid
 from hybrid.strips import SIDES, StripConfig, edge_strips, strip_copy
+
+FILM_MAPS = "film_maps.npy"
+"""File beside a data set's shards: FilmNet's maps of its samples, (samples, n, m, 2) nodes; NaN where it saw none."""
 
 JUST_INSIDE = 0.02
 """Film units inside of an edge at which a mask of some 80 pixels shows film wherever nothing hides the edge."""
@@ -23,29 +33,66 @@ JUST_INSIDE = 0.02
 class EdgeAugment:
     """How the predicting map errs.
 
-    plane_share: maps that are the plane nearest to the true one. plane_error, bend_error: range of one sigma of the
-    corners' error and of a smooth bent one, in parts of the film. colours: whether colours are disturbed.
+    found_share: maps that FilmNet made, where these are known. found_error: range of one sigma of what their corners
+    are disturbed by, in parts of the film. plane_share: of the others those that are the plane nearest to the true one.
+    plane_error, bend_error: range of one sigma of their corners' error and of a smooth bent one. colours: whether
+    colours are disturbed.
     """
 
+    found_share: float = 0.5
+    found_error: tuple[float, float] = (0.0005, 0.01)
     plane_share: float = 0.25
     plane_error: tuple[float, float] = (0.003, 0.045)
     bend_error: tuple[float, float] = (0.001, 0.008)
     colours: bool = True
 
 
+@dataclass(frozen=True, eq=False)
+class EdgePlace:
+    """A sample, and the nodes of FilmNet's map of it, turned as the film is seen; None where that is not known."""
+
+    place: Place
+    found: Float[np.ndarray, "n m 2"] | None
+
+
+def open_edges(folders: Sequence[Path]) -> list[EdgePlace]:
+    """All samples of some data sets, with FilmNet's maps where they lie beside them.
+
+    Raises:
+        DataError: a data set that cannot be read, or maps that are not those of its samples.
+    """
+    return [one for folder in folders for one in _open_folder(folder)]
+
+
+def _open_folder(folder: Path) -> list[EdgePlace]:
+    places, path = open_places([folder]), folder / FILM_MAPS
+    if not path.exists():
+        return [EdgePlace(place, None) for place in places]
+    maps = np.load(path)
+    if len(maps) != len(places):
+        got, do = f"{len(maps)} maps of {len(places)} samples", "Make the maps again."
+        raise DataError(describe(what="FilmNet's maps", where=path, got=got, do=do))
+    known = np.isfinite(maps).all(axis=(1, 2, 3))
+    return [EdgePlace(place, nodes if good else None) for place, nodes, good in zip(places, maps, known, strict=True)]
+
+
 def edge_view(
-    place: Place, strip: StripConfig, rng: np.random.Generator, augment: EdgeAugment
+    sample: EdgePlace, strip: StripConfig, rng: np.random.Generator, augment: EdgeAugment
 ) -> tuple[UInt8[np.ndarray, "4 r c 3"], Bool[np.ndarray, "4 r c"], Float[np.ndarray, "4 c2"]]:
     """Strips of a sample, where the photo covers them, and the true rows in each pair of columns (NaN: not shown)."""
-    photo, true = photo_of(place), film_as_seen(film_of(place))
-    true = true.turned(Orientation(int(rng.integers(4)), bool(rng.random() < 0.5)))
-    guess = plane_of(true) if rng.random() < augment.plane_share else true
-    guess = disturbed_map(guess, 2, log_uniform(rng, augment.plane_error), rng)
-    guess = disturbed_map(guess, BEND_ERROR_NODES, log_uniform(rng, augment.bend_error), rng)
+    place, way = sample.place, Orientation(int(rng.integers(4)), bool(rng.random() < 0.5))
+    photo, true = photo_of(place), film_as_seen(film_of(place)).turned(way)
+    if sample.found is not None and rng.random() < augment.found_share:
+        guess = BackwardMap(sample.found.astype(np.float64)).turned(way)
+        guess = disturbed_map(guess, 2, log_uniform(rng, augment.found_error), rng)
+    else:
+        guess = plane_of(true) if rng.random() < augment.plane_share else true
+        guess = disturbed_map(guess, 2, log_uniform(rng, augment.plane_error), rng)
+        guess = disturbed_map(guess, BEND_ERROR_NODES, log_uniform(rng, augment.bend_error), rng)
     copy, on_copy = strip_copy(Pyramid(photo), guess, strip)
     images, inside = edge_strips(copy, on_copy, strip)
     if augment.colours:
-        images = disturbed(images.reshape(-1, *images.shape[2:]), rng).reshape(images.shape)
+        images = np.stack(np.split(disturbed(np.concatenate(images, axis=1), rng), len(images), axis=1))  # side by side
     return images, inside, true_rows(true, guess, (photo.shape[0], photo.shape[1]), film_mask(place), strip)
 
 

@@ -15,7 +15,7 @@ import torch
 from torch import Tensor, nn
 
 from hybrid.learn.data import AugmentConfig, batch_of, training_view
-from hybrid.learn.edge_data import EdgeAugment, edge_view
+from hybrid.learn.edge_data import EdgeAugment, EdgePlace, edge_view, open_edges
 from hybrid.learn.edges import EdgeNetConfig, EdgeTargets, strips_tensor
 from hybrid.learn.losses import Targets, masked_mean
 from hybrid.learn.paper_data import PaperView, paper_batch
@@ -196,7 +196,7 @@ def edge_feed(config: EdgeNetConfig) -> Feed:
     """Strips across the edges of films, for a network of that configuration; four of each sample."""
 
     def views(
-        places: Sequence[Any], px: int, rng: np.random.Generator, augment: EdgeAugment
+        places: Sequence[EdgePlace], px: int, rng: np.random.Generator, augment: EdgeAugment
     ) -> tuple[Tensor, EdgeTargets]:
         strip = replace(config, input_px=px).strip
         images, inside, rows = zip(*(edge_view(place, strip, rng, augment) for place in places), strict=True)
@@ -222,4 +222,4 @@ def edge_feed(config: EdgeNetConfig) -> Feed:
         percent, wrong, told = np.mean(rows, axis=0)
         return {"test_percent": float(percent), "test_wrong": float(wrong), "test_shown": float(told)}
 
-    return Feed(open_places, batch, test)
+    return Feed(open_edges, batch, test)

@@ -1,0 +1,104 @@
+"""What FilmNet makes of the photos of a data set, for EdgeNet to learn from: ``python -m data_gen.film_maps DATA``."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from functools import lru_cache, partial
+from pathlib import Path
+from typing import Annotated
+
+import cv2
+import numpy as np
+import torch
+import tyro
+from jaxtyping import Float32
+from threadpoolctl import threadpool_limits
+from tqdm import tqdm
+
+from hybrid.backward import end_point_error, film_as_seen
+from hybrid.effort import RectifyConfig
+from hybrid.errors import HybridError
+from hybrid.geometry import Clock, see
+from hybrid.learn.edge_data import FILM_MAPS
+from hybrid.learn.network import FilmNet, fused
+from hybrid.learn.samples import Place, film_of, open_places, photo_of
+from hybrid.learn.weights import packaged_film_net
+from hybrid.pyramid import Pyramid
+from hybrid.rectify.invert import NotInverted
+
+NODES = (33, 33)
+"""Nodes of the maps."""
+
+FAR = 0.2
+"""Mean distance from the true map, in parts of the film, from which on a map is not of the film."""
+
+
+@dataclass(frozen=True)
+class FilmMapsConfig:
+    """Write FilmNet's maps of a data set's photos beside its shards, where ``hybrid train --preset edges`` finds them.
+
+    data: folder of the data set. workers: processes.
+    """
+
+    data: Annotated[Path, tyro.conf.Positional]
+    workers: int = os.cpu_count() or 1
+
+
+def write_film_maps(config: FilmMapsConfig) -> Path:
+    """The file with the maps of all samples, in their order.
+
+    Raises:
+        DataError: a data set that cannot be read.
+    """
+    path, count = config.data / FILM_MAPS, len(open_places([config.data]))
+    with ProcessPoolExecutor(config.workers, multiprocessing.get_context("spawn")) as pool:
+        found = pool.map(partial(_film_map, config.data), range(count), chunksize=16)
+        maps = np.stack(list(tqdm(found, total=count, unit="photo")))
+    part = path.with_suffix(".part")
+    with part.open("wb") as file:
+        np.save(file, maps)
+    return part.replace(path)
+
+
+def film_map(network: FilmNet, place: Place) -> Float32[np.ndarray, "n m 2"]:
+    """Nodes of the map that FilmNet makes of a sample's photo, turned as the film is seen; NaN where it sees none, or
+    one so far off that its edges are not the film's."""
+    found, true = see(network, Pyramid(photo_of(place)), RectifyConfig(), Clock()).inversion, film_of(place)
+    if isinstance(found, NotInverted):
+        return np.full((*NODES, 2), np.nan, np.float32)
+    seen = film_as_seen(found.backward).resized(NODES)
+    off = end_point_error(seen, film_as_seen(true).nodes).mean()
+    return (
+        seen.nodes.astype(np.float32)
+        if off < FAR * max(true.mean_film_pixels())
+        else np.full_like(seen.nodes, np.nan, np.float32)
+    )
+
+
+@lru_cache(maxsize=1)
+def _network(folder: Path) -> tuple[FilmNet, list[Place]]:
+    """The network and all samples of a data set; in this process all is done by one thread from now on."""
+    torch.set_num_threads(1)
+    cv2.setNumThreads(1)
+    threadpool_limits(1)
+    return fused(packaged_film_net()), open_places([folder])
+
+
+def _film_map(folder: Path, number: int) -> Float32[np.ndarray, "n m 2"]:
+    network, places = _network(folder)
+    return film_map(network, places[number])
+
+
+def main() -> None:
+    """Command line."""
+    try:
+        print(write_film_maps(tyro.cli(FilmMapsConfig, prog="python -m data_gen.film_maps")))
+    except HybridError as error:
+        raise SystemExit(f"error: {error}") from None
+
+
+if __name__ == "__main__":
+    main()
