@@ -23,7 +23,8 @@ Photo of a bent CT film in, flat print out.
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one subcommand; returns the exit code: 0 for success, 1 if anything failed, 2 for a wrong command line."""
+    """Run one subcommand; returns the exit code: 0 for success, 1 if anything failed, 2 for a command line that is not
+    understood."""
     arguments = list(sys.argv[1:] if arguments is None else arguments)
     commands: dict[str, Callable[[list[str]], int]] = {
         "rectify": _rectify,
@@ -52,8 +53,8 @@ def _guarded(command: Callable[[list[str]], int], arguments: list[str]) -> int:
 
     try:
         return command(arguments)
-    except HybridError as error:
-        print(f"hybrid: {error}", file=sys.stderr)
+    except (HybridError, OSError, MemoryError) as error:
+        print(f"hybrid: {str(error) or type(error).__name__}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
         print("hybrid: stopped; what was written so far is complete", file=sys.stderr)

@@ -48,7 +48,7 @@ def run(arguments: list[str]) -> int:
     photos = [read_photo(path) for path in options.photos]
     result = Rectifier(options.config).fuse(photos)
     first = options.photos[0]
-    name = f"{free_name(first, options.out, set())}_fused"
-    files = write_result(options.out, name, first, photos[0], result, options.rectified_format)
+    name = free_name(options.photos, options.out, set(), suffix="_fused")
+    files = write_result(options.out, name, options.photos, photos[0], result, options.rectified_format)
     print("\n".join(report_lines(first, result, files)))
     return 0 if result.status.has_film else 1

@@ -55,11 +55,11 @@ def rectify_files(
             start = time.perf_counter()
             photo = read_photo(path)
             read = StageReport("file", True, f"{path.stat().st_size / 1e6:.1f} MB", time.perf_counter() - start)
-            name = free_name(path, out, taken)
+            name = free_name([path], out, taken)
             taken.add(name)
             result = rectify(photo)
             result = replace(result, stages=(read, *result.stages))
-            files = write_result(out, name, path, photo, result, rectified_format)
+            files = write_result(out, name, [path], photo, result, rectified_format)
             status = result.status
             outcomes.append(Outcome(path, status.has_film, str(status), files, sure=status.ok))
             say("\n".join(report_lines(path, result, files)))
@@ -103,19 +103,25 @@ def status_word(result: RectifyResult) -> str:
 SLICES_SUFFIX = "_slices"
 
 
-def free_name(photo: Path, out: Path, taken: set[str]) -> str:
-    """The photo's stem, numbered where another photo has that name, in this run or in an earlier one.
+def free_name(photos: Sequence[Path], out: Path, taken: set[str], suffix: str = "") -> str:
+    """The first photo's stem with a suffix, numbered where other photos have that name, in this run or in an earlier
+    one.
 
-    An earlier run over the same bytes is no other photo: its files are made anew.
+    An earlier run over the same bytes is of no other photos: its files are made anew.
     """
-    digest = photo_digest(photo)
+    digests = [photo_digest(photo) for photo in photos]
     number = 1
     while True:
-        name = photo.stem if number == 1 else f"{photo.stem}_{number}"
+        name = f"{photos[0].stem}{suffix}" if number == 1 else f"{photos[0].stem}{suffix}_{number}"
         record = out / f"{name}.json"
-        if name not in taken and (not record.exists() or _read_record(record).get("photo_sha256") == digest):
+        if name not in taken and (not record.exists() or _digests_in(_read_record(record)) == digests):
             return name
         number += 1
+
+
+def _digests_in(record: dict[str, Any]) -> list[str]:
+    """Of the photos of which the results are that a record describes."""
+    return [record.get("photo_sha256", ""), *record.get("further_photos_sha256", [])]
 
 
 def photo_digest(photo: Path) -> str:
@@ -139,19 +145,22 @@ def _read_record(record: Path) -> dict[str, Any]:
 def write_result(
     out: Path,
     name: str,
-    path: Path,
+    paths: Sequence[Path],
     photo: UInt8[np.ndarray, "h w 3"],
     result: RectifyResult,
     rectified_format: RectifiedFormat,
 ) -> tuple[Path, ...]:
     """Write everything that the result holds; the JSON comes last, so where it stands the rest is complete.
 
-    Files that an earlier run over the same photo left and this one does not make (slices of another grid) are removed,
-    once the new ones are there.
+    paths: of the photos that it was made of; ``photo`` is the first. Files that an earlier run over the same photos
+    left and this one does not make (slices of another grid) are removed, once the new ones are there; where this one
+    finds no film they stay, and the JSON names them ("earlier_files").
     """
     files: list[Path] = []
-    earlier = _read_record(out / f"{name}.json").get("files", [])
+    known = _read_record(out / f"{name}.json")
+    earlier = [*known.get("files", []), *known.get("earlier_files", [])]
     if result.film is not None:
+        (out / f"{name}.json").unlink(missing_ok=True)
         files.append(out / f"{name}_film.png")
         write_film(files[-1], result.film)
         files += write_slices(out / f"{name}{SLICES_SUFFIX}", result)
@@ -161,8 +170,10 @@ def write_result(
     if result.film is not None:
         files.append(out / f"{name}_side_by_side.jpg")
         write_rgb(files[-1], side_by_side([annotated(photo, result), rgb_from_film(result.film)]))
-    record = result_record(path, photo.shape[:2], result)
+    record = result_record(paths, photo.shape[:2], result)
     record["files"] = [file.relative_to(out).as_posix() for file in files]
+    if earlier and not result.status.has_film:
+        record["earlier_files"] = earlier
     files.append(out / f"{name}.json")
     write_bytes(files[-1], (json.dumps(record, indent=2) + "\n").encode())
     if result.status.has_film:
@@ -182,13 +193,15 @@ def write_slices(folder: Path, result: RectifyResult) -> list[Path]:
     return files
 
 
-def result_record(path: Path, photo_size: tuple[int, ...], result: RectifyResult) -> dict[str, Any]:
-    """The result in words and numbers, without the pictures: what goes into the JSON file."""
-    grid = result.grid
+def result_record(paths: Sequence[Path], photo_size: tuple[int, ...], result: RectifyResult) -> dict[str, Any]:
+    """The result in words and numbers, without the pictures: what goes into the JSON file. photo_size: of the first."""
+    grid, further = result.grid, paths[1:]
     return {
         "hybrid_version": __version__,
-        "photo": path.name,
-        "photo_sha256": photo_digest(path),
+        "photo": paths[0].name,
+        "photo_sha256": photo_digest(paths[0]),
+        **({"further_photos": [path.name for path in further]} if further else {}),
+        **({"further_photos_sha256": [photo_digest(path) for path in further]} if further else {}),
         "photo_size": list(photo_size[:2]),
         "ok": result.status.ok,
         "status": result.status.code.name,

@@ -8,7 +8,6 @@ from functools import lru_cache, partial
 from pathlib import Path
 
 import numpy as np
-from threadpoolctl import ThreadpoolController
 
 from hybrid.backward import BackwardMap, Orientation
 from hybrid.effort import Effort, RectifyConfig
@@ -23,13 +22,14 @@ from hybrid.pyramid import Pyramid
 from hybrid.records import CoarseMaps, RectifyResult, SliceGrid, Status, StatusCode
 from hybrid.rectify.cell_phases import CellPhases
 from hybrid.rectify.deilluminate import deilluminate
-from hybrid.rectify.film_size import film_size
+from hybrid.rectify.film_size import bounded_size, film_size
 from hybrid.rectify.fuse import fuse
 from hybrid.rectify.invert import Inversion, NotInverted, agreed
 from hybrid.rectify.refine import Refinement
 from hybrid.rectify.resample import Rectified, rectify_photo
 from hybrid.rectify.survey import survey_maps, survey_photo, survey_print
 from hybrid.strips import EdgeReader
+from hybrid.threads import one_thread
 
 
 class Rectifier:
@@ -57,15 +57,15 @@ class Rectifier:
         Raises:
             PhotoError: the source cannot be read as a photo. A photo without a film is no error but a status.
         """
-        with _blas().limit(limits=1, user_api="blas"):
+        with one_thread():
             return self._rectified(source)
 
     def fuse(self, sources: Sequence[str | Path | np.ndarray]) -> RectifyResult:
         """One film of several photos of it, between which phone or lamps moved, so that glare vanishes.
 
         film, glare and confidence are made of all photos; the rest is the first photo's, its map moved to where all
-        say that the print lies: its status if no film is found in it. Others without a film are left out, which the
-        last stage says.
+        whose map is sure say that the print lies (all, if none is): status and expected error are theirs. Its own
+        status, if no film is found in it; others without a film are left out, which the last stage says.
 
         Args:
             sources: as for a single photo, two or more.
@@ -78,11 +78,12 @@ class Rectifier:
             do = "Name two or more photos of one film; a single one is rectified."
             raise FusionError(describe(what="Photos to fuse", got=len(sources), allowed="two or more", do=do))
         photos = [as_photo(source) for source in sources]
-        results = [self(photo) for photo in photos]
-        if not results[0].status.has_film:
-            return results[0]
-        with _blas().limit(limits=1, user_api="blas"):
-            return fuse(photos, results, self.config.fuse, self.config.light)
+        first = self(photos[0])
+        if not first.status.has_film:
+            return first
+        results = [first, *map(self, photos[1:])]
+        with one_thread():
+            return fuse(photos, results, self.config.fuse, self.config.light, self.config.resample)
 
     def network_map(self, source: str | Path | np.ndarray) -> BackwardMap | None:
         """What the network alone makes of a photo, before refinement: the map of the film as it lies in the photo.
@@ -92,7 +93,7 @@ class Rectifier:
         Raises:
             PhotoError: the source cannot be read as a photo.
         """
-        with _blas().limit(limits=1, user_api="blas"):
+        with one_thread():
             clock = Clock()
             seen = see(self._network, Pyramid(as_photo(source)), self.config, clock)
             sides = see_from_sides(self._network, seen, self.config, clock)
@@ -130,15 +131,24 @@ class Rectifier:
         verdict, expected = trusted(
             self._network, self._edges, pyramid, seen, refinement, flat is not None, self.config, clock
         )
-        result = self._finish(pyramid, maps, refinement, clock)
+        result = self._finish(pyramid, maps, refinement, flat is not None, clock)
         return replace(result, status=Status(verdict.code), expected_error_px=expected)
 
-    def _finish(self, pyramid: Pyramid, maps: CoarseMaps, refinement: Refinement, clock: Clock) -> RectifyResult:
-        """Read the photo once through the map, turn the film upright, then take the light out."""
+    def _finish(
+        self, pyramid: Pyramid, maps: CoarseMaps, refinement: Refinement, is_flat: bool, clock: Clock
+    ) -> RectifyResult:
+        """Read the photo once through the map, turn the film upright, then take the light out.
+
+        is_flat: whether the photo is the flat film: then the film is as large, and nothing is stretched.
+        """
         backward: BackwardMap = refinement.backward
         grid: SliceGrid | None = refinement.grid
         with clock.stage("resample") as report:
-            size = film_size(backward, maps, grid, self.config.size, refinement.aspect)
+            if is_flat:
+                down, across = backward.mean_film_pixels()
+                size = bounded_size(backward, down / across, self.config.size)
+            else:
+                size = film_size(backward, maps, grid, self.config.size, refinement.aspect)
             flat = rectify_photo(pyramid, backward, size, self.config.resample)
             report.reason = f"to {size[1]} x {size[0]} pixels"
         with clock.stage("upright") as report:
@@ -170,12 +180,6 @@ class Rectifier:
         chances = orientation_chances(self._reader, flat.image, config.prior)
         way, report.reason = upright_way(chances, config)
         return way, float(chances[way.index])
-
-
-@lru_cache(maxsize=1)
-def _blas() -> ThreadpoolController:
-    """Control of the linear algebra's threads: on matrices this small, several wait more than they work."""
-    return ThreadpoolController()
 
 
 @lru_cache(maxsize=3)

@@ -144,7 +144,8 @@ class RectifyResult:
     grid: the slice grid, or None where none was found.
     orientation: how the film as it lay in the photo was moved to read right; not at all where that is not sure.
     upright_probability: that the film as it is given reads right; None where nothing could be read.
-    glare: (h, w) bool, where nothing could be recovered.
+    glare: (h, w) bool, where the photo is clipped or veiled so that nothing could be recovered; not beyond its edge,
+        where the film is black and its confidence 0.
     confidence: (h, w) float32 in [0, 1], how far the film can be trusted.
     expected_error_px: mean distance, in pixels of the photo, by which film points are expected to be off; the true one
         is as often larger as smaller.

@@ -19,7 +19,7 @@ from hybrid.backward import BackwardMap
 from hybrid.coords import film_nodes
 from hybrid.errors import ConfigError
 from hybrid.image_io import read_photo, write_rgb
-from hybrid.outputs import free_name, rectify_files
+from hybrid.outputs import free_name, rectify_files, write_result
 from hybrid.records import RectifyResult, SliceGrid, StageReport, Status, StatusCode
 
 Effort = Literal["fast", "default"]
@@ -90,6 +90,11 @@ def photo(tmp_path: Path) -> Path:
     path = tmp_path / "in" / "film.png"
     path.parent.mkdir()
     write_rgb(path, np.random.default_rng(0).integers(1, 250, (60, 90, 3), dtype=np.uint8))
+    return path
+
+
+def out_folder(path: Path) -> Path:
+    path.mkdir()
     return path
 
 
@@ -195,8 +200,48 @@ def test_photos_of_one_name_do_not_overwrite_each_other(photo: Path, tmp_path: P
 
 def test_a_foreign_json_of_that_name_is_left_alone(photo: Path, tmp_path: Path) -> None:
     (tmp_path / "film.json").write_text("[1, 2]")
-    assert free_name(photo, tmp_path, set()) == "film_2"
-    assert free_name(photo, tmp_path, {"film_2"}) == "film_3"
+    assert free_name([photo], tmp_path, set()) == "film_2"
+    assert free_name([photo], tmp_path, {"film_2"}) == "film_3"
+
+
+@pytest.mark.usefixtures("_stand_in")
+def test_again_without_a_film_loses_nothing_and_says_so(photo: Path, tmp_path: Path) -> None:
+    """The earlier film stays, named as what it is, and goes when a later run makes one again."""
+    out, name = tmp_path / "out", [photo]
+    first = write_result(out_folder(out), "film", name, read_photo(photo), StandIn()(read_photo(photo)), "png")
+    nothing = RectifyResult(Status(StatusCode.NO_FILM))
+    for _ in range(2):
+        write_result(out, "film", name, read_photo(photo), nothing, "png")
+        record = json.loads((out / "film.json").read_text())
+        assert (record["status"], record["files"]) == ("NO_FILM", [])
+        assert set(record["earlier_files"]) == {path.relative_to(out).as_posix() for path in first[:-1]}
+        assert all(path.exists() for path in first)
+    write_result(out, "film", name, read_photo(photo), StandIn()(read_photo(photo)), "jpg")
+    assert "earlier_files" not in json.loads((out / "film.json").read_text())
+    assert not (out / "film_rectified.png").exists()
+
+
+def test_a_result_that_is_cut_off_has_no_json(photo: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    out = out_folder(tmp_path / "out")
+    result = StandIn()(read_photo(photo))
+    write_result(out, "film", [photo], read_photo(photo), result, "png")
+    monkeypatch.setattr("hybrid.outputs.write_slices", lambda *_: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        write_result(out, "film", [photo], read_photo(photo), result, "png")
+    assert not (out / "film.json").exists()
+
+
+def test_fused_photos_are_others_if_one_of_them_is(photo: Path, tmp_path: Path) -> None:
+    out = out_folder(tmp_path / "out")
+    second, third = (black_photo(tmp_path, name) for name in ("second.png", "third.png"))
+    write_rgb(third, np.full((64, 64, 3), 7, dtype=np.uint8))
+    for further, name in ((second, "film_fused"), (third, "film_fused_2"), (second, "film_fused")):
+        photos = [photo, further]
+        assert free_name(photos, out, set(), "_fused") == name
+        write_result(out, name, photos, read_photo(photo), StandIn()(read_photo(photo)), "png")
+    record = json.loads((out / "film_fused_2.json").read_text())
+    assert (record["photo"], record["further_photos"]) == ("film.png", ["third.png"])
+    assert free_name([photo], out, set()) == "film"
 
 
 # ---------------------------------------------------------------- how it fails
@@ -270,6 +315,15 @@ def test_help_and_version(capsys: pytest.CaptureFixture[str]) -> None:
 def test_unknown_command(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["flatten"]) == 2
     assert "unknown command 'flatten'; allowed: rectify, fuse, train, info" in capsys.readouterr().err
+
+
+def test_a_file_that_cannot_be_written_is_one_line(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
+    def full(_: list[str]) -> int:
+        raise OSError(28, "No space left on device", "out/film.png")
+
+    monkeypatch.setattr(cli, "_fuse", full)
+    assert cli.main(["fuse", "a.jpg", "b.jpg"]) == 1
+    assert capsys.readouterr().err == "hybrid: [Errno 28] No space left on device: 'out/film.png'\n"
     assert cli.main([]) == 2
 
 

@@ -1,4 +1,4 @@
-"""FilmNet's maps of a data set: near the truth, turned as the film is seen, and what EdgeNet's strips are cut across."""
+"""FilmNet's maps of a data set: near the truth, turned as the film is seen, and across their edges strips are cut."""
 
 from dataclasses import replace
 from pathlib import Path

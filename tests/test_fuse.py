@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -141,6 +142,33 @@ def test_one_map_of_three_that_is_far_off_does_not_move_the_film_much():
     for third in (0.5, 8.0):
         assert map_error_px(fused(first, second, seen(SPOTS[2], 2, error_px=third))) < 1.5
     assert map_error_px(fused(seen(SPOTS[2], 2, error_px=8.0), first, second)) < 1.5
+
+
+def unsure(shown: tuple[np.ndarray, RectifyResult]) -> tuple[np.ndarray, RectifyResult]:
+    return shown[0], replace(shown[1], status=Status(StatusCode.UNSURE), expected_error_px=9.0)
+
+
+def test_an_unsure_map_does_not_move_a_sure_one():
+    sure, other = seen(SPOTS[0], 0, error_px=0.5), unsure(seen(SPOTS[1], 1, error_px=8.0))
+    sure = sure[0], replace(sure[1], expected_error_px=0.5)
+    for shown in ((sure, other), (other, sure)):
+        result = fused(*shown)
+        assert map_error_px(result) < 1.5
+        assert result.status.ok
+        assert result.expected_error_px == 0.5
+        assert ("itself unsure" in result.stages[-1].reason) == (shown[0] is sure)
+    result = fused(other, unsure(sure))
+    assert result.status.code is StatusCode.UNSURE
+    assert result.expected_error_px == 9.0
+
+
+def test_film_beyond_the_photos_edges_is_no_glare():
+    first, second = seen(SPOTS[0], 0), seen(SPOTS[1], 1)
+    cut = [photo[:, : SIZE[1] // 2] for photo, _ in (first, second)]
+    result = fuse(cut, [first[1], second[1]])
+    beyond = result.confidence[:, 3 * SIZE[1] // 4 :]
+    assert (beyond == 0).all()
+    assert not result.glare[:, 3 * SIZE[1] // 4 :].any()
 
 
 def test_the_picture_of_a_fused_film_is_what_its_map_reads():

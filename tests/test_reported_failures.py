@@ -92,6 +92,15 @@ def test_01_a_flat_film_is_left_as_it_is(rectifier: Rectifier, seed: int, style:
     off = found.backward.photo_from_film(nodes) - nodes * np.array(picture.shape[1::-1])
     assert np.linalg.norm(off, axis=-1).max() < 1.0
     assert any(stage.name == "flat" and stage.ran for stage in found.stages)
+    assert found.rectified.shape == picture.shape
+
+
+@pytest.mark.parametrize("stretch", [0.95, 1.03])
+def test_01_a_flat_film_whose_cells_are_not_square_is_not_stretched(rectifier: Rectifier, stretch: float) -> None:
+    picture = cv2.resize(flat_picture(film_print(1)), None, fx=1.0, fy=stretch, interpolation=cv2.INTER_AREA)
+    found = rectifier(picture)
+    assert any(stage.name == "flat" and stage.ran for stage in found.stages)
+    assert found.rectified.shape == picture.shape
 
 
 def test_01_what_was_flattened_is_left_as_it_is(rectifier: Rectifier, plain) -> None:

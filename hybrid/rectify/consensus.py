@@ -16,14 +16,16 @@ def read_beside(backward: BackwardMap, shift: Float[np.ndarray, "gh gw 2"]) -> B
     return BackwardMap(backward.photo_from_film(film_nodes(shift.shape[:2]) + shift))
 
 
-def to_common(shifts: Sequence[Float[np.ndarray, "gh gw 2"]]) -> list[Float[np.ndarray, "gh gw 2"]]:
-    """Where the points of the film on which all photos agree lie on each photo's own film, as shifts.
+def to_common(
+    shifts: Sequence[Float[np.ndarray, "gh gw 2"]], counts: Sequence[bool]
+) -> list[Float[np.ndarray, "gh gw 2"]]:
+    """Where the points on which photos agree lie on the film of each, as shifts.
 
-    shifts: where points of the first film lie on each. The maps of several photos err independently, so the middle of
-    where they place a point of the print errs less than each of them. It is the geometric median of the fields: of
-    three photos one may be far off.
+    shifts: where points of the first film lie on each. counts: whose map is asked; at least one. The maps of several
+    photos err independently, so the middle of where they place a point of the print errs less than each of them. It is
+    the geometric median of the fields: of three photos one may be far off.
     """
-    middle = geometric_median(np.stack(shifts))
+    middle = geometric_median(np.stack([shift for shift, asked in zip(shifts, counts, strict=True) if asked]))
     nodes = film_nodes(middle.shape[:2])
     back = -middle
     for _ in range(3):  # the first film's point that lies in the middle at a node; the fields are smooth and small

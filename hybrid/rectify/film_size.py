@@ -93,7 +93,11 @@ def film_size(
     """
     config = config or FilmSizeConfig()
     measured = film_aspect(maps, backward) if aspect is None else aspect
-    aspect = snap_aspect(measured, grid, config, exact=aspect is not None)
+    return bounded_size(backward, snap_aspect(measured, grid, config, exact=aspect is not None), config)
+
+
+def bounded_size(backward: BackwardMap, aspect: float, config: FilmSizeConfig) -> tuple[int, int]:
+    """Size (h, w) in pixels of a film of that height over width, of about as many pixels as the photo has of it."""
     aspect = float(np.clip(aspect, 1.0 / config.max_aspect, config.max_aspect))
     down, across = backward.mean_film_pixels()
     width = max(across, down / aspect)

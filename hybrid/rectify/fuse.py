@@ -26,7 +26,7 @@ from hybrid.rectify.consensus import read_beside, to_common
 from hybrid.rectify.deilluminate import DeilluminateConfig, deilluminate
 from hybrid.rectify.merge import Film, MergeConfig, detail_of, merge, reduced
 from hybrid.rectify.reflections import seen_slices
-from hybrid.rectify.resample import rectify_photo
+from hybrid.rectify.resample import ResampleConfig, rectify_photo
 
 AnyFilm = Float32[np.ndarray, "_ _"]
 """One of several of different sizes."""
@@ -264,12 +264,13 @@ def fuse(
     results: Sequence[RectifyResult],
     config: FuseConfig | None = None,
     light: DeilluminateConfig | None = None,
+    resample: ResampleConfig | None = None,
 ) -> RectifyResult:
     """One result of several photos of one film, lying as in the first of them.
 
     results: of the photos; a film was found in the first, and photos without one are left out. film, glare and
-    confidence are made of all; rectified, backward and grid are of the first photo, moved to where all photos
-    together say that the print lies.
+    confidence are made of all; rectified, backward and grid are of the first photo, moved to where those photos
+    together say that the print lies whose maps are sure, or all if none is; status and expected error are theirs.
 
     Raises:
         FusionError: the photos show different films.
@@ -280,18 +281,22 @@ def fuse(
     size = (_film_of(base).shape[0], _film_of(base).shape[1])
     if base.backward is None:
         raise FusionError(describe(what="Photos that cannot be fused", got="one without a map", do="Leave it out."))
-    used, maps, shifts, notes = [photos[0]], [base.backward], [np.zeros((NODES, NODES, 2))], []
+    used, maps, shifts, found_in, notes = [photos[0]], [base.backward], [np.zeros((NODES, NODES, 2))], [base], []
     for number, (photo, result) in enumerate(zip(photos[1:], results[1:], strict=True), start=2):
         if not result.status.has_film:
             notes.append(f"photo {number} left out: no film was found in it")
             continue
         found = register(base, result, config, f"photo {number}")
-        notes.append(f"photo {number} moved by up to {found.largest:.1%} of the film")
+        unsure = "" if result.status.ok else ", itself unsure"
+        notes.append(f"photo {number} moved by up to {found.largest:.1%} of the film{unsure}")
         used.append(photo)
         maps.append(found.turned)
         shifts.append(found.shift)
-    maps = [read_beside(own, shift) for own, shift in zip(maps, to_common(shifts), strict=True)]
-    flats = [rectify_photo(photo, backward, size) for photo, backward in zip(used, maps, strict=True)]
+        found_in.append(result)
+    counts = [one.status.ok for one in found_in] if any(one.status.ok for one in found_in) else [True] * len(used)
+    asked = [one for one, counted in zip(found_in, counts, strict=True) if counted]
+    maps = [read_beside(own, shift) for own, shift in zip(maps, to_common(shifts, counts), strict=True)]
+    flats = [rectify_photo(photo, backward, size, resample) for photo, backward in zip(used, maps, strict=True)]
     grid = base.grid and replace(base.grid, vertices_photo=maps[0].photo_from_film(base.grid.vertices))
     lights = [deilluminate(flat.image, flat.valid, grid, light) for flat in flats]
     fused = merge(
@@ -302,14 +307,18 @@ def fuse(
     )
     shares = ", ".join(f"{share:.0%}" for share in fused.shares)
     reason = f"{len(used)} photos; {'; '.join(notes)}; shares {shares}"
-    report = StageReport("fuse", True, reason, perf_counter() - start)
+    others = sum(stage.seconds for one in results[1:] for stage in one.stages)
+    report = StageReport("fuse", True, reason, others + perf_counter() - start)
+    errors = [one.expected_error_px for one in asked if one.expected_error_px is not None]
     return replace(
         base,
+        status=asked[0].status,
+        expected_error_px=float(np.mean(errors)) if errors else None,
         film=fused.film,
         rectified=flats[0].image,
         backward=maps[0],
         grid=grid,
-        glare=fused.glare,
+        glare=fused.glare & np.logical_or.reduce([flat.valid for flat in flats]),
         confidence=fused.confidence,
         stages=(*base.stages, report),
     )

@@ -1,0 +1,51 @@
+"""Linear algebra's threads are the caller's again once nobody works on a photo, however the calls overlap."""
+
+from threading import Barrier, Thread
+
+import pytest
+from threadpoolctl import threadpool_info
+
+from hybrid.threads import one_thread
+
+
+def blas_threads() -> set[int]:
+    return {pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"}
+
+
+def fail() -> None:
+    assert blas_threads() == {1}
+    raise ZeroDivisionError
+
+
+def test_calls_that_overlap_leave_the_threads_as_they_were():
+    before, steps, inside = blas_threads(), Barrier(2), []
+
+    def first() -> None:
+        with one_thread():
+            steps.wait()
+            steps.wait()  # both are inside
+        steps.wait()
+
+    def second() -> None:
+        steps.wait()
+        with one_thread():
+            inside.append(blas_threads())
+            steps.wait()
+            steps.wait()  # the first has left
+
+    threads = [Thread(target=first), Thread(target=second)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert inside == [{1}]
+    assert blas_threads() == before
+
+
+def test_an_error_inside_gives_the_threads_back():
+    before = blas_threads()
+    with pytest.raises(ZeroDivisionError), one_thread():
+        fail()
+    assert blas_threads() == before
+    with one_thread():
+        assert blas_threads() == {1}
