@@ -43,17 +43,11 @@ def extended_weights(n_nodes: int, t: Float[np.ndarray, " n"]) -> Float[np.ndarr
     return spline(nearest) + (t - nearest)[:, None] * slope(nearest)
 
 
-def lattice_points(
-    backward: BackwardMap, u: Float[np.ndarray, " w"], v: Float[np.ndarray, " h"]
-) -> Float[np.ndarray, "h w 2"]:
-    """Photo points (float32) of all film points (u[j], v[i]): separable, hence quick."""
-    return np.stack(_lattice_xy(backward.nodes, u, v), axis=-1)
-
-
 def _lattice_xy(
     nodes: Float[np.ndarray, "gh gw 2"], u: Float[np.ndarray, " w"], v: Float[np.ndarray, " h"]
 ) -> tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"]]:
-    """x and y (float32) of the points of a map with these nodes, apart, as OpenCV reads them quickest."""
+    """x and y (float32) of all points (u[j], v[i]) of a map with these nodes, apart, as OpenCV reads them quickest: the
+    map is separable."""
     gh, gw = nodes.shape[:2]
     columns = np.tensordot(extended_weights(gh, v), nodes, axes=(1, 0)).astype(np.float32)
     weights_u = extended_weights(gw, u).astype(np.float32).T
@@ -78,4 +72,4 @@ def view_film(
     return FilmView(np.atleast_3d(image).astype(np.float32), u, v, inside)
 
 
-__all__ = ["FilmView", "extended_weights", "lattice_points", "view_film"]
+__all__ = ["FilmView", "extended_weights", "view_film"]

@@ -306,6 +306,8 @@ def middle(refinements: Sequence[Refinement]) -> Refinement:
 
     What leads each of them astray a little is another thing for each: their middle is more exact than most of them.
     """
+    if len(refinements) == 1:
+        return refinements[0]
     rows, columns = refinements[0].backward.nodes.shape[:2]
     nodes = np.stack([one.backward.resized((rows, columns)).nodes for one in refinements])
     between = geometric_median(nodes)

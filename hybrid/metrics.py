@@ -162,36 +162,6 @@ def _sampled(photo: Float[np.ndarray, "h w 3"], points: Float[np.ndarray, "a b 2
 # ---------------------------------------------------------------- geometry
 
 
-@dataclass(frozen=True)
-class EndPointError:
-    """Distances in photo pixels between predicted and true photo points of a film lattice.
-
-    mean_px, median_px, p95_px, max_px: in pixels of the full photo.
-    mean_percent, p95_percent: the same in percent of the photo's diagonal, which no scaling of the photo changes.
-    """
-
-    mean_px: float
-    median_px: float
-    p95_px: float
-    max_px: float
-    mean_percent: float
-    p95_percent: float
-
-
-def end_point_statistics(distances_px: Float[np.ndarray, "*n"], photo_size: tuple[int, int]) -> EndPointError:
-    """Statistics of end-point errors for a photo of ``photo_size`` (height, width)."""
-    percent = 100.0 / float(np.hypot(*photo_size))
-    mean, p95 = float(np.mean(distances_px)), float(np.percentile(distances_px, 95))
-    return EndPointError(
-        mean_px=mean,
-        median_px=float(np.median(distances_px)),
-        p95_px=p95,
-        max_px=float(np.max(distances_px)),
-        mean_percent=mean * percent,
-        p95_percent=p95 * percent,
-    )
-
-
 DISTORTION_AREA_PX = 598_400
 """Pixels of the flat picture in which local distortion is quoted (Ma et al., DocUNet, CVPR 2018)."""
 
@@ -233,10 +203,8 @@ def psnr_after_gain_offset(film: Float[np.ndarray, "h w"], truth: Float[np.ndarr
 
 
 __all__ = [
-    "EndPointError",
     "ImageScores",
     "PaperScores",
-    "end_point_statistics",
     "image_scores",
     "local_distortion",
     "ms_ssim",

@@ -15,11 +15,12 @@ from hybrid.backward import BackwardMap, Orientation
 
 @dataclass(frozen=True, eq=False)
 class CoarseMaps:
-    """What the network predicts, at its own resolution, for a square crop of the photo.
+    """What the network predicts, at its own resolution, for a view: the whole photo, or the film flattened by a plane.
 
     mask: probability that a pixel shows film.
-    uv: film uv, meaningful where the mask is high.
-    xyz: 3D coordinates in camera axes, relative to the film's centre, in units of the film's diagonal.
+    uv: coordinates of the film as it is seen (backward.film_as_seen), meaningful where the mask is high.
+    xyz: 3D coordinates in camera axes turned and mirrored with the view, relative to the film's centre, in units of the
+        film's diagonal.
     albedo: display grey of the print in [0, 1], blurred to the network's resolution.
     photo_points: (h, w, 2) photo points (full-resolution pixels) of the pixel centres.
     expected_error: how wrong the network expects uv to be, in film units; None where it does not say.
@@ -36,6 +37,11 @@ class CoarseMaps:
     expected_error: Float[np.ndarray, "h w"] | None = None
     phases: Float[np.ndarray, "h w 2 2"] | None = None
     in_grid: Float[np.ndarray, "h w"] | None = None
+
+    @property
+    def film(self) -> Bool[np.ndarray, "h w"]:
+        """Pixels that show film, more likely than not."""
+        return np.asarray(self.mask >= 0.5)
 
     def enlarged(self, factor: int) -> CoarseMaps:
         """The same for the photo enlarged ``factor`` times."""

@@ -5,7 +5,7 @@ import pytest
 from synthetic_film import FilmDrawing, draw_print, make_photo
 
 from hybrid.coords import film_centres_1d
-from hybrid.film_view import FilmView, extended_weights, lattice_points, view_film
+from hybrid.film_view import FilmView, _lattice_xy, extended_weights, view_film
 from hybrid.rectify.follow import follow_comb
 from hybrid.rectify.grid import GridConfig, find_comb
 from hybrid.rectify.match import MatchConfig, match_cells
@@ -113,6 +113,6 @@ def test_a_view_shows_what_the_map_says():
     uu, vv = np.meshgrid(u, v)
     expected = true.photo_from_film(np.stack([uu, vv], axis=-1))
     on_one = (np.abs(uu - 0.5) <= 0.5) | (np.abs(vv - 0.5) <= 0.5)  # from corners BackwardMap goes on in another order
-    assert np.abs(lattice_points(true, u, v) - expected)[on_one].max() < 0.05  # float32
+    assert np.abs(np.stack(_lattice_xy(true.nodes, u, v), axis=-1) - expected)[on_one].max() < 0.05  # float32
     assert np.abs(extended_weights(9, u).sum(axis=1) - 1.0).max() < 1e-9
     assert view_film(photo, true, u, v).image.shape == (11, 13, 3)

@@ -14,7 +14,6 @@ from hybrid.metrics import (
     DISTORTION_AREA_PX,
     MS_SSIM_WEIGHTS,
     PSNR_CAP_DB,
-    end_point_statistics,
     image_scores,
     local_distortion,
     ms_ssim,
@@ -183,14 +182,6 @@ def test_image_scores_holds_the_three(picture: np.ndarray) -> None:
 
 
 # ---------------------------------------------------------------- geometry, film against print
-
-
-def test_end_point_statistics_of_a_known_shift() -> None:
-    true = curved_map()
-    lattice = true.photo_from_film(film_nodes((9, 9)))
-    found = end_point_statistics(end_point_error(curved_map(shift=(3.0, 4.0)), lattice), (600, 800))
-    assert (found.mean_px, found.median_px, found.p95_px, found.max_px) == pytest.approx((5, 5, 5, 5), abs=1e-9)
-    assert (found.mean_percent, found.p95_percent) == pytest.approx((0.5, 0.5), abs=1e-9)
 
 
 def test_gain_and_offset_are_free(rng: np.random.Generator) -> None:

@@ -13,7 +13,7 @@ from hybrid.coords import film_nodes
 from hybrid.rectify.course import Course
 from hybrid.rectify.layout import Layout
 from hybrid.rectify.refine import RefineConfig, _apart, refine
-from hybrid.rectify.scene import working_scene
+from hybrid.rectify.scene import scene_of
 from hybrid.rectify.sightings import Sightings, SplineConfig, fit_displacement, no_displacement
 
 CONFIG = RefineConfig()
@@ -120,7 +120,7 @@ def test_the_farther_apart_the_two_ends_the_more_error_is_expected(monkeypatch):
 
 def test_ends_that_a_shift_parts_are_not_apart():
     coarse, still = BackwardMap(film_nodes((9, 9)) * 400.0 + 50.0), no_displacement(CONFIG.spline)
-    scene = working_scene(np.zeros((500, 500, 3), np.uint8), coarse, CONFIG.working_px)
+    scene = scene_of(np.zeros((500, 500, 3), np.uint8), coarse)
 
     def end(values: np.ndarray) -> Course:
         return Course(scene, replace(still, values=values), Layout(), (), 0.0, 0.0, True, None, "")

@@ -89,6 +89,23 @@ def test_a_training_without_held_out_samples_is_not_tested(dataset, tmp_path):
     assert (tmp_path / "filmnet.safetensors").exists()
 
 
+@pytest.mark.usefixtures("tiny")
+def test_a_run_goes_on_only_with_the_options_that_it_began_with(dataset, tmp_path):
+    train(quick_run(dataset, tmp_path))
+    weights = (tmp_path / "filmnet.safetensors").read_bytes()
+    for other, told in ({"seed": 3}, "got seed 3; allowed: "), ({"learning_rate": 0.5}, "got learning_rate 0.5"):
+        with pytest.raises(ConfigError, match=told):
+            train(quick_run(dataset, tmp_path, **other))
+    assert (tmp_path / "filmnet.safetensors").read_bytes() == weights
+
+
+def test_curves_of_steps_that_come_again_are_left_out(tmp_path):
+    path = tmp_path / "curves.csv"
+    path.write_text("passes,loss\n100,3\n200,2\n300,1\n")
+    train_module._cut_curves(path, 200)
+    assert path.read_text() == "passes,loss\n100,3\n200,2\n"
+
+
 # ---------------------------------------------------------------- averaged weights
 
 

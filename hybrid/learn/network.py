@@ -33,11 +33,12 @@ class FilmNetOutput:
     """Maps at a quarter of the input's resolution, and one guess of the film's orientation.
 
     mask_logit: film where positive. uv: coordinates of the film as seen (``hybrid.backward.Orientation``). xyz: camera
-    axes, relative to the film's centre, in film diagonals. albedo: display grey of the print. log_scale: natural log of
-    the expected absolute error of uv (Laplace). phases: cosine and sine of where in its cell each place lies, a full
-    turn from cell to cell; across, then down the film as seen; the shorter the pair, the less sure. grid_logit: in a
-    cell, not in a margin, where positive. orientation: logits of the eight ways in which the film may lie. normal: unit
-    towards the side that reads right, camera axes, predicted while training only, else None.
+    axes turned and mirrored with the view, relative to the film's centre, in film diagonals. albedo: display grey of
+    the print. log_scale: natural log of the expected absolute error of uv (Laplace). phases: cosine and sine of where
+    in its cell each place lies, a full turn from cell to cell; across, then down the film as seen; the shorter the
+    pair, the less sure. grid_logit: in a cell, not in a margin, where positive. orientation: logits of the eight ways
+    in which the film may lie. normal: unit towards the side that reads right, in the axes of xyz, predicted while
+    training only, else None.
     """
 
     mask_logit: Float[Tensor, "b h w"]

@@ -38,8 +38,9 @@ class TrainConfig:
     passes: images shown in all. coarse_share: share of them shown at ``coarse_px``, which costs less, before the rest
     at the network's own input size (networks with one input size only: none). held_out: the first samples of the data,
     only tested on (0: no tests). batch, learning_rate: of AdamW with one cosine cycle and a warm-up, if not the
-    preset's. ema: decay of the averaged weights, which are the ones saved. loaders: processes that prepare views.
-    device: cpu or cuda.
+    preset's. weight_decay: of AdamW. ema: decay of the averaged weights, which are the ones saved. seed: of weights,
+    order and views. loaders: processes that prepare views. steps_per_test: steps from test to test. minutes_per_save:
+    minutes from checkpoint to checkpoint. device: cpu or cuda.
     """
 
     data: tuple[Path, ...]
@@ -136,8 +137,11 @@ class _Batches(Dataset):
 def train(config: TrainConfig) -> None:
     """Run or resume a training; writes ``PRESET.safetensors``, ``checkpoint.pt``, ``curves.csv`` and ``samples.png``.
 
+    A run that is resumed with more passes goes on along the longer schedule.
+
     Raises:
-        ConfigError: an option that cannot be; fewer samples than are held out. DataError: data that cannot be read.
+        ConfigError: an option that cannot be, or that is not the one that a run to resume began with; fewer samples
+        than are held out. DataError: data that cannot be read.
     """
     plan = Plan.of(config)
     places = plan.preset.feed.open(config.data)
@@ -149,7 +153,7 @@ def train(config: TrainConfig) -> None:
         if plan.batch % rank.count:
             got, allowed = f"{plan.batch} images", f"multiples of the {rank.count} processes"
             raise ConfigError(describe(what="batch", got=got, allowed=allowed, do="Choose another --batch."))
-        state = _State(plan, rank)
+        state = _State(plan, rank, len(places))
         loader = DataLoader(
             _Batches(plan, places[config.held_out :], rank),
             batch_size=None,
@@ -195,10 +199,12 @@ def _test(state: _State, held_out: list[Any]) -> dict[str, float]:
 class _State:
     """Network, its average, optimiser and step; saved and loaded whole."""
 
-    def __init__(self, plan: Plan, rank: Rank) -> None:
+    def __init__(self, plan: Plan, rank: Rank, samples: int) -> None:
         config = plan.config
         torch.manual_seed(config.seed)
         self.plan, self.rank, self.step = plan, rank, 0
+        self.began = {name: str(getattr(plan, name, getattr(config, name, None))) for name in _KEPT}
+        self.began |= {"preset": config.preset, "samples": str(samples)}
         self.network = plan.preset.network()
         if config.start is not None:
             load_into(self.network, config.start)
@@ -236,14 +242,23 @@ class _State:
         config = self.plan.config
         names = ("network", "averaged", "optimiser")
         part = self.path.with_suffix(".part")
-        torch.save({"step": self.step} | {name: getattr(self, name).state_dict() for name in names}, part)
+        torch.save(
+            {"step": self.step, "began": self.began} | {name: getattr(self, name).state_dict() for name in names}, part
+        )
         part.replace(self.path)
         notes = {"passes": self.step * self.plan.batch, "seed": config.seed, "weights": dict(self.plan.preset.weights)}
         save_weights(config.out / f"{config.preset}.safetensors", self.averaged, self.plan.preset.config, notes)
 
     def _load(self) -> None:
         stored = torch.load(self.path, map_location=self.plan.config.device, weights_only=True)
+        for name, now in self.began.items():
+            if stored.get("began", self.began)[name] != now:
+                got, do = f"{name} {now}", "Go on with the options it began with, or choose another --out."
+                began = f"{stored['began'][name]}, as the run there began"
+                raise ConfigError(describe(what="train", where=self.path.parent, got=got, allowed=began, do=do))
         self.step = stored["step"]
+        if self.rank.first:
+            _cut_curves(self.path.with_name("curves.csv"), self.step * self.plan.batch)
         for name in ("network", "averaged", "optimiser"):
             getattr(self, name).load_state_dict(stored[name])
 
@@ -279,6 +294,20 @@ def _fast_bfloat16(device: str) -> bool:
     return device == "cuda" or bool(
         torch.ops.mkldnn._is_mkldnn_bf16_supported() and torch.cpu._is_avx512_bf16_supported()
     )
+
+
+_KEPT = (
+    *("width", "input_px", "start", "coarse_share", "coarse_px", "held_out"),
+    *("batch", "learning_rate", "weight_decay", "ema", "seed"),
+)
+"""Options that a run keeps when it is resumed, besides its preset and the number of its samples."""
+
+
+def _cut_curves(path: Path, passes: int) -> None:
+    """Leave out what a run wrote after its last checkpoint: it will be written again."""
+    if path.exists():
+        header, *rows = path.read_text().splitlines(keepends=True)
+        path.write_text("".join([header, *(row for row in rows if int(row.split(",")[0]) <= passes)]))
 
 
 def _log(path: Path, row: dict[str, Any]) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import asdict, fields
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -39,13 +39,16 @@ def load_weights(path: Path, build: Callable[[Any], Network], config_type: type)
     """Read a network in single precision, as ``build(config_type(...))`` with the configuration of the file.
 
     Raises:
-        DataError: no such file, not a weights file, of another kind, or made under other conventions.
+        DataError: no such file, not a weights file, of another kind or configuration, or made under other conventions.
     """
     metadata, tensors = _read(path, getattr(build, "__name__", str(build)))
-    options: dict[str, Any] = json.loads(metadata["config"])
-    known = {field.name for field in fields(config_type)}
-    network = build(config_type(**{k: _frozen(v) for k, v in options.items() if k in known}))
-    network.load_state_dict(tensors, strict=True)
+    try:
+        options: dict[str, Any] = json.loads(metadata["config"])
+        network = build(config_type(**{name: _frozen(value) for name, value in options.items()}))
+        network.load_state_dict(tensors, strict=True)
+    except (KeyError, TypeError, ValueError, RuntimeError) as error:
+        got = str(error).splitlines()[0]
+        raise DataError(describe(what="weights", where=path, got=got, do="Train them again.")) from error
     return network
 
 

@@ -21,8 +21,6 @@ STEPS = 96
 """Parts into which the film is divided along an axis."""
 MIDDLES = film_centres_1d(STEPS)
 """Their middles, in film units."""
-LEAST_FILM = 0.5
-"""Probability from which on a pixel shows film."""
 SPREAD = (2, 5)
 """Of every 5 pixels one is used, each row's two columns on from the last's: neighbours tell the same."""
 SLACK = 0.01
@@ -51,7 +49,7 @@ class CellPhases:
         if maps.phases is None or maps.in_grid is None:
             return None
         rows, columns = np.indices(maps.mask.shape)
-        film = (maps.mask > LEAST_FILM) & ((rows + SPREAD[0] * columns) % SPREAD[1] == 0)
+        film = maps.film & ((rows + SPREAD[0] * columns) % SPREAD[1] == 0)
         if not film.any():
             return None
         phases = maps.phases[film].astype(np.float64)

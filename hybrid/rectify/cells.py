@@ -18,7 +18,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from hybrid.rectify.cell_phases import AxisPhases
-from hybrid.rectify.grid import GridConfig, line_votes, narrowed
+from hybrid.rectify.grid import MAX_CELLS, GridConfig, line_votes, narrowed
 from hybrid.rectify.repeat import Repeats, autocorrelation, detail, highest
 
 SAME_PLACE = 0.012
@@ -86,8 +86,6 @@ class CellsConfig:
     """Widths of lines looked for, in pixels of the view."""
     detail_px: tuple[float, float] = (1.0, 5.0)
     """Scales between which the print's detail lies, in pixels of the view."""
-    max_cells: int = 10
-    """Most cells along one side."""
     least_filled: float = 0.62
     """Least share of the film that the grid covers along each axis."""
     weights: Weights = Weights()
@@ -140,7 +138,7 @@ def read_cells(
     scale = config.side_px / max(grey.shape)
     if scale < 1:
         grey = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-    if min(grey.shape) < 4 * config.max_cells:
+    if min(grey.shape) < 4 * MAX_CELLS:
         return None
     weights = config.untold if told is None else config.weights
     profiles = [profile_of(grey, axis, told and told[axis], grid, config) for axis in (0, 1)]
@@ -212,7 +210,7 @@ def signs_of(
 ) -> dict[str, Float[np.ndarray, " c"]]:
     """What speaks for each grid and against it, by the names that Weights explains."""
     n, (cells, first, pitch) = len(profile.ink), grids.T
-    border, end = np.arange(config.max_cells + 1), first + cells * pitch
+    border, end = np.arange(MAX_CELLS + 1), first + cells * pitch
     at = first[:, None] + pitch[:, None] * border
     inner = (border >= 1) & (border < cells[:, None])
     count, several = np.maximum(inner.sum(axis=1), 1), cells > 1
@@ -226,7 +224,7 @@ def signs_of(
     least = np.where(border[:-1] < cells[:, None], in_cells, np.inf).min(axis=1)
     near = maximum_filter1d(profile.echo, 3)
     echo, half = (near[_lag(part * pitch, n)] for part in (1.0, 0.5))
-    shortest, longest = n // (config.max_cells + 1), int(0.56 * n)
+    shortest, longest = n // (MAX_CELLS + 1), int(0.56 * n)
     echo = np.where(pitch < 0.75, echo, 0.0)
     return {
         "line": np.where(several, line, 0.0),
@@ -251,15 +249,15 @@ def signs_of(
 def _pitches(profile: Profile, known: Sequence[float], config: CellsConfig) -> list[float]:
     """Pitches worth a try: those known, the peaks of the autocorrelation, and those of grids that fill the film."""
     echo, n = profile.echo, len(profile.echo)
-    lags = np.arange(max(4, int(n / (config.max_cells + 0.8))), int(0.56 * n))
+    lags = np.arange(max(4, int(n / (MAX_CELLS + 0.8))), int(0.56 * n))
     peaks = lags[(echo[lags] >= maximum_filter1d(echo, 7)[lags]) & (echo[lags] > 0.03)]
     found = [factor * pitch for pitch in known for factor in (0.5, 1.0, 2.0)]
     found += [_sharpened(echo, int(lag)) / n for lag in peaks[np.argsort(-echo[peaks])][:8]]
-    found += [1.0 / cells for cells in range(1, config.max_cells + 1)]
-    found += [] if profile.told is None else [profile.told.pitch(1.05, 1.0 / (config.max_cells + 0.5))]
+    found += [1.0 / cells for cells in range(1, MAX_CELLS + 1)]
+    found += [] if profile.told is None else [profile.told.pitch(1.05, 1.0 / (MAX_CELLS + 0.5))]
     kept = [0.0]
     for pitch in sorted(found):
-        if 1.0 / (config.max_cells + 0.6) <= pitch <= 1.005 and pitch > 1.004 * kept[-1]:
+        if 1.0 / (MAX_CELLS + 0.6) <= pitch <= 1.005 and pitch > 1.004 * kept[-1]:
             kept.append(pitch)
     return kept[1:]
 

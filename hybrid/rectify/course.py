@@ -28,7 +28,7 @@ from hybrid.rectify.match import MatchConfig, match_cells
 from hybrid.rectify.outline import OutlineConfig, find_outline
 from hybrid.rectify.repeat import RepeatConfig, cell_agreement
 from hybrid.rectify.rim import RimConfig, without_background
-from hybrid.rectify.scene import Scene, halved, phases_along, view_of
+from hybrid.rectify.scene import Scene, half_view, phases_along, view_of
 from hybrid.rectify.sheet import SheetConfig
 from hybrid.rectify.sheet_fit import FittedSheet, fit_sheet
 from hybrid.rectify.sightings import (
@@ -56,7 +56,7 @@ class RefineConfig:
     rim: RimConfig = field(default_factory=RimConfig)
     spline: SplineConfig = field(default_factory=SplineConfig)
     working_px: int = 1000
-    """Longer side of the film, in pixels, at which the photo is looked at; larger films are scaled down to it."""
+    """Longer side of the film, in pixels, in the copy of the photo that is looked at; no photo is enlarged."""
     near_band: float = 0.015
     """Half width of the search band for edges once the map has been improved, in film units."""
     rule_width: float = 0.002
@@ -279,7 +279,7 @@ def ended(progress: Progress, config: RefineConfig, clock: Clock) -> Course:
 def agreement(course: Course, layouts: Sequence[Layout]) -> float:
     """How alike the cells look through a course's map, in [0, 1], in that of the layouts of which they are most; 0
     where none has cells."""
-    view = view_of(halved(course.scene), course.displacement)
+    view = half_view(course.scene, course.displacement)
     known = [(columns, rows) for columns, rows in (layout.repeats for layout in layouts) if columns and rows]
     return max((cell_agreement(view, *cells) for cells in known), default=0.0)
 

@@ -36,7 +36,7 @@ class FilmSizeConfig:
 def film_aspect(maps: CoarseMaps, backward: BackwardMap) -> float:
     """Height over width of the sheet from its 3D shape; from its size in the photo where that is missing."""
     with np.errstate(invalid="ignore"):
-        film = (maps.mask >= 0.5) & np.isfinite(maps.uv).all(axis=-1) & np.isfinite(maps.xyz).all(axis=-1)
+        film = maps.film & np.isfinite(maps.uv).all(axis=-1) & np.isfinite(maps.xyz).all(axis=-1)
         film &= (np.abs(maps.uv - 0.5) < 0.55).all(axis=-1)
     down, across = backward.mean_film_pixels()
     if np.count_nonzero(film) >= 60 and np.ptp(maps.xyz[film], axis=0).max() > 1e-3:

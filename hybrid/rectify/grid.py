@@ -17,6 +17,9 @@ from jaxtyping import Float, Int
 from hybrid.coords import film_centres_1d
 from hybrid.rectify.sightings import Sightings
 
+MAX_CELLS = 10
+"""Most slices along either side of a film."""
+
 
 @dataclass(frozen=True)
 class GridConfig:
@@ -42,8 +45,6 @@ class GridConfig:
     """Least response of a line, in grey levels."""
     min_sigmas: float = 4.0
     """Least response of a line, in median absolute responses of the film."""
-    max_cells: int = 10
-    """Most cells along one side."""
     tolerance: float = 0.012
     """How far a line may lie from its place in the comb, in film units."""
     margin: float = 0.16
@@ -279,7 +280,7 @@ def _fit_comb(lines: list[_Line], pitch_range: tuple[float, float], config: Grid
 
 def _comb_candidates(at: Float[np.ndarray, " n"], config: GridConfig) -> list[tuple[float, float]]:
     """Anchors and pitches worth a try: any two lines as neighbours, or one near the middle alone."""
-    pairs = [(float(a), float(b - a)) for a in at for b in at if 1.0 / config.max_cells <= b - a <= 0.55]
+    pairs = [(float(a), float(b - a)) for a in at for b in at if 1.0 / MAX_CELLS <= b - a <= 0.55]
     return pairs + [(float(a), 0.5) for a in at if abs(a - 0.5) < 0.04]
 
 

@@ -19,6 +19,7 @@ from hybrid.coords import film_nodes
 from hybrid.records import CoarseMaps
 from hybrid.rectify import bspline
 from hybrid.rectify.bspline import NormalEquations
+from hybrid.rectify.tps import tukey_weights
 
 ROBUST_INTERVALS = 4
 """Knot intervals of the stiff spline that tells good pixels from bad ones: false islands must not pull it to them."""
@@ -27,8 +28,6 @@ ROBUST_PIXELS = 400
 """About as many pixels are enough to tell good from bad; all are judged afterwards."""
 ISLAND_SHARE = 0.1
 """A hand may cut the film in two, but a part this small against the largest is a false alarm elsewhere in the photo."""
-TUKEY = 4.685
-"""Tukey's constant: 95 % efficiency on Gaussian residuals, no weight at all beyond."""
 MAD_2D = 1.1774
 """Median of the length of a two-dimensional standard normal vector."""
 COVERAGE_BINS = 12
@@ -44,8 +43,6 @@ class InvertConfig:
     """Least weight of the bending energy against the mean squared residual, both in units of the film's size."""
     smoothing_per_variance: float = 0.3
     """What is added to it per variance of the residuals: a noisy map is smoothed more, a clean one hardly at all."""
-    mask_threshold: float = 0.5
-    """Pixels that are less probably film than this are left out."""
     min_pixels: int = 60
     """Fewer pixels than this are no film."""
     nodes: tuple[int, int] = (33, 33)
@@ -171,7 +168,7 @@ def coverage(uv: Float[np.ndarray, "n 2"], bins: int = COVERAGE_BINS) -> float:
 def _film_pixels(maps: CoarseMaps, config: InvertConfig) -> _Pixels | NotInverted:
     """The pixels that probably show film, in normalised photo coordinates."""
     with np.errstate(invalid="ignore"):
-        film: Bool[np.ndarray, "h w"] = (maps.mask >= config.mask_threshold) & np.isfinite(maps.uv).all(axis=-1)
+        film: Bool[np.ndarray, "h w"] = maps.film & np.isfinite(maps.uv).all(axis=-1)
         film &= (np.abs(maps.uv) < 2.0).all(axis=-1)
     film = _largest_islands(film, ISLAND_SHARE)
     count = int(film.sum())
@@ -197,13 +194,8 @@ def _robust_weights(pixels: _Pixels, config: InvertConfig) -> Float[np.ndarray, 
         distance = _lengths(target - part @ fit)
         scale = max(float(np.median(distance)) / MAD_2D, config.scale_floor)
         # Tukey alone would lock on to whatever the first, unrobust fit happened to favour
-        factor = 1.0 / np.maximum(distance / scale, 1.0) if step < 2 else _tukey(distance / scale)
-    return _tukey(_lengths(pixels.target - rows @ fit) / scale)
-
-
-def _tukey(ratio: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-    """Tukey's weights in [0, 1] of residuals given in standard deviations."""
-    return np.clip(1.0 - (ratio / TUKEY) ** 2, 0.0, None) ** 2
+        factor = 1.0 / np.maximum(distance / scale, 1.0) if step < 2 else tukey_weights(distance / scale)
+    return tukey_weights(_lengths(pixels.target - rows @ fit) / scale)
 
 
 def _lengths(vectors: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, " n"]:

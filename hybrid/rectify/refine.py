@@ -30,7 +30,7 @@ from hybrid.rectify.course import (
     unstretched,
 )
 from hybrid.rectify.outline import find_outline
-from hybrid.rectify.scene import halved, phases_along, view_of, working_scene
+from hybrid.rectify.scene import half_view, phases_along, scene_of
 from hybrid.rectify.sightings import Sightings
 
 UNSTRETCHED = (
@@ -102,30 +102,27 @@ def refine(
 ) -> Refinement:
     """The coarse map, corrected where the photo shows how.
 
-    photo: RGB, the one that ``coarse`` maps into. phases: what the network tells of the cells. edges: as they were read
-    (edge_paths.py), through ``coarse``. Returns the coarse map itself where nothing was seen, where the correction does
-    not explain the photo better, or where it would fold the film or move it too far; the report of stage ``spline``
-    says which. Raises nothing on any photo.
+    photo: RGB, the one that ``coarse`` maps into, as large as it has to be (config.working_px). phases: what the
+    network tells of the cells. edges: as they were read (edge_paths.py), through ``coarse``. Returns the coarse map
+    itself where nothing was seen, where the correction does not explain the photo better, or where it would fold the
+    film or move it too far; the report of stage ``spline`` says which. Raises nothing on any photo.
     """
     clock = Clock()
-    scene = working_scene(photo, coarse, config.working_px, phases, tuple(edges))
+    scene = scene_of(photo, coarse, phases, tuple(edges))
     outline = find_outline(scene.photo, scene.coarse, config.outline, scene.edges)
     clock.lap("outline")
     course = _course(begin(scene, outline, config), config, clock)
     if course is None:
         return _unchanged(coarse, "no edge, rule, gutter or repeated text was seen", clock)
     is_bent = course.scene is not scene
-    scale = (photo.shape[1] / scene.photo.shape[1], photo.shape[0] / scene.photo.shape[0])
     changed = course.believed and (is_bent or course.moves)
     backward = coarse
     if changed:
-        start = course.scene.coarse.cropped((0.0, 0.0), scale) if is_bent else coarse
         rows, columns = (max(33, n) for n in coarse.nodes.shape[:2])
-        backward = course.displacement.composed(start, (rows, columns))
+        backward = course.displacement.composed(course.scene.coarse, (rows, columns))
     aspect = None if course.sheet is None else float(np.exp(-course.sheet.sheet.log_aspect))
-    small = halved(course.scene)
-    told = phases_along(small, course.displacement)
-    reading = read_view(view_of(small, course.displacement), course.layout, told, config, aspect)
+    told = phases_along(course.scene, course.displacement)
+    reading = read_view(half_view(course.scene, course.displacement), course.layout, told, config, aspect)
     share = _expected_share(course)
     grid = course.layout.slice_grid(reading, backward, share if course.believed else np.inf)
     clock.lap("grid")

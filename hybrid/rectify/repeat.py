@@ -15,14 +15,13 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from hybrid.film_view import FilmView
+from hybrid.rectify.grid import MAX_CELLS
 
 
 @dataclass(frozen=True)
 class RepeatConfig:
     """Options of the search for cells that repeat."""
 
-    max_cells: int = 10
-    """Most cells along one side."""
     margin: float = 0.06
     """Widest margin on either side of the grid, in film units."""
     stretch: float = 0.12
@@ -82,7 +81,7 @@ def find_repeats(grey: Float[np.ndarray, "h w"], axis: int, config: RepeatConfig
     band = detail(shrunk(grey, 2), 2.0, 8.0)
     curve = autocorrelation(band if axis == 0 else band.T)
     found = []
-    for cells in range(2, config.max_cells + 1):
+    for cells in range(2, MAX_CELLS + 1):
         chain = _peak_chain(curve, cells, config)
         if chain is not None:
             found.append((chain[0], cells, chain[1]))

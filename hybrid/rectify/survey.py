@@ -86,7 +86,7 @@ def survey_maps(maps: CoarseMaps, inversion: Inversion | NotInverted, config: Su
     config = config or SurveyConfig()
     if isinstance(inversion, NotInverted):
         return Verdict(StatusCode.NO_FILM, inversion.reason)
-    share = float(np.mean(maps.mask >= 0.5))
+    share = float(np.mean(maps.film))
     size = float(np.sqrt(np.prod(inversion.backward.mean_film_pixels())))
     residual = inversion.residual_px / max(size, 1e-9)
     overlap = mask_overlap(maps, inversion.backward)
@@ -137,7 +137,7 @@ def survey_print(
 
 def expected_error(maps: CoarseMaps) -> float:
     """Median error that the network expects of the film coordinates it gives; 0 where it says nothing."""
-    film = maps.mask >= 0.5
+    film = maps.film
     return float(np.median(maps.expected_error[film])) if maps.expected_error is not None and film.any() else 0.0
 
 
@@ -154,7 +154,7 @@ def _shape_verdict(backward: BackwardMap, evidence: str, config: SurveyConfig) -
 
 def mask_overlap(maps: CoarseMaps, backward: BackwardMap) -> float:
     """Intersection over union of the mask with the film's outline, within the picture that the network saw."""
-    mask: Bool[np.ndarray, "h w"] = np.asarray(maps.mask >= 0.5)
+    mask: Bool[np.ndarray, "h w"] = maps.film
     nodes = backward.nodes
     edges = np.concatenate([nodes[0], nodes[1:, -1], nodes[-1, -2::-1], nodes[-2:0:-1, 0]])
     outline = np.stack(index_in_grid(maps.photo_points, edges), axis=-1)

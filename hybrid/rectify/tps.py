@@ -16,7 +16,7 @@ from functools import lru_cache
 
 import numpy as np
 from jaxtyping import Float
-from scipy.linalg import cho_factor, cho_solve, eigh
+from scipy.linalg import eigh
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
@@ -230,11 +230,6 @@ def fit_tps_robust(
 def tukey_weights(standardised: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
     """Tukey's biweight of residuals in standard deviations: 1 at 0, 0 from 4.685 on."""
     return np.clip(1.0 - (standardised / TUKEY_CUT) ** 2, 0.0, None) ** 2
-
-
-def solve_positive(matrix: Float[np.ndarray, "n n"], right: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-    """Solution of a symmetric positive definite system."""
-    return cho_solve(cho_factor(matrix, check_finite=False), right, check_finite=False)
 
 
 # ---------------------------------------------------------------- inside

@@ -245,7 +245,7 @@ def _miss(overlap: float) -> float:
 
 def _shift(again: CoarseMaps, backward: BackwardMap) -> float:
     """Length of the mean displacement between a map and what the network sees, in pixels of the photo."""
-    film = again.mask >= 0.5
+    film = again.film
     if not film.any():
         return float("inf")
     points = backward.photo_from_film(np.asarray(again.uv[film], dtype=np.float64))
