@@ -13,14 +13,15 @@ from tqdm import tqdm
 from data_gen.prints import make_print
 from data_gen.sources import SourceConfig, draw_volume
 from hybrid.errors import HybridError
+from hybrid.image_io import write_bytes
 
 
 @dataclass(frozen=True)
 class FlatPrintsConfig:
     """Write flat prints as grey JPEG files.
 
-    count: prints to make; those that are there already stay. out: their folder. seed: the same seed gives the same
-    prints. sources: of CT volumes.
+    count: prints to make; those that are there already stay. out: their folder, one for each seed. seed: the same seed
+    gives the same prints. sources: of CT volumes.
     """
 
     count: int
@@ -42,14 +43,14 @@ def flat_prints(config: FlatPrintsConfig) -> None:
         while not film_print.parameters["text"]:
             film_print = make_print(draw_volume(sources, rng), rng)
         pixels = np.rint(film_print.image * 255).astype(np.uint8)
-        path.write_bytes(cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_QUALITY, 92])[1].tobytes())
+        write_bytes(path, cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_QUALITY, 92])[1].tobytes())
 
 
 def main() -> None:
     """Command line."""
     try:
         flat_prints(tyro.cli(FlatPrintsConfig, prog="python -m data_gen.flat_prints"))
-    except HybridError as error:
+    except (HybridError, OSError) as error:
         raise SystemExit(f"error: {error}") from None
 
 

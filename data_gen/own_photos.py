@@ -8,12 +8,14 @@ known, so that training leaves their losses out for such samples (hybrid.learn.l
 
 from __future__ import annotations
 
+import hashlib
 import json
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
+from zipfile import BadZipFile
 
 import cv2
 import numpy as np
@@ -34,6 +36,7 @@ from hybrid.learn.coding import encode_uv
 from hybrid.learn.shards import FORMAT
 
 SUFFIXES = (".jpg", ".jpeg", ".png")
+"""Of photos, in small letters or in capitals."""
 JPEG_QUALITY = 95
 STORED_NODES = (65, 65)
 """Nodes of stored backward maps, as generated data sets have them."""
@@ -71,9 +74,9 @@ def pair_paths(folder: Path) -> list[tuple[Path, Path]]:
     Raises:
         DataError: there is none, or one has no photo.
     """
-    pairs = []
+    pairs, every = [], photos_in(folder)
     for truth in sorted(folder.glob("*.npz")):
-        photos = [path for suffix in SUFFIXES if (path := truth.with_suffix(suffix)).exists()]
+        photos = [path for path in every if path.stem == truth.stem]
         if len(photos) != 1:
             got, allowed = f"{len(photos)} photos of that name", "one: " + ", ".join(SUFFIXES)
             raise DataError(
@@ -84,6 +87,11 @@ def pair_paths(folder: Path) -> list[tuple[Path, Path]]:
         do = "Name a folder of photos with NAME.npz beside each, which holds the film's lattice."
         raise DataError(describe(what="pairs", where=folder, got="no .npz file", do=do))
     return pairs
+
+
+def photos_in(folder: Path) -> list[Path]:
+    """All photos of a folder, by name."""
+    return sorted(path for path in folder.glob("*") if path.suffix.lower() in SUFFIXES)
 
 
 def read_pair(photo: Path, truth: Path, longer: int) -> Pair:
@@ -108,7 +116,7 @@ def _read_lattice(truth: Path) -> Float[np.ndarray, "n m 2"]:
     try:
         with np.load(truth, allow_pickle=False) as data:
             lattice = np.asarray(data["lattice"], dtype=np.float64)
-    except (OSError, KeyError, ValueError) as error:
+    except (OSError, KeyError, ValueError, EOFError, BadZipFile) as error:
         do = "Save it with numpy.savez(NAME, lattice=points)."
         raise DataError(describe(what="truth", where=truth, got=error, allowed="an array 'lattice'", do=do)) from error
     if lattice.ndim != 3 or lattice.shape[2] != 2 or min(lattice.shape[:2]) < MIN_NODES:
@@ -160,7 +168,7 @@ def make_dataset(config: OwnPhotosConfig) -> int:
     """Write all pairs as one shard; the number of samples. The same pairs give the same bytes.
 
     Raises:
-        PhotoError, DataError: a pair that cannot be used. ConfigError: ``out`` holds a data set of another kind.
+        PhotoError, DataError: a pair that cannot be used. ConfigError: ``out`` holds another data set.
     """
     paths = pair_paths(config.pairs)
 
@@ -174,6 +182,7 @@ def make_dataset(config: OwnPhotosConfig) -> int:
         "hybrid": __version__,
         "sources": "own photos",
         "size": config.size,
+        "pairs": hashlib.sha256("\n".join(photo.name for photo, _ in paths).encode()).hexdigest(),
     }
     with sole_writer(config.out):
         describe_dataset(config.out, options, len(paths))
@@ -183,11 +192,13 @@ def make_dataset(config: OwnPhotosConfig) -> int:
 
 def main() -> None:
     """Command line."""
+    config = tyro.cli(OwnPhotosConfig, prog="python -m data_gen.own_photos")
     try:
-        count = make_dataset(tyro.cli(OwnPhotosConfig, prog="python -m data_gen.own_photos"))
-    except HybridError as error:
+        count = make_dataset(config)
+    except (HybridError, OSError) as error:
         raise SystemExit(f"error: {error}") from None
-    print(f"{count} samples written", file=sys.stderr)
+    without = len(photos_in(config.pairs)) - count
+    print(f"{count} samples written{f'; {without} photos have no .npz' if without else ''}", file=sys.stderr)
 
 
 if __name__ == "__main__":

@@ -57,7 +57,7 @@ def _guarded(command: Callable[[list[str]], int], arguments: list[str]) -> int:
         print(f"hybrid: {str(error) or type(error).__name__}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
-        print("hybrid: stopped; what was written so far is complete", file=sys.stderr)
+        print("hybrid: stopped; a film is complete unless its JSON says UNFINISHED", file=sys.stderr)
         return 130
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
@@ -10,7 +11,7 @@ import tyro
 
 from hybrid.cli_options import parse
 from hybrid.image_io import read_photo
-from hybrid.outputs import RectifiedFormat, free_name, make_folder, report_lines, write_result
+from hybrid.outputs import RectifiedFormat, make_folder, report_lines, write_result
 from hybrid.pipeline import Effort, Rectifier, RectifyConfig
 
 
@@ -42,13 +43,13 @@ def run(arguments: list[str]) -> int:
     """Parse the command line and fuse; 0 if the photos gave a film."""
     options = parse(FuseOptions, arguments, "hybrid fuse", RectifyConfig.of)
     if len(options.photos) < 2:
-        print("hybrid fuse: name two or more photos of one film, for example: hybrid fuse a.jpg b.jpg -o out")
+        told = "name two or more photos of one film, for example: hybrid fuse a.jpg b.jpg -o out"
+        print(f"hybrid fuse: {told}", file=sys.stderr)
         return 2
     make_folder(options.out)
     photos = [read_photo(path) for path in options.photos]
     result = Rectifier(options.config).fuse(photos)
     first = options.photos[0]
-    name = free_name(options.photos, options.out, set(), suffix="_fused")
-    files = write_result(options.out, name, options.photos, photos[0], result, options.rectified_format)
+    files = write_result(options.out, options.photos, photos[0], result, options.rectified_format, suffix="_fused")
     print("\n".join(report_lines(first, result, files)))
     return 0 if result.status.has_film else 1

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
@@ -43,7 +44,8 @@ def run(arguments: list[str]) -> int:
     """Parse the command line and rectify; 0 if every photo gave a film."""
     options = parse(RectifyOptions, arguments, "hybrid rectify", RectifyConfig.of)
     if not options.photos:
-        print("hybrid rectify: no photos; name at least one, for example: hybrid rectify photo.jpg -o out")
+        told = "no photos; name at least one, for example: hybrid rectify photo.jpg -o out"
+        print(f"hybrid rectify: {told}", file=sys.stderr)
         return 2
     outcomes = rectify_files(
         options.photos, options.out, Rectifier(options.config), options.rectified_format, tqdm.write

@@ -25,6 +25,9 @@ MAX_PIXELS = 400_000_000
 MIN_SIDE = 2
 """A picture of a single row or column of pixels is no photo."""
 
+PHOTOMETRIC, WHITE_IS_ZERO = 262, 0
+"""The tag of TIFF that says what a grey value means, and the value of films that were scanned as densities."""
+
 READABLE = "JPEG, PNG, TIFF, WebP or HEIC"
 _JPEG_START = b"\xff\xd8\xff"
 _JPEG_QUALITY = 95
@@ -83,6 +86,8 @@ def _read_if_jpeg(path: Path) -> bytes:
             _refuse_file("No such file", path, "Check the name and the folder.")
         if path.is_dir():
             _refuse_file("This is a folder, not a photo", path, "Name the photos in it, for example FOLDER/*.jpg.")
+        if not path.is_file():
+            _refuse_file("This is no regular file", path, "Save the photo to a file first: it is read more than once.")
         with path.open("rb") as file:
             start = file.read(len(_JPEG_START))
             data = start + file.read() if start == _JPEG_START else start
@@ -146,11 +151,11 @@ def _decode_with_pillow(path: Path) -> UInt8[np.ndarray, "h w 3"]:
 
     pillow_heif.register_heif_opener()
     try:
-        with _pillow_limits(), Image.open(path) as image:
+        # Opened by name, Pillow maps uncompressed TIFFs into memory, and reads them askew where they lie on their side.
+        with _pillow_limits(), path.open("rb") as file, Image.open(file) as image:
             _check_size(image.height, image.width, path)
             image.load()
-            upright = ImageOps.exif_transpose(image)
-            return _rgb_from_pillow(upright, path)
+            return _rgb_from_pillow(image, path)
     except UnidentifiedImageError as error:
         what = "The file is not a picture that can be read"
         raise PhotoError(
@@ -163,9 +168,12 @@ def _decode_with_pillow(path: Path) -> UInt8[np.ndarray, "h w 3"]:
         raise PhotoError(describe(what=what, where=path, got=f"'{error}'", do=_TAKE_AGAIN)) from error
 
 
-def _rgb_from_pillow(image: Image.Image, path: Path) -> UInt8[np.ndarray, "h w 3"]:
+def _rgb_from_pillow(picture: Image.Image, path: Path) -> UInt8[np.ndarray, "h w 3"]:
+    image = ImageOps.exif_transpose(picture)
     if image.mode.startswith("I;16"):
         grey = np.rint(np.asarray(image, dtype=np.float32) / 257).astype(np.uint8)
+        if getattr(picture, "tag_v2", {}).get(PHOTOMETRIC) == WHITE_IS_ZERO:  # Pillow turns over 8 bits, not 16
+            grey = 255 - grey
         return np.repeat(grey[:, :, None], 3, axis=2)
     if image.mode in ("I", "F"):
         do = "Save it with 8 or 16 bits per channel, whole range used."
@@ -183,11 +191,13 @@ def _kind_of(path: Path) -> str:
         start = file.read(512)
     if start.startswith(b"%PDF"):
         return "a PDF"
+    if start[128:132] == b"DICM":
+        return "a DICOM file, not a photo of a film"
     try:
         start.decode("utf-8")
     except UnicodeDecodeError:
         return "unknown data"
-    return "text"
+    return "unknown data" if b"\0" in start else "text"
 
 
 # ---------------------------------------------------------------- refusals

@@ -48,18 +48,15 @@ def rectify_files(
 ) -> list[Outcome]:
     """Rectify photos one after the other into the folder ``out``; a bad photo is told, and the next one follows."""
     make_folder(out)
-    taken: set[str] = set()
     outcomes = []
     for path in tqdm(photos, desc="rectify", unit="photo", disable=len(photos) < 2):
         try:
             start = time.perf_counter()
             photo = read_photo(path)
             read = StageReport("file", True, f"{path.stat().st_size / 1e6:.1f} MB", time.perf_counter() - start)
-            name = free_name([path], out, taken)
-            taken.add(name)
             result = rectify(photo)
             result = replace(result, stages=(read, *result.stages))
-            files = write_result(out, name, [path], photo, result, rectified_format)
+            files = write_result(out, [path], photo, result, rectified_format)
             status = result.status
             outcomes.append(Outcome(path, status.has_film, str(status), files, sure=status.ok))
             say("\n".join(report_lines(path, result, files)))
@@ -101,27 +98,64 @@ def status_word(result: RectifyResult) -> str:
 # ---------------------------------------------------------------- names
 
 SLICES_SUFFIX = "_slices"
+PICTURES = ("_film.png", "_rectified.jpg", "_rectified.png", "_side_by_side.jpg", SLICES_SUFFIX)
+"""What is written beside NAME.json, by what follows NAME."""
 
 
-def free_name(photos: Sequence[Path], out: Path, taken: set[str], suffix: str = "") -> str:
-    """The first photo's stem with a suffix, numbered where other photos have that name, in this run or in an earlier
-    one.
+def reserved(out: Path, stem: str, about: dict[str, Any]) -> tuple[str, dict[str, Any]]:
+    """The stem, numbered where it is taken, and what an earlier run over the same photos left to know of it.
 
-    An earlier run over the same bytes is of no other photos: its files are made anew.
+    about: the photos (``photo_record``). A name is theirs if its JSON says so, and free if nothing of that name is
+    there; the JSON that is written at once says that the rest is unfinished, so that no other run takes it, nor does a
+    later one if this is cut off.
     """
-    digests = [photo_digest(photo) for photo in photos]
     number = 1
     while True:
-        name = f"{photos[0].stem}{suffix}" if number == 1 else f"{photos[0].stem}{suffix}_{number}"
-        record = out / f"{name}.json"
-        if name not in taken and (not record.exists() or _digests_in(_read_record(record)) == digests):
-            return name
-        number += 1
+        name = stem if number == 1 else f"{stem}_{number}"
+        record, number = out / f"{name}.json", number + 1
+        if record.exists():
+            known = _read_record(record)
+            if {key: known.get(key) for key in about} == about:
+                write_bytes(record, _json_bytes(_unfinished(about, known)))
+                return name, known
+            continue
+        if any((out / f"{name}{suffix}").exists() for suffix in PICTURES):
+            continue
+        try:
+            with record.open("xb") as file:
+                file.write(_json_bytes(_unfinished(about, {})))
+        except FileExistsError:  # another run was quicker
+            continue
+        return name, {}
 
 
-def _digests_in(record: dict[str, Any]) -> list[str]:
-    """Of the photos of which the results are that a record describes."""
-    return [record.get("photo_sha256", ""), *record.get("further_photos_sha256", [])]
+def _unfinished(about: dict[str, Any], known: dict[str, Any]) -> dict[str, Any]:
+    return {
+        "hybrid_version": __version__,
+        **about,
+        "ok": False,
+        "status": "UNFINISHED",
+        "earlier_files": _files_in(known),
+    }
+
+
+def _files_in(record: dict[str, Any]) -> list[str]:
+    """All files that a record names, relative to its folder."""
+    return [*record.get("files", []), *record.get("earlier_files", [])]
+
+
+def _json_bytes(record: dict[str, Any]) -> bytes:
+    return (json.dumps(record, indent=2) + "\n").encode()
+
+
+def photo_record(photos: Sequence[Path]) -> dict[str, Any]:
+    """What tells photos from others of their name."""
+    first, *further = photos
+    about: dict[str, Any] = {"photo": first.name, "photo_sha256": photo_digest(first)}
+    if further:
+        about["further_photos"] = [photo.name for photo in further]
+        about["further_photos_sha256"] = [photo_digest(photo) for photo in further]
+    return about
 
 
 def photo_digest(photo: Path) -> str:
@@ -144,23 +178,23 @@ def _read_record(record: Path) -> dict[str, Any]:
 
 def write_result(
     out: Path,
-    name: str,
     paths: Sequence[Path],
     photo: UInt8[np.ndarray, "h w 3"],
     result: RectifyResult,
     rectified_format: RectifiedFormat,
+    suffix: str = "",
 ) -> tuple[Path, ...]:
-    """Write everything that the result holds; the JSON comes last, so where it stands the rest is complete.
+    """Write everything that the result holds, named after the first photo; the JSON says when the rest is complete.
 
-    paths: of the photos that it was made of; ``photo`` is the first. Files that an earlier run over the same photos
-    left and this one does not make (slices of another grid) are removed, once the new ones are there; where this one
-    finds no film they stay, and the JSON names them ("earlier_files").
+    paths: of the photos that it was made of; ``photo`` is the first. suffix: of the name. What is there of other photos
+    is left alone. Files that an earlier run over the same photos left and this one does not make (slices of another
+    grid) are removed, once the new ones are there; where this one finds no film they stay, and the JSON names them
+    ("earlier_files").
     """
+    about = photo_record(paths)
+    name, known = reserved(out, f"{paths[0].stem}{suffix}", about)
     files: list[Path] = []
-    known = _read_record(out / f"{name}.json")
-    earlier = [*known.get("files", []), *known.get("earlier_files", [])]
     if result.film is not None:
-        (out / f"{name}.json").unlink(missing_ok=True)
         files.append(out / f"{name}_film.png")
         write_film(files[-1], result.film)
         files += write_slices(out / f"{name}{SLICES_SUFFIX}", result)
@@ -170,14 +204,14 @@ def write_result(
     if result.film is not None:
         files.append(out / f"{name}_side_by_side.jpg")
         write_rgb(files[-1], side_by_side([annotated(photo, result), rgb_from_film(result.film)]))
-    record = result_record(paths, photo.shape[:2], result)
+    record = {"hybrid_version": __version__, **about, **result_record(photo.shape[:2], result)}
     record["files"] = [file.relative_to(out).as_posix() for file in files]
-    if earlier and not result.status.has_film:
-        record["earlier_files"] = earlier
+    if _files_in(known) and not result.status.has_film:
+        record["earlier_files"] = _files_in(known)
     files.append(out / f"{name}.json")
-    write_bytes(files[-1], (json.dumps(record, indent=2) + "\n").encode())
+    write_bytes(files[-1], _json_bytes(record))
     if result.status.has_film:
-        for left_over in {out / file for file in earlier} - set(files):
+        for left_over in {out / file for file in _files_in(known)} - set(files):
             left_over.unlink(missing_ok=True)
     return tuple(files)
 
@@ -193,20 +227,16 @@ def write_slices(folder: Path, result: RectifyResult) -> list[Path]:
     return files
 
 
-def result_record(paths: Sequence[Path], photo_size: tuple[int, ...], result: RectifyResult) -> dict[str, Any]:
-    """The result in words and numbers, without the pictures: what goes into the JSON file. photo_size: of the first."""
-    grid, further = result.grid, paths[1:]
+def result_record(photo_size: tuple[int, ...], result: RectifyResult) -> dict[str, Any]:
+    """The result in words and numbers, without the pictures: what goes into the JSON file, besides the photo's name."""
+    grid = result.grid
     return {
-        "hybrid_version": __version__,
-        "photo": paths[0].name,
-        "photo_sha256": photo_digest(paths[0]),
-        **({"further_photos": [path.name for path in further]} if further else {}),
-        **({"further_photos_sha256": [photo_digest(path) for path in further]} if further else {}),
         "photo_size": list(photo_size[:2]),
         "ok": result.status.ok,
         "status": result.status.code.name,
         "message": str(result.status),
         "expected_error_px": _rounded(result.expected_error_px, 2),
+        "limit_px": _rounded(result.limit_px, 2),
         "film_size": None if result.film is None else list(result.film.shape),
         "orientation": None
         if result.orientation is None
@@ -236,4 +266,4 @@ def _rounded(value: float | None, digits: int = 4) -> float | None:
     return None if value is None else round(value, digits)
 
 
-__all__ = ["Outcome", "free_name", "rectify_files", "report_lines", "result_record", "write_result", "write_slices"]
+__all__ = ["Outcome", "rectify_files", "report_lines", "result_record", "write_result", "write_slices"]

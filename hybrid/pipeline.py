@@ -28,6 +28,7 @@ from hybrid.rectify.invert import Inversion, NotInverted, agreed
 from hybrid.rectify.refine import Refinement
 from hybrid.rectify.resample import Rectified, rectify_photo
 from hybrid.rectify.survey import survey_maps, survey_photo, survey_print
+from hybrid.rectify.trust import largest_error_px
 from hybrid.strips import EdgeReader
 from hybrid.threads import one_thread
 
@@ -74,6 +75,9 @@ class Rectifier:
             PhotoError: a source cannot be read as a photo.
             FusionError: fewer than two photos, or photos of different films.
         """
+        if isinstance(sources, (str, Path, np.ndarray)):
+            do = "Put them into a list, also if they are one array."
+            raise FusionError(describe(what="Photos to fuse", got="one source", allowed="a sequence of them", do=do))
         if len(sources) < 2:
             do = "Name two or more photos of one film; a single one is rectified."
             raise FusionError(describe(what="Photos to fuse", got=len(sources), allowed="two or more", do=do))
@@ -132,7 +136,8 @@ class Rectifier:
             self._network, self._edges, pyramid, seen, refinement, flat is not None, self.config, clock
         )
         result = self._finish(pyramid, maps, refinement, flat is not None, clock)
-        return replace(result, status=Status(verdict.code), expected_error_px=expected)
+        limit = largest_error_px(max(photo.shape[:2]), self.config.trust)
+        return replace(result, status=Status(verdict.code), expected_error_px=expected, limit_px=limit)
 
     def _finish(
         self, pyramid: Pyramid, maps: CoarseMaps, refinement: Refinement, is_flat: bool, clock: Clock

@@ -155,6 +155,7 @@ class RectifyResult:
     confidence: (h, w) float32 in [0, 1], how far the film can be trusted.
     expected_error_px: mean distance, in pixels of the photo, by which film points are expected to be off; the true one
         is as often larger as smaller.
+    limit_px: largest such distance, in pixels of the photo, of a film whose status is OK; effort fast allows more.
     """
 
     status: Status
@@ -168,6 +169,7 @@ class RectifyResult:
     glare: Bool[np.ndarray, "h w"] | None = field(default=None, repr=False)
     confidence: Float[np.ndarray, "h w"] | None = field(default=None, repr=False)
     expected_error_px: float | None = None
+    limit_px: float | None = None
 
     def slices(self) -> list[Float[np.ndarray, "sh sw"]]:
         """The slice images cut out of the film, row by row; empty where no grid was found."""

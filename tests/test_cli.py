@@ -19,7 +19,7 @@ from hybrid.backward import BackwardMap
 from hybrid.coords import film_nodes
 from hybrid.errors import ConfigError
 from hybrid.image_io import read_photo, write_rgb
-from hybrid.outputs import free_name, rectify_files, write_result
+from hybrid.outputs import rectify_files, write_result
 from hybrid.records import RectifyResult, SliceGrid, StageReport, Status, StatusCode
 
 Effort = Literal["fast", "default"]
@@ -72,6 +72,7 @@ class StandIn:
             glare=np.zeros(size, dtype=bool),
             confidence=np.ones(size, dtype=np.float32),
             expected_error_px=1.234,
+            limit_px=5.0,
         )
 
 
@@ -93,7 +94,7 @@ def photo(tmp_path: Path) -> Path:
     return path
 
 
-def out_folder(path: Path) -> Path:
+def folder(path: Path) -> Path:
     path.mkdir()
     return path
 
@@ -119,7 +120,7 @@ def test_one_photo(photo: Path, tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert np.array_equal(film, read_photo(photo)[..., 0].astype(np.uint16) * 257)
     record = json.loads((out / "film.json").read_text())
     assert record["ok"] is True
-    assert record["expected_error_px"] == 1.23
+    assert (record["expected_error_px"], record["limit_px"]) == (1.23, 5.0)
     assert (record["grid"]["rows"], record["grid"]["cols"]) == (2, 3)
     assert (record["photo_size"], record["film_size"]) == ([60, 90], [60, 90])
     assert set(record["files"]) == slices | pictures
@@ -169,7 +170,9 @@ def test_an_effort_sets_the_options_that_are_not_named(
 
 @pytest.mark.usefixtures("_stand_in")
 def test_an_effort_that_does_not_exist_is_refused(photo: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["rectify", str(photo), "--effort", "huge"]) == 1
+    with pytest.raises(SystemExit) as stopped:
+        cli.main(["rectify", str(photo), "--effort", "huge"])
+    assert stopped.value.code == 2
     assert "huge" in capsys.readouterr().err
 
 
@@ -198,50 +201,79 @@ def test_photos_of_one_name_do_not_overwrite_each_other(photo: Path, tmp_path: P
     assert not (out / "film_3.json").exists()
 
 
-def test_a_foreign_json_of_that_name_is_left_alone(photo: Path, tmp_path: Path) -> None:
-    (tmp_path / "film.json").write_text("[1, 2]")
-    assert free_name([photo], tmp_path, set()) == "film_2"
-    assert free_name([photo], tmp_path, {"film_2"}) == "film_3"
+@pytest.mark.usefixtures("_stand_in")
+@pytest.mark.parametrize("name", ["film.json", "film_film.png", "film_rectified.png", "film_side_by_side.jpg"])
+def test_a_foreign_file_of_that_name_is_left_alone(name: str, photo: Path, tmp_path: Path) -> None:
+    out = folder(tmp_path / "out")
+    (out / name).write_text("[1, 2]")
+    assert cli.main(["rectify", str(photo), "-o", str(out)]) == 0
+    assert cli.main(["rectify", str(photo), "-o", str(out)]) == 0
+    assert (out / name).read_text() == "[1, 2]"
+    assert {path.stem for path in out.glob("*.json")} - {"film"} == {"film_2"}
 
 
 @pytest.mark.usefixtures("_stand_in")
+def test_a_photo_is_not_written_over(photo: Path, tmp_path: Path) -> None:
+    """Not even one that is called as a result would be, and is still to be read."""
+    out = folder(tmp_path / "out")
+    photos = [out / "film.png", out / "film_rectified.jpg"]
+    for number, path in enumerate(photos):
+        write_rgb(path, np.full((60, 90, 3), 100 + number, dtype=np.uint8))
+    before = [path.read_bytes() for path in photos]
+    assert cli.main(["rectify", *map(str, photos), "-o", str(out)]) == 0
+    assert [path.read_bytes() for path in photos] == before
+    records = {path.name: json.loads(path.read_text())["photo"] for path in out.glob("*.json")}
+    assert records == {"film_2.json": "film.png", "film_rectified.json": "film_rectified.jpg"}
+
+
+def write(photos: list[Path], out: Path, result: RectifyResult | None = None, suffix: str = "") -> tuple[Path, ...]:
+    picture = read_photo(photos[0])
+    return write_result(out, photos, picture, result or StandIn()(picture), "png", suffix)
+
+
 def test_again_without_a_film_loses_nothing_and_says_so(photo: Path, tmp_path: Path) -> None:
     """The earlier film stays, named as what it is, and goes when a later run makes one again."""
-    out, name = tmp_path / "out", [photo]
-    first = write_result(out_folder(out), "film", name, read_photo(photo), StandIn()(read_photo(photo)), "png")
-    nothing = RectifyResult(Status(StatusCode.NO_FILM))
+    out = folder(tmp_path / "out")
+    first = write([photo], out)
     for _ in range(2):
-        write_result(out, "film", name, read_photo(photo), nothing, "png")
+        write([photo], out, RectifyResult(Status(StatusCode.NO_FILM)))
         record = json.loads((out / "film.json").read_text())
         assert (record["status"], record["files"]) == ("NO_FILM", [])
         assert set(record["earlier_files"]) == {path.relative_to(out).as_posix() for path in first[:-1]}
         assert all(path.exists() for path in first)
-    write_result(out, "film", name, read_photo(photo), StandIn()(read_photo(photo)), "jpg")
+    write_result(out, [photo], read_photo(photo), StandIn()(read_photo(photo)), "jpg")
     assert "earlier_files" not in json.loads((out / "film.json").read_text())
     assert not (out / "film_rectified.png").exists()
 
 
-def test_a_result_that_is_cut_off_has_no_json(photo: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    out = out_folder(tmp_path / "out")
-    result = StandIn()(read_photo(photo))
-    write_result(out, "film", [photo], read_photo(photo), result, "png")
-    monkeypatch.setattr("hybrid.outputs.write_slices", lambda *_: 1 / 0)
-    with pytest.raises(ZeroDivisionError):
-        write_result(out, "film", [photo], read_photo(photo), result, "png")
-    assert not (out / "film.json").exists()
+def test_a_result_that_is_cut_off_says_so_and_keeps_its_name(
+    photo: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = folder(tmp_path / "out")
+    for _ in range(2):  # the first one, and one over a complete result
+        with monkeypatch.context() as patch:
+            patch.setattr("hybrid.outputs.write_rgb", lambda *_: 1 / 0)
+            with pytest.raises(ZeroDivisionError):
+                write([photo], out)
+        record = json.loads((out / "film.json").read_text())
+        assert (record["status"], record["ok"]) == ("UNFINISHED", False)
+        other = tmp_path / "other" / "film.png"
+        other.parent.mkdir(exist_ok=True)
+        write_rgb(other, np.full((50, 50, 3), 9, dtype=np.uint8))
+        assert write([other], out)[-1] == out / "film_2.json"
+        assert write([photo], out)[-1] == out / "film.json"
+        assert json.loads((out / "film.json").read_text())["status"] == "OK"
 
 
 def test_fused_photos_are_others_if_one_of_them_is(photo: Path, tmp_path: Path) -> None:
-    out = out_folder(tmp_path / "out")
+    out = folder(tmp_path / "out")
     second, third = (black_photo(tmp_path, name) for name in ("second.png", "third.png"))
     write_rgb(third, np.full((64, 64, 3), 7, dtype=np.uint8))
     for further, name in ((second, "film_fused"), (third, "film_fused_2"), (second, "film_fused")):
-        photos = [photo, further]
-        assert free_name(photos, out, set(), "_fused") == name
-        write_result(out, name, photos, read_photo(photo), StandIn()(read_photo(photo)), "png")
+        assert write([photo, further], out, suffix="_fused")[-1] == out / f"{name}.json"
     record = json.loads((out / "film_fused_2.json").read_text())
     assert (record["photo"], record["further_photos"]) == ("film.png", ["third.png"])
-    assert free_name([photo], out, set()) == "film"
+    assert write([photo], out)[-1] == out / "film.json"
 
 
 # ---------------------------------------------------------------- how it fails
@@ -286,7 +318,7 @@ def test_a_photo_that_fails_leaves_earlier_results_alone(photo: Path, tmp_path: 
 @pytest.mark.usefixtures("_stand_in")
 def test_no_photos_is_a_wrong_command_line(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["rectify"]) == 2
-    assert "name at least one" in capsys.readouterr().out
+    assert "name at least one" in capsys.readouterr().err
 
 
 def test_output_folder_that_cannot_be(photo: Path) -> None:

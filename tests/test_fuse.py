@@ -17,6 +17,7 @@ from hybrid.cli import main
 from hybrid.coords import film_centres, film_nodes, pixel_from_film, sample_bilinear, srgb_from_linear
 from hybrid.errors import FusionError
 from hybrid.metrics import psnr_after_gain_offset
+from hybrid.pipeline import Rectifier
 from hybrid.records import RectifyResult, SliceGrid, Status, StatusCode
 from hybrid.rectify.deilluminate import deilluminate
 from hybrid.rectify.fuse import FuseConfig, fuse, phase_shift, register
@@ -221,7 +222,13 @@ def test_a_broad_remains_of_light_in_one_of_three_is_left_out():
 
 def test_fewer_than_two_photos_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     assert main(["fuse", str(tmp_path / "one.jpg"), "-o", str(tmp_path)]) == 2
-    assert "two or more photos" in capsys.readouterr().out
+    assert "two or more photos" in capsys.readouterr().err
+
+
+def test_a_single_source_is_refused_as_such():
+    """The letters of its name are not taken for names."""
+    with pytest.raises(FusionError, match="one source"):
+        Rectifier.fuse(None, "film.jpg")
 
 
 def test_the_command_writes_one_film(tmp_path: Path):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import struct
 from pathlib import Path
 
 import cv2
@@ -97,6 +99,39 @@ def test_16_bit_grey_is_scaled(tmp_path: Path, picture: np.ndarray, suffix: str)
     assert np.array_equal(read_photo(tmp_path / f"a.{suffix}")[..., 2], picture[..., 0])
 
 
+@pytest.mark.parametrize("mode", ["L", "I;16", "RGB", "RGBA", "CMYK", "P"])
+def test_an_uncompressed_tiff_on_its_side_is_turned(tmp_path: Path, mode: str) -> None:
+    """Not a square one, which may be read askew without that showing."""
+    grey = np.add.outer(3 * np.arange(40), 2 * np.arange(30)).astype(np.uint8)
+    levels = Image.fromarray(grey.astype(np.uint16) * 257) if mode == "I;16" else Image.fromarray(grey).convert(mode)
+    for orientation, turned in ((6, np.rot90(grey, -1)), (8, np.rot90(grey))):
+        exif = Image.Exif()
+        exif[0x0112] = orientation
+        levels.save(tmp_path / "a.tif", exif=exif)
+        assert np.abs(read_photo(tmp_path / "a.tif")[..., 1].astype(int) - turned).max() <= 1
+
+
+@pytest.mark.parametrize("bits", [8, 16])
+def test_a_tiff_of_densities_is_no_negative(tmp_path: Path, bits: int) -> None:
+    """PhotometricInterpretation 0, as film digitisers write it: 0 is white."""
+    grey = np.add.outer(3 * np.arange(40), 2 * np.arange(30)).astype(np.uint16)
+    stored = (255 - grey).astype(np.uint8) if bits == 8 else ((255 - grey) * 257).astype(np.uint16)
+    write_tiff(tmp_path / "a.tif", stored, photometric=0)
+    assert np.array_equal(read_photo(tmp_path / "a.tif")[..., 0], grey)
+    write_tiff(tmp_path / "b.tif", stored, photometric=1)
+    assert np.array_equal(read_photo(tmp_path / "b.tif")[..., 0], 255 - grey)
+
+
+def write_tiff(path: Path, grey: np.ndarray, photometric: int) -> None:
+    """A little-endian TIFF of one uncompressed strip."""
+    height, width = grey.shape
+    tags = {256: width, 257: height, 258: 8 * grey.itemsize, 259: 1, 262: photometric, 273: 8}
+    tags |= {277: 1, 278: height, 279: grey.nbytes}
+    entries = b"".join(struct.pack("<HHII", tag, 4, 1, value) for tag, value in tags.items())
+    head = struct.pack("<2sHI", b"II", 42, 8 + grey.nbytes)
+    path.write_bytes(head + grey.tobytes() + struct.pack("<H", len(tags)) + entries + struct.pack("<I", 0))
+
+
 @pytest.mark.parametrize("suffix", ["png", "tif"])
 def test_16_bit_colour_is_scaled(tmp_path: Path, picture: np.ndarray, suffix: str) -> None:
     cv2.imwrite(str(tmp_path / f"a.{suffix}"), cv2.cvtColor(picture, cv2.COLOR_RGB2BGR).astype(np.uint16) * 257)
@@ -173,6 +208,19 @@ def test_pdf_and_noise(tmp_path: Path) -> None:
     (tmp_path / "b.png").write_bytes(np.random.default_rng(0).bytes(5000))
     with pytest.raises(PhotoError, match="got unknown data"):
         read_photo(tmp_path / "b.png")
+
+
+def test_a_dicom_file_is_called_one(tmp_path: Path) -> None:
+    (tmp_path / "a.jpg").write_bytes(bytes(128) + b"DICM" + bytes(400))
+    with pytest.raises(PhotoError, match="DICOM file"):
+        read_photo(tmp_path / "a.jpg")
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no named pipes on this system")
+def test_what_can_be_read_only_once_is_refused(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "a.jpg")
+    with pytest.raises(PhotoError, match="no regular file"):
+        read_photo(tmp_path / "a.jpg")
 
 
 @pytest.mark.parametrize("name", ["a.jpg", "a.png", "a.tif", "a.webp"])

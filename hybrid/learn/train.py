@@ -80,6 +80,22 @@ class Plan:
         Raises:
             ConfigError: no such preset, or an option that it does not have.
         """
+        for name, value, least in (
+            ("passes", config.passes, 1),
+            ("held_out", config.held_out, 0),
+            ("loaders", config.loaders, 0),
+            ("batch", config.batch, 1),
+            ("input_px", config.input_px, 32),
+            ("steps_per_test", config.steps_per_test, 1),
+        ):
+            if value is not None and value < least:
+                allowed, do = f">= {least}", "Choose another."
+                raise ConfigError(describe(what=f"--{name.replace('_', '-')}", got=value, allowed=allowed, do=do))
+        if not 0 <= config.ema < 1:
+            raise ConfigError(describe(what="--ema", got=config.ema, allowed="0 <= ema < 1", do="Choose another."))
+        if config.device == "cuda" and not torch.cuda.is_available():
+            do = "Train on the processor (--device cpu), or install a PyTorch that was built for CUDA."
+            raise ConfigError(describe(what="--device", got="cuda, of which PyTorch finds none", do=do))
         chosen = preset(config.preset)
         if config.width is not None:
             chosen = chosen.at_width(config.width)
@@ -147,7 +163,7 @@ def train(config: TrainConfig) -> None:
     places = plan.preset.feed.open(config.data)
     if len(places) <= config.held_out:
         got, allowed = f"{len(places)} samples", f"> {config.held_out} held out"
-        raise ConfigError(describe(what="train", got=got, allowed=allowed, do="Make more data."))
+        raise ConfigError(describe(what="train", got=got, allowed=allowed, do="Make more data, or hold out fewer."))
     config.out.mkdir(parents=True, exist_ok=True)
     with _processes(config.device) as rank:
         if plan.batch % rank.count:
@@ -169,7 +185,7 @@ def _run(state: _State, loader: DataLoader, held_out: list[Any]) -> None:
     plan, config = state.plan, state.plan.config
     saved = time.monotonic()
     done = {"total": plan.steps * plan.batch, "initial": state.step * plan.batch}
-    with tqdm(unit="image", disable=not state.rank.first, **done) as bar:
+    with tqdm(unit="image", disable=not state.rank.first, **done) as bar, _saved_if_stopped(state):
         for images, targets in loader:
             terms = state.update(images, targets)
             bar.update(plan.batch)
@@ -183,6 +199,17 @@ def _run(state: _State, loader: DataLoader, held_out: list[Any]) -> None:
             if time.monotonic() - saved > 60 * config.minutes_per_save or last:
                 state.save()
                 saved = time.monotonic()
+
+
+@contextmanager
+def _saved_if_stopped(state: _State) -> Iterator[None]:
+    """Ctrl-C loses nothing: the step that was done last is saved."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        if state.rank.first and state.step:
+            state.save()
+        raise
 
 
 def _test(state: _State, held_out: list[Any]) -> dict[str, float]:

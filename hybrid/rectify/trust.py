@@ -173,12 +173,17 @@ def expected_error_px(signs: Signs, config: TrustConfig | None = None) -> float:
     return float(np.exp(sum(terms))) * signs.film_px
 
 
+def largest_error_px(photo_px: int, config: TrustConfig) -> float:
+    """Of a film that is called flattened, in pixels of a photo whose longer side has ``photo_px``."""
+    return max(config.limit_px / REFERENCE_PX * photo_px, 1.0)
+
+
 def film_verdict(signs: Signs, config: TrustConfig | None = None) -> Verdict:
     """OK where the film is as good as certain to lie where the map says, UNSURE else, with the evidence."""
     config = config or TrustConfig()
     if signs.flat:
         return Verdict(StatusCode.OK, f"the photo is the flat film itself: cells are alike to {signs.alike:.0%}")
-    limit = max(config.limit_px / REFERENCE_PX * signs.photo_px, 1.0)
+    limit = largest_error_px(signs.photo_px, config)
     expected = expected_error_px(signs, config)
     doubts = [
         text
