@@ -34,7 +34,7 @@ class GenerateConfig:
 
     count: photos to make; a larger count on the same folder extends its data set. out: folder for the data set;
         finished shards in it are kept, so a run that was cut off goes on. seed: the same seed gives the same bytes.
-    size: side of the photos in pixels. map_size: side of the maps (photo size, at most 448).
+    size: side of the photos in pixels. map_size: side of the maps; if not named that of photos, but at most 448.
     workers: processes (all cores); 0 makes everything in this one. scheduler: address of a Dask scheduler whose
         workers do the work instead; they need this package and the folders of --ct and --hdri at the same paths.
     shard_size: photos in a shard. sources: of CT volumes and of light. sample: everything else.

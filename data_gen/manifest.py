@@ -136,6 +136,18 @@ def _entry_of(path: Path) -> ShardEntry:
     return ShardEntry(path.name, index.first, index.count, path.stat().st_size, sha256_of(path))
 
 
+def _differing(a: dict[str, Any], b: dict[str, Any]) -> list[str]:
+    """Names of the options that differ; of options of options with a dot between."""
+    names: list[str] = []
+    for name in sorted(a.keys() | b.keys()):
+        x, y = a.get(name), b.get(name)
+        if isinstance(x, dict) and isinstance(y, dict):
+            names += [f"{name}.{inner}" for inner in _differing(x, y)]
+        elif x != y:
+            names.append(name)
+    return names
+
+
 def describe_dataset(folder: Path, options: dict[str, Any], count: int) -> None:
     """Write dataset.json, or check that the one there belongs to the same data set and set its count.
 
@@ -145,9 +157,7 @@ def describe_dataset(folder: Path, options: dict[str, Any], count: int) -> None:
     path = folder / "dataset.json"
     if path.exists():
         there = read_description(folder)
-        wrong = sorted(
-            name for name in options.keys() | there.keys() - {"count"} if there.get(name) != options.get(name)
-        )
+        wrong = _differing(there, options | {"count": there.get("count")})
         if wrong:
             raise ConfigError(
                 describe(

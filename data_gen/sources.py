@@ -85,7 +85,12 @@ def loaded(config: SourceConfig) -> tuple[list[CtVolume], list[Environment]]:
     for pattern in config.only + config.leave_out:
         if not _matches([pattern], names):
             raise ConfigError(
-                describe(what="--only, --leave-out", got=pattern, allowed=", ".join(names), do="Correct the name.")
+                describe(
+                    what="--only, --leave-out",
+                    got=pattern,
+                    allowed=", ".join(names) or "names in the folders of --ct and --hdri, of which none is given",
+                    do="Correct the name.",
+                )
             )
     kept = set(_chosen(names, config))
     chosen = [v for v in volumes if v.name in kept], [e for e in environments if e.name in kept]

@@ -239,7 +239,7 @@ def film_as_seen(backward: BackwardMap) -> BackwardMap:
     return backward.turned(orientation(backward).inverse)
 
 
-def end_point_error(predicted: BackwardMap, true_points: Float[np.ndarray, "n n 2"]) -> Float[np.ndarray, "n n"]:
+def end_point_error(predicted: BackwardMap, true_points: Float[np.ndarray, "h w 2"]) -> Float[np.ndarray, "h w"]:
     """Distance in photo pixels between predicted and true photo points of a film lattice, edges included."""
     uv = film_nodes(true_points.shape[:2])
     return np.linalg.norm(predicted.photo_from_film(uv) - true_points, axis=-1)

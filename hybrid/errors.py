@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 
 class HybridError(Exception):
     """Base of every error that this package raises on purpose."""
@@ -33,3 +35,17 @@ def describe(*, what: str, where: object = None, got: object = None, allowed: ob
     body = [f"got {got}" if got is not None else "", f"allowed: {allowed}" if allowed is not None else ""]
     facts = "; ".join(part for part in body if part)
     return f"{head}: {facts}. {do}" if facts else f"{head}. {do}"
+
+
+def require_at_least(config: Any, least: int | float, *names: str) -> None:
+    """Refuse options, numbers or tuples of them, that are less than they have to be.
+
+    Raises:
+        ConfigError: one is, or is empty or not a number.
+    """
+    for name in names:
+        value = getattr(config, name)
+        values = value if isinstance(value, tuple) else (value,)
+        if not values or not all(each >= least for each in values):
+            option = f"{type(config).__name__}.{name}"
+            raise ConfigError(describe(what=option, got=value, allowed=f">= {least:g}", do="Choose another."))

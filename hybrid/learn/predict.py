@@ -10,6 +10,7 @@ import torch
 from jaxtyping import UInt8
 
 from hybrid.backward import BackwardMap, Orientation
+from hybrid.errors import require_at_least
 from hybrid.learn.network import STRIDE, FilmNet
 from hybrid.learn.views import output_points, view_image
 from hybrid.records import CoarseMaps
@@ -31,6 +32,10 @@ class PredictConfig:
     least_px: int = 400
     """Large photos are reduced by powers of two to a longer side of this to twice this: several times what the network
     reads of them."""
+
+    def __post_init__(self) -> None:
+        require_at_least(self, 1, "looks", "least_px")
+        require_at_least(self, 0, "sides")
 
 
 def look(network: FilmNet, photo: UInt8[np.ndarray, "H W 3"], views: Sequence[BackwardMap]) -> list[CoarseMaps]:

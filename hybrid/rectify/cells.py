@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
+from hybrid.errors import require_at_least
 from hybrid.rectify.cell_phases import AxisPhases
 from hybrid.rectify.grid import MAX_CELLS, GridConfig, line_votes, narrowed
 from hybrid.rectify.repeat import Repeats, autocorrelation, detail, highest
@@ -92,6 +93,9 @@ class CellsConfig:
     untold: Weights = UNTOLD
     kept: int = 48
     """Grids along one axis that are weighed together with those along the other: those best by themselves."""
+
+    def __post_init__(self) -> None:
+        require_at_least(self, 64, "side_px")
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, UInt8
 
 from hybrid.coords import linear_from_srgb, srgb_from_linear
+from hybrid.errors import require_at_least
 from hybrid.records import SliceGrid
 from hybrid.rectify.light import Light, LightConfig, find_light, share_seen
 from hybrid.rectify.reflections import ReflectionConfig, find_reflections
@@ -51,6 +52,9 @@ class DeilluminateConfig:
     root_share: float = 0.5
     """Tone curve: share of the square root (a print seen by reflection: the display's own gamma) against the straight
     line (a print whose transmission is proportional to its grey). Which it is, one photo does not tell."""
+
+    def __post_init__(self) -> None:
+        require_at_least(self, 16, "work_px")
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from hybrid.backward import BackwardMap
+from hybrid.errors import require_at_least
 from hybrid.records import CoarseMaps, SliceGrid
 from hybrid.rectify import bspline
 
@@ -31,6 +32,11 @@ class FilmSizeConfig:
     """The same for square slice cells, which are better evidence than a format."""
     snap_exact: float = 0.01
     """Both, where the sheet's shape was fitted to its edges and print: its ratio of sides is exact to 0.5 %."""
+
+    def __post_init__(self) -> None:
+        require_at_least(self, 1, "min_side_px", "max_aspect")
+        require_at_least(self, self.min_side_px, "max_side_px")
+        require_at_least(self, 0.0, "snap", "snap_grid", "snap_exact")
 
 
 def film_aspect(maps: CoarseMaps, backward: BackwardMap) -> float:

@@ -18,6 +18,7 @@ from jaxtyping import Complex, Float
 
 from hybrid.backward import BackwardMap
 from hybrid.coords import node_centres_1d
+from hybrid.errors import require_at_least
 from hybrid.rectify.cell_phases import MIDDLES, AxisPhases, CellPhases
 from hybrid.rectify.sightings import Sightings, SplineConfig, fit_displacement
 
@@ -50,6 +51,9 @@ class ForeshorteningConfig:
     shared_sigma: tuple[float, float] = (0.02, 0.004)
     """Prior standard deviation of the grid's place and pitch, in film units."""
     spline: SplineConfig = field(default_factory=SplineConfig)
+
+    def __post_init__(self) -> None:
+        require_at_least(self, 1e-3, "steps", "pitches")
 
 
 @dataclass(frozen=True)

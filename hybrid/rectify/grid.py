@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from hybrid.coords import film_centres_1d
+from hybrid.errors import require_at_least
 from hybrid.rectify.sightings import Sightings
 
 MAX_CELLS = 10
@@ -73,6 +74,9 @@ class GridConfig:
     """The same where they lie beyond the film's edges by less than this: a grid does not, so the edges are wrong."""
     snug_sigma: float = 0.001
     """Prior standard deviation of its place then, in film units."""
+
+    def __post_init__(self) -> None:
+        require_at_least(self, 1, "strips", "widths_px")
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,8 +14,9 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float
 
-from hybrid.backward import BackwardMap
+from hybrid.backward import MIN_NODES, BackwardMap
 from hybrid.coords import film_nodes
+from hybrid.errors import require_at_least
 from hybrid.records import CoarseMaps
 from hybrid.rectify import bspline
 from hybrid.rectify.bspline import NormalEquations
@@ -49,6 +50,10 @@ class InvertConfig:
     """Nodes (rows, columns) of the backward map; one more than a multiple of ``intervals`` represents S exactly."""
     scale_floor: float = 0.002
     """Residuals below this part of the film's size are never called bad."""
+
+    def __post_init__(self) -> None:
+        require_at_least(self, 1, "intervals", "min_pixels")
+        require_at_least(self, MIN_NODES, "nodes")
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,7 +124,7 @@ def fit_backward(maps: CoarseMaps, config: InvertConfig | None = None) -> Invers
 
 
 def agreed(inversions: Sequence[Inversion | NotInverted]) -> Inversion | NotInverted:
-    """The mean of the maps that several looks at one photo gave; with the last look's evidence, the nearest one.
+    """The mean of the maps that several looks at one photo gave, with the last look's evidence.
 
     A look that gave no map is left out; where the last gave none, neither does the mean.
     """

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32
 
 from hybrid.coords import film_centres, film_centres_1d
+from hybrid.errors import require_at_least
 from hybrid.records import SliceGrid
 from hybrid.rectify import bspline
 from hybrid.rectify.bspline import NormalEquations
@@ -43,6 +44,9 @@ class LightConfig:
     """Weight of tiles brighter than the gain against tiles darker: a tile without white must not lower it much."""
     gain_range: float = 3.0
     """The gain leaves its median by at most this factor: beyond, noise would be amplified more than it is worth."""
+
+    def __post_init__(self) -> None:
+        require_at_least(self, 1, "veil_tiles", "veil_intervals", "gain_tiles", "gain_intervals", "gain_range")
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32
 
 from hybrid.coords import centres_1d, film_centres_1d, pixel_from_film, sample_bilinear
+from hybrid.errors import require_at_least
 from hybrid.records import SliceGrid
 
 Grey = Float32[np.ndarray, "h w"]
@@ -48,6 +49,9 @@ class ReflectionConfig:
     """Pixels of a reflection in each of two slices, at least."""
     min_cells: int = 6
     """Fewer slices than this do not tell what is usual."""
+
+    def __post_init__(self) -> None:
+        require_at_least(self, 16, "side_px")
 
 
 @dataclass(frozen=True, eq=False)
