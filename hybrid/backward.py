@@ -92,7 +92,8 @@ class BackwardMap:
         target = np.asarray(xy, dtype=np.float64).reshape(-1, 2)
         uv_nodes = film_nodes(self.nodes.shape[:2]).reshape(-1, 2)
         finite = np.asarray(np.isfinite(target).all(axis=1))
-        _, nearest = KDTree(self.nodes.reshape(-1, 2)).query(np.where(finite[:, None], target, 0.0))
+        target = np.where(finite[:, None], target, 0.0)
+        _, nearest = KDTree(self.nodes.reshape(-1, 2)).query(target)
         uv = uv_nodes[nearest]
         for _ in range(iterations):
             error = target - self.photo_from_film(uv)

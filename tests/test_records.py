@@ -71,6 +71,13 @@ def test_backward_map_refuses_what_is_no_map() -> None:
         BackwardMap(np.full((4, 4, 2), np.nan))
 
 
+def test_points_that_are_none_lie_nowhere_on_the_film():
+    film = BackwardMap(film_nodes((5, 5)) * 100.0)
+    found = film.film_from_photo(np.array([[50.0, 25.0], [np.inf, 3.0], [np.nan, 1.0], [500.0, 20.0]]))
+    assert found[0] == pytest.approx([0.5, 0.25], abs=1e-5)
+    assert np.isnan(found[1:]).all()
+
+
 def test_unknown_public_name_is_refused_with_the_known_ones() -> None:
     with pytest.raises(AttributeError, match=r"no attribute 'Dewarper'; it has .*Rectifier"):
         _ = hybrid.Dewarper  # pyright: ignore[reportAttributeAccessIssue]
