@@ -198,10 +198,9 @@ def test_13_a_turned_photo_gives_an_upright_film(rectifier: Rectifier, turns: in
     assert (found.orientation.turns, found.orientation.mirrored) == (turns, False)
 
 
-@pytest.mark.parametrize("seed", [3, 8])
-def test_14_a_mirrored_film_is_detected(rectifier: Rectifier, seed: int) -> None:
+def test_14_a_mirrored_film_is_detected(rectifier: Rectifier) -> None:
     """Where texts can be read: seen from behind they look like others."""
-    found = rectifier(np.ascontiguousarray(shot(seed).photo[:, ::-1]))
+    found = rectifier(np.ascontiguousarray(shot(3).photo[:, ::-1]))
     assert found.orientation is not None
     assert (found.orientation.turns, found.orientation.mirrored) == (0, True)
     assert found.upright_probability > 0.98
