@@ -7,7 +7,7 @@ from synthetic_film import FilmDrawing, draw_print, make_photo
 from hybrid.coords import film_centres_1d
 from hybrid.film_view import FilmView, _lattice_xy, extended_weights, view_film
 from hybrid.rectify.follow import follow_comb
-from hybrid.rectify.grid import GridConfig, find_comb
+from hybrid.rectify.grid import Comb, GridConfig, find_comb
 from hybrid.rectify.match import MatchConfig, match_cells
 from hybrid.rectify.repeat import RepeatConfig, cell_agreement, find_repeats
 
@@ -105,6 +105,19 @@ def test_matches_see_a_moved_cell_and_agreement_falls():
     cell = (np.floor(u.known * 3) == 1) & (np.floor(u.places()[:, 1] * 4) == 1)
     offsets_px = u.offsets() * 480
     assert np.median(offsets_px[cell]) - np.median(offsets_px[~cell]) == pytest.approx(3.0, abs=0.5)
+
+
+@pytest.mark.parametrize(
+    ("first", "last", "fills"),
+    [
+        *[(0.0, 1.0, True), (-0.01, 1.01, True), (0.003, 0.997, True), (0.0, 1.01, True)],
+        *[(0.02, 0.98, False), (0.003, 1.003, False), (-0.004, 0.997, False)],
+    ],
+)
+def test_a_grid_fills_the_film_unless_its_ends_lie_inside_or_both_to_one_side(first: float, last: float, fills: bool):
+    """Lines left of every cell, as frames have, would else move the whole film by as much."""
+    comb = Comb(0, first, (last - first) / 4, 4, np.arange(5), 2, 1, 1.0, np.zeros((5, 1)))
+    assert comb.fills_film(GRID) == fills
 
 
 def test_a_view_shows_what_the_map_says():

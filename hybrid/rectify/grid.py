@@ -72,6 +72,8 @@ class GridConfig:
     """A grid whose ends lie this near to the film's edges is taken to fill the film."""
     beyond: float = 0.025
     """The same where they lie beyond the film's edges by less than this: a grid does not, so the edges are wrong."""
+    aside: float = 0.002
+    """A grid both of whose ends lie further than this from the film's edges, and to the same side, does not fill it."""
     snug_sigma: float = 0.001
     """Prior standard deviation of its place then, in film units."""
 
@@ -118,9 +120,12 @@ class Comb:
         return replace(self, first=0.5 + float(constants[0]) - 0.5 * self.cells * pitch, pitch=pitch)
 
     def fills_film(self, config: GridConfig) -> bool:
-        """True where the grid's ends lie on the film's edges, or beyond them, as where edges were seen too far in."""
+        """True where the grid's ends lie on the film's edges, or beyond them, as where edges were seen too far in.
+
+        Not where one lies beyond an edge and the other as far inside: these are lines on one side of every cell."""
         ends = np.array([self.first, 1.0 - self.first - self.cells * self.pitch])
-        return bool((ends < config.snug).all() and (ends > -config.beyond).all())
+        aside = ends[0] * ends[1] < 0 and np.abs(ends).min() > config.aside
+        return bool((ends < config.snug).all() and (ends > -config.beyond).all() and not aside)
 
     def lines(self) -> Float[np.ndarray, " n"]:
         """Film coordinates of all lines, the grid's ends included."""
