@@ -18,10 +18,12 @@ from jaxtyping import Float32
 from threadpoolctl import threadpool_limits
 from tqdm import tqdm
 
+from data_gen.shards import npy_bytes
 from hybrid.backward import end_point_error, film_as_seen
 from hybrid.effort import RectifyConfig
 from hybrid.errors import HybridError
 from hybrid.geometry import Clock, see
+from hybrid.image_io import write_bytes
 from hybrid.learn.edge_data import FILM_MAPS
 from hybrid.learn.network import FilmNet, fused
 from hybrid.learn.samples import Place, film_of, open_places, photo_of
@@ -57,25 +59,19 @@ def write_film_maps(config: FilmMapsConfig) -> Path:
     with ProcessPoolExecutor(config.workers, multiprocessing.get_context("spawn")) as pool:
         found = pool.map(partial(_film_map, config.data), range(count), chunksize=16)
         maps = np.stack(list(tqdm(found, total=count, unit="photo")))
-    part = path.with_suffix(".part")
-    with part.open("wb") as file:
-        np.save(file, maps)
-    return part.replace(path)
+    write_bytes(path, npy_bytes(maps))
+    return path
 
 
 def film_map(network: FilmNet, place: Place) -> Float32[np.ndarray, "n m 2"]:
     """Nodes of the map that FilmNet makes of a sample's photo, turned as the film is seen; NaN where it sees none, or
     one so far off that its edges are not the film's."""
     found, true = see(network, Pyramid(photo_of(place)), RectifyConfig(), Clock()).inversion, film_of(place)
-    if isinstance(found, NotInverted):
-        return np.full((*NODES, 2), np.nan, np.float32)
-    seen = film_as_seen(found.backward).resized(NODES)
-    off = end_point_error(seen, film_as_seen(true).nodes).mean()
-    return (
-        seen.nodes.astype(np.float32)
-        if off < FAR * max(true.mean_film_pixels())
-        else np.full_like(seen.nodes, np.nan, np.float32)
-    )
+    if not isinstance(found, NotInverted):
+        seen = film_as_seen(found.backward).resized(NODES)
+        if end_point_error(seen, film_as_seen(true).nodes).mean() < FAR * max(true.mean_film_pixels()):
+            return seen.nodes.astype(np.float32)
+    return np.full((*NODES, 2), np.nan, np.float32)
 
 
 @lru_cache(maxsize=1)
