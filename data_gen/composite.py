@@ -11,7 +11,7 @@ from jaxtyping import Float, Float32
 
 from data_gen.shade import FilmLight
 from hybrid.coords import linear_from_srgb, opencv_from_photo
-from hybrid.mesh.raycast import FilmView
+from hybrid.mesh.raycast import PixelView
 
 LEAST_SAMPLING = 2.0
 """Print pixels to a photo pixel, along both axes, that a reduced print keeps at least."""
@@ -74,7 +74,7 @@ def _box(width: float) -> Float32[np.ndarray, " n"]:
 
 
 def composite(
-    view: FilmView, reflectance: Float[np.ndarray, "a b"], light: FilmLight, behind: Float32[np.ndarray, "h w 3"]
+    view: PixelView, reflectance: Float[np.ndarray, "a b"], light: FilmLight, behind: Float32[np.ndarray, "h w 3"]
 ) -> Float32[np.ndarray, "h w 3"]:
     """Linear light of the photo: ``behind`` (which is overwritten) with the film put before it.
 

@@ -59,7 +59,7 @@ class Clock:
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
+class LastLook:
     """What the network saw in its last look: the maps, the film's map that follows, and the view of the film, if any.
 
     All but ``inversion`` and ``maps`` are of ``photo``, the copy of the photo, ``factor`` times smaller, that it saw.
@@ -72,7 +72,7 @@ class Seen:
     factor: int
 
 
-def see(network: FilmNet, pyramid: Pyramid, config: RectifyConfig, clock: Clock) -> Seen:
+def see(network: FilmNet, pyramid: Pyramid, config: RectifyConfig, clock: Clock) -> LastLook:
     """The network's looks at the photo: at the whole, then at the film, flattened by the plane seen last."""
     predict = config.predict
     with clock.stage("network") as report:
@@ -94,10 +94,10 @@ def see(network: FilmNet, pyramid: Pyramid, config: RectifyConfig, clock: Clock)
         else:
             inversion = inversion.enlarged(factor)
             report.reason = f"{looks} looks, the last explained to {inversion.residual_px:.1f} px"
-    return Seen(maps.enlarged(factor), inversion, view, photo, factor)
+    return LastLook(maps.enlarged(factor), inversion, view, photo, factor)
 
 
-def see_from_sides(network: FilmNet, seen: Seen, config: RectifyConfig, clock: Clock) -> list[Inversion]:
+def see_from_sides(network: FilmNet, seen: LastLook, config: RectifyConfig, clock: Clock) -> list[Inversion]:
     """The maps of the last look, turned and mirrored in several ways for the network; that of ``seen`` is the last."""
     first, others = seen.inversion, config.predict.sides[1:]
     if isinstance(first, NotInverted):
@@ -240,7 +240,7 @@ def trusted(
     network: FilmNet,
     reader: EdgeReader,
     pyramid: Pyramid,
-    seen: Seen,
+    seen: LastLook,
     refinement: Refinement,
     flat: bool,
     config: RectifyConfig,

@@ -13,7 +13,7 @@ from bent_sheets import bent_sheet, maps_of, smooth_noise
 from hybrid.backward import BackwardMap, end_point_error
 from hybrid.coords import film_nodes
 from hybrid.rectify import bspline
-from hybrid.rectify.invert import Inversion, InvertConfig, NotInverted, fit_backward, fit_homography, project
+from hybrid.rectify.invert import Inversion, InvertConfig, NotInverted, apply_homography, fit_backward, fit_homography
 
 CLEAN_PX = 0.5  # mean error without noise: what the spline's knots and the penalty cost on a sheet rolled by 50 degrees
 SHEETS = [(0.0, 0.0), (0.5, 0.3), (0.9, 0.4), (-0.9, -0.4)]
@@ -108,7 +108,7 @@ def test_no_film_is_a_reason_and_not_an_exception(kind: str):
 def test_homography_round_trip():
     true = np.array([[1.1, 0.2, -0.4], [-0.1, 0.9, 0.3], [0.15, -0.1, 1.0]])
     uv = film_nodes((5, 5)).reshape(-1, 2)
-    found = fit_homography(uv, project(true, uv), np.ones(len(uv)))
+    found = fit_homography(uv, apply_homography(true, uv), np.ones(len(uv)))
     np.testing.assert_allclose(found / found[2, 2], true, atol=1e-9)
 
 

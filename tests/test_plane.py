@@ -10,7 +10,7 @@ from synthetic_film import FilmDrawing, disturbed, draw_print
 from hybrid.backward import BackwardMap, end_point_error
 from hybrid.coords import film_nodes, opencv_from_photo, pixel_centres, pixel_from_film
 from hybrid.rectify.glance import glance
-from hybrid.rectify.invert import project
+from hybrid.rectify.invert import apply_homography
 from hybrid.rectify.plane import PlaneConfig, edge_line, film_corners, flat_film, plane_by_edges
 from hybrid.rectify.refine import RefineConfig
 from hybrid.rectify.sightings import Sightings
@@ -20,14 +20,14 @@ REFINE, CONFIG = RefineConfig(), PlaneConfig()
 
 
 def plane_map() -> BackwardMap:
-    return BackwardMap(project(HOMOGRAPHY, film_nodes((33, 33)).reshape(-1, 2)).reshape(33, 33, 2))
+    return BackwardMap(apply_homography(HOMOGRAPHY, film_nodes((33, 33)).reshape(-1, 2)).reshape(33, 33, 2))
 
 
 def flat_photo(bow: float = 0.0) -> np.ndarray:
     """A drawn film on a brighter ground; ``bow``: the depth of the arc of its sides, in film units."""
     printed = draw_print(FilmDrawing(margin=0.03), np.random.default_rng(0))
     points = pixel_centres((1800, 1800)) / 2.0
-    uv = project(np.linalg.inv(HOMOGRAPHY), points.reshape(-1, 2)).reshape(points.shape)
+    uv = apply_homography(np.linalg.inv(HOMOGRAPHY), points.reshape(-1, 2)).reshape(points.shape)
     uv[..., 0] += bow * (1 - 4 * (uv[..., 1] - 0.5) ** 2)
     at = opencv_from_photo(pixel_from_film(uv, printed.shape)).astype(np.float32)
     film = cv2.remap(printed, at, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)

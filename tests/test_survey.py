@@ -13,7 +13,7 @@ from hybrid.backward import BackwardMap
 from hybrid.coords import film_nodes, pixel_centres
 from hybrid.records import CoarseMaps, SliceGrid, StatusCode
 from hybrid.rectify.film_size import FilmSizeConfig, film_aspect, film_size, snap_aspect
-from hybrid.rectify.invert import fit_backward, project
+from hybrid.rectify.invert import apply_homography, fit_backward
 from hybrid.rectify.survey import mask_overlap, survey_light, survey_maps, survey_photo, survey_plane, survey_print
 
 
@@ -87,7 +87,7 @@ def test_overlap_of_the_true_outline_is_nearly_one():
 
 def test_a_plane_is_found_and_a_bend_is_not_called_one():
     homography = np.array([[600.0, 40.0, 150.0], [-50.0, 700.0, 200.0], [0.1, -0.05, 1.0]])
-    flat = BackwardMap(project(homography, film_nodes((33, 33)).reshape(-1, 2)).reshape(33, 33, 2))
+    flat = BackwardMap(apply_homography(homography, film_nodes((33, 33)).reshape(-1, 2)).reshape(33, 33, 2))
     decision, found = survey_plane(flat, 1e-3)
     assert decision.yes
     np.testing.assert_allclose(found.nodes, flat.nodes, atol=1e-6)

@@ -57,7 +57,7 @@ class AnnotationMaps:
 
 
 @dataclass(frozen=True, eq=False)
-class FilmView:
+class PixelView:
     """Which film points the pixels of a photo see: one each where the film is smooth, many where it ends or folds.
 
     box: rows and columns of the photo outside which there is no film; all fields are of that part.
@@ -128,7 +128,7 @@ class FilmCaster:
         uv[box], xyz[box], normal[box] = film, rays, self._normals_at(film, camera)
         return AnnotationMaps(mask, uv, xyz, normal)
 
-    def view(self, camera: Camera, maps: AnnotationMaps | None = None) -> FilmView:
+    def view(self, camera: Camera, maps: AnnotationMaps | None = None) -> PixelView:
         """Film points of a photo's pixels by as few rays as that takes; ``maps`` of the same camera save the most.
 
         The outline and the places where the film turns over are edges of the mesh: projected and drawn they mark the
@@ -160,7 +160,7 @@ class FilmCaster:
         cv2.patchNaNs(rim_uv, 0.0)
         coverage = mask.astype(np.float32)
         coverage.reshape(-1)[at] = np.count_nonzero(rim_hit, axis=1) / np.float32(len(_RIM_RAYS))
-        return FilmView(box, coverage, uv, at, rim_uv, rim_hit, rays + rim_hit.size)
+        return PixelView(box, coverage, uv, at, rim_uv, rim_hit, rays + rim_hit.size)
 
     def _rim(self, projected: Float[np.ndarray, "nv nu 2"], box: tuple[slice, slice]) -> Bool[np.ndarray, "h w"]:
         """Pixels of a part of the photo through which the outline or a fold runs."""

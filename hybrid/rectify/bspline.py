@@ -12,6 +12,7 @@ from functools import cache
 
 import numpy as np
 from jaxtyping import Float
+from scipy.interpolate import BSpline
 from scipy.linalg import get_lapack_funcs
 
 from hybrid.coords import node_centres_1d
@@ -20,37 +21,32 @@ RIDGE = 1e-10
 """Relative to the mean diagonal: keeps the factorisation possible where an affine part is unobserved."""
 
 
-def axis_weights(t: Float[np.ndarray, " n"], intervals: int) -> Float[np.ndarray, "n k"]:
-    """Weights of the ``intervals + 3`` uniform cubic B-splines at coordinates ``t`` of one axis."""
-    x = np.asarray(t, dtype=np.float64) * intervals
-    start = np.clip(np.floor(x), 0, intervals - 1).astype(np.int64)
-    f = x - start
-    g = 1.0 - f
-    values = np.stack([g**3, 4 - 3 * f * f * (2 - f), 4 - 3 * g * g * (2 - g), f**3], axis=1) / 6.0
-    weights = np.zeros((x.size, intervals + 3))
-    np.put_along_axis(weights, start[:, None] + np.arange(4), values, axis=1)
-    return weights
+@cache
+def _axis_spline(intervals: int, derivative: int) -> BSpline:
+    """The uniform cubic B-splines of one axis, or their derivatives."""
+    spline = BSpline(np.arange(-3, intervals + 4) / intervals, np.eye(intervals + 3), 3)
+    return spline.derivative(derivative) if derivative else spline
 
 
-def design(uv: Float[np.ndarray, "n 2"], intervals: int) -> Float[np.ndarray, "n kk"]:
-    """Rows that give the spline's value at film points ``uv`` from its coefficients."""
-    along_v = axis_weights(uv[:, 1], intervals)
-    along_u = axis_weights(uv[:, 0], intervals)
-    return (along_v[:, :, None] * along_u[:, None, :]).reshape(len(uv), -1)
+def axis_weights(t: Float[np.ndarray, " n"], intervals: int, derivative: int = 0) -> Float[np.ndarray, "n k"]:
+    """Weights of the ``intervals + 3`` coefficients of one axis in the value or a derivative at coordinates ``t``."""
+    return _axis_spline(intervals, derivative)(t)
+
+
+def design(uv: Float[np.ndarray, "n 2"], intervals: int, by_u: int = 0, by_v: int = 0) -> Float[np.ndarray, "n kk"]:
+    """Rows that give the spline's value, or a derivative, at film points ``uv`` from its coefficients."""
+    along_u, along_v = axis_weights(uv[:, 0], intervals, by_u), axis_weights(uv[:, 1], intervals, by_v)
+    return (along_v[:, :, None] * along_u[:, None, :]).reshape(len(uv), (intervals + 3) ** 2)
 
 
 @cache
 def _axis_gram(intervals: int, derivative: int) -> np.ndarray:
     """Integral over [0, 1] of products of the B-splines' derivatives (exact: Gauss-Legendre, 4 points a knot)."""
-    from scipy.interpolate import BSpline
-
     nodes, gauss = np.polynomial.legendre.leggauss(4)
     starts = np.arange(intervals)[:, None]
     t = ((starts + (nodes + 1.0) / 2.0) / intervals).ravel()
     weight = np.tile(gauss / 2.0 / intervals, intervals)
-    knots = np.arange(-3, intervals + 4) / intervals
-    basis = BSpline(knots, np.eye(intervals + 3), 3)
-    values = basis.derivative(derivative)(t) if derivative else basis(t)
+    values = axis_weights(t, intervals, derivative)
     return values.T @ (weight[:, None] * values)
 
 

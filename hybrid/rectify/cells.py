@@ -205,11 +205,11 @@ def scores_of(
     profile: Profile, grids: Float[np.ndarray, "c 3"], config: CellsConfig, weights: Weights
 ) -> Float[np.ndarray, " c"]:
     """Logarithm of the odds of each grid along one axis, but for a constant."""
-    signs = signs_of(profile, grids, config)
+    signs = grid_signs(profile, grids, config)
     return np.asarray(sum(getattr(weights, name) * sign for name, sign in signs.items()))
 
 
-def signs_of(
+def grid_signs(
     profile: Profile, grids: Float[np.ndarray, "c 3"], config: CellsConfig
 ) -> dict[str, Float[np.ndarray, " c"]]:
     """What speaks for each grid and against it, by the names that Weights explains."""
@@ -315,4 +315,4 @@ def _alike(grids: Float[np.ndarray, "c 3"], one: Float[np.ndarray, "3"]) -> Bool
     return (grids[:, 0] == one[0]) & (np.abs(grids[:, 1] - one[1]) < SAME_PLACE)
 
 
-__all__ = ["SAME_PLACE", "CellsConfig", "Reading", "Weights", "candidates", "profile_of", "read_cells", "signs_of"]
+__all__ = ["SAME_PLACE", "CellsConfig", "Reading", "Weights", "candidates", "grid_signs", "profile_of", "read_cells"]

@@ -90,7 +90,7 @@ class RefineConfig:
         return replace(self.outline, band=self.near_band)
 
 
-class Clock:
+class Stopwatch:
     """Seconds spent in each stage."""
 
     def __init__(self) -> None:
@@ -175,10 +175,10 @@ def begin(scene: Scene, outline: Sequence[Sightings], config: RefineConfig) -> P
     return Progress(scene, tuple(outline), _Attempt(displacement))
 
 
-def followed(progress: Progress, config: RefineConfig, clock: Clock) -> Progress | None:
+def followed(progress: Progress, config: RefineConfig, watch: Stopwatch) -> Progress | None:
     """After all rounds, or fewer if they settle before. None where nothing is seen."""
     for number, matcher in enumerate(_matchers(config)):
-        after = _round(progress, number, matcher, config, clock)
+        after = _round(progress, number, matcher, config, watch)
         if after is None or after.settled:
             return after
         progress = after
@@ -186,7 +186,11 @@ def followed(progress: Progress, config: RefineConfig, clock: Clock) -> Progress
 
 
 def _round(
-    progress: Progress, number: int, matcher: Callable[..., tuple[Sightings, ...]], config: RefineConfig, clock: Clock
+    progress: Progress,
+    number: int,
+    matcher: Callable[..., tuple[Sightings, ...]],
+    config: RefineConfig,
+    watch: Stopwatch,
 ) -> Progress | None:
     """One more round: what is printed is looked for through the improved map, and all is fitted anew."""
     scene, outline, displacement = progress.scene, progress.outline, progress.attempt.displacement
@@ -196,19 +200,19 @@ def _round(
     reading = read_view(view, progress.layout, told, config) if number == 0 else None
     layout, lines = find_layout(view, progress.layout, looking, reading, config.grid, config.repeat)
     found = _observe_print(view, layout, lines, matcher, outline, config)
-    clock.lap("grid")
+    watch.lap("grid")
     evidence = tuple(e.lifted(displacement) for e in found)
     if number == 0:
         near = displacement.composed(scene.coarse)
         edges = find_outline(scene.photo, near, config.outline_again, carried(scene.edges, scene.coarse, near))
         outline = tuple(displacement.lift(s) for s in edges)
-        clock.lap("outline")
+        watch.lap("outline")
     evidence += tuple(Evidence(_as_uncertain(s, layout, config)) for s in outline)
     if not evidence:
         return None
     fit = fit_displacement([e.sightings for e in evidence], _spline(progress, config))
     layout = layout.adjusted(evidence, fit.constants)
-    clock.lap("spline")
+    watch.lap("spline")
     moved = float(np.abs(fit.displacement.values - displacement.values).max())
     attempt = _Attempt(fit.displacement, evidence, fit.weights, fit.stiffness)
     least = config.settled_move if progress.sheet is None else config.settled_sheet
@@ -216,7 +220,7 @@ def _round(
     return replace(progress, outline=outline, attempt=attempt, layout=layout, settled=settled)
 
 
-def unstretched(progress: Progress, config: RefineConfig, clock: Clock) -> Progress | None:
+def unstretched(progress: Progress, config: RefineConfig, watch: Stopwatch) -> Progress | None:
     """One more round, from the map of the unstretched sheet that explains best what the last round saw; None where
     there is none."""
     attempt, scene = progress.attempt, progress.scene
@@ -245,13 +249,13 @@ def unstretched(progress: Progress, config: RefineConfig, clock: Clock) -> Progr
     else:
         outline = carried(progress.outline, scene.coarse, sheet.backward)
     scene = replace(scene, coarse=sheet.backward, edges=())  # from now on edges are carried, not looked for
-    clock.lap("sheet")
+    watch.lap("sheet")
     still = _Attempt(no_displacement(config.spline))
     begun = Progress(scene, outline, still, layout, sheet=sheet, sheets=progress.sheets + 1)
-    return _round(begun, config.line_rounds, _matchers(config)[-1], config, clock)
+    return _round(begun, config.line_rounds, _matchers(config)[-1], config, watch)
 
 
-def ended(progress: Progress, config: RefineConfig, clock: Clock) -> Course:
+def ended(progress: Progress, config: RefineConfig, watch: Stopwatch) -> Course:
     """What the last round gave, and whether it is to be believed, and why or why not."""
     scene, sheet, still = progress.scene, progress.sheet, no_displacement(config.spline)
     attempt = progress.attempt
@@ -272,7 +276,7 @@ def ended(progress: Progress, config: RefineConfig, clock: Clock) -> Course:
         verdict = f"held-out residual {before:.1f} -> {after:.1f} sigma, moved by up to {100 * move:.1f} %"
         believed = True
     shift = moved if believed else still
-    clock.lap("spline")
+    watch.lap("spline")
     return Course(scene, shift, progress.layout, attempt.evidence, before, after, believed, sheet, verdict)
 
 
@@ -359,10 +363,10 @@ def _fixed(found: tuple[float, float], config: RefineConfig) -> tuple[float, flo
 
 
 __all__ = [
-    "Clock",
     "Course",
     "Progress",
     "RefineConfig",
+    "Stopwatch",
     "agreement",
     "begin",
     "ended",

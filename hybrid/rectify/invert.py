@@ -105,13 +105,13 @@ def fit_backward(maps: CoarseMaps, config: InvertConfig | None = None) -> Invers
     if np.count_nonzero(weight > 0.05) < config.min_pixels // 2:
         return NotInverted("the film pixels do not agree on any smooth shape")
     homography = _plane_prior(pixels.uv, pixels.target, weight)
-    plane = project(homography, pixels.uv)
+    plane = apply_homography(homography, pixels.uv)
     rows = bspline.design(pixels.uv, config.intervals)
     normal = NormalEquations.of(rows, weight, pixels.target - plane, config.intervals)
     error = pixels.target - plane - rows @ normal.solve(config.smoothing)
     variance = float(weight @ (error**2).sum(axis=1) / weight.sum() / 2.0)
     smooth = normal.solve(config.smoothing + config.smoothing_per_variance * variance)
-    shape = project(homography, film_nodes(config.nodes).reshape(-1, 2)).reshape(*config.nodes, 2)
+    shape = apply_homography(homography, film_nodes(config.nodes).reshape(-1, 2)).reshape(*config.nodes, 2)
     shape = shape + bspline.on_lattice(smooth, config.nodes, config.intervals)
     inlier = tukey > 0.05
     error = _lengths(pixels.target - plane - rows @ smooth)
@@ -143,7 +143,7 @@ def change(before: Inversion, after: Inversion | NotInverted) -> float:
     return float(distance / np.mean(after.backward.mean_film_pixels()))
 
 
-def project(homography: Float[np.ndarray, "3 3"], uv: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
+def apply_homography(homography: Float[np.ndarray, "3 3"], uv: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
     """Points (x, y) of film points under a homography."""
     mapped = uv @ homography[:, :2].T + homography[:, 2]
     return mapped[:, :2] / mapped[:, 2:]

@@ -15,7 +15,7 @@ from hybrid.records import StageReport
 from hybrid.rectify.cell_phases import CellPhases
 from hybrid.rectify.glance import glance
 from hybrid.rectify.held_out import MOST_RESIDUAL
-from hybrid.rectify.invert import fit_homography, project
+from hybrid.rectify.invert import apply_homography, fit_homography
 from hybrid.rectify.outline import find_outline
 from hybrid.rectify.refine import RefineConfig, Refinement
 from hybrid.rectify.sightings import Sightings, carried
@@ -103,8 +103,12 @@ def plane_by_edges(
     if shift > config.max_shift:
         return None, f"{evidence}, but {shift:.1%} beside the film that the network saw"
     at = fit_homography(true, corners, np.ones(len(true)))  # where the plane shows a film point
+
+    def shown(uv: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
+        return plane.photo_from_film(apply_homography(at, uv))
+
     size = (plane.nodes.shape[0], plane.nodes.shape[1])
-    return BackwardMap.from_function(lambda uv: plane.photo_from_film(project(at, uv)), size), f"flat: {evidence}"
+    return BackwardMap.from_function(shown, size), f"flat: {evidence}"
 
 
 def edge_line(side: Sightings) -> EdgeLine:

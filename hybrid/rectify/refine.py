@@ -18,10 +18,10 @@ from hybrid.coords import film_nodes
 from hybrid.records import SliceGrid, StageReport
 from hybrid.rectify.cell_phases import CellPhases
 from hybrid.rectify.course import (
-    Clock,
     Course,
     Progress,
     RefineConfig,
+    Stopwatch,
     agreement,
     begin,
     ended,
@@ -107,13 +107,13 @@ def refine(
     itself where nothing was seen, where the correction does not explain the photo better, or where it would fold the
     film or move it too far; the report of stage ``spline`` says which. Raises nothing on any photo.
     """
-    clock = Clock()
+    watch = Stopwatch()
     scene = scene_of(photo, coarse, phases, tuple(edges))
     outline = find_outline(scene.photo, scene.coarse, config.outline, scene.edges)
-    clock.lap("outline")
-    course = _course(begin(scene, outline, config), config, clock)
+    watch.lap("outline")
+    course = _course(begin(scene, outline, config), config, watch)
     if course is None:
-        return _unchanged(coarse, "no edge, rule, gutter or repeated text was seen", clock)
+        return _unchanged(coarse, "no edge, rule, gutter or repeated text was seen", watch)
     is_bent = course.scene is not scene
     changed = course.believed and (is_bent or course.moves)
     backward = coarse
@@ -125,12 +125,12 @@ def refine(
     reading = read_view(half_view(course.scene, course.displacement), course.layout, told, config, aspect)
     share = _expected_share(course)
     grid = course.layout.slice_grid(reading, backward, share if course.believed else np.inf)
-    clock.lap("grid")
+    watch.lap("grid")
     stages = (
-        StageReport("outline", course.edges > 0, f"{course.edges} of 4 edges", clock["outline"]),
-        StageReport("grid", grid is not None, course.layout.reason(reading), clock["grid"]),
-        StageReport("sheet", course.sheet is not None, UNSTRETCHED[course.sheet is not None], clock["sheet"]),
-        StageReport("spline", changed, course.verdict, clock["spline"]),
+        StageReport("outline", course.edges > 0, f"{course.edges} of 4 edges", watch["outline"]),
+        StageReport("grid", grid is not None, course.layout.reason(reading), watch["grid"]),
+        StageReport("sheet", course.sheet is not None, UNSTRETCHED[course.sheet is not None], watch["sheet"]),
+        StageReport("spline", changed, course.verdict, watch["spline"]),
     )
     return Refinement(
         backward,
@@ -143,24 +143,24 @@ def refine(
     )
 
 
-def _course(begun: Progress, config: RefineConfig, clock: Clock) -> Course | None:
+def _course(begun: Progress, config: RefineConfig, watch: Stopwatch) -> Course | None:
     """All rounds from one map to start from, and then from the unstretched sheets that explain what they saw, if that
     explains it as well. None where nothing is seen."""
-    progress = followed(begun, config, clock)
+    progress = followed(begun, config, watch)
     if progress is None:
         return None
     sheet: Progress | None = progress
     for _ in range(config.sheet_rounds):
-        sheet = unstretched(sheet, config, clock)
+        sheet = unstretched(sheet, config, watch)
         if sheet is None or sheet.settled:
             break
-    free, bound = ended(progress, config, clock), sheet and ended(sheet, config, clock)
+    free, bound = ended(progress, config, watch), sheet and ended(sheet, config, watch)
     if bound is None:
         return free
-    return replace(_better(free, bound, config, clock), apart=_apart(free, bound))
+    return replace(_better(free, bound, config, watch), apart=_apart(free, bound))
 
 
-def _better(free: Course, bound: Course, config: RefineConfig, clock: Clock) -> Course:
+def _better(free: Course, bound: Course, config: RefineConfig, watch: Stopwatch) -> Course:
     """The course that ends with a sheet, if that explains what was seen, and the cells look alike, nearly as well.
 
     A course that is believed is better than one that is not.
@@ -168,7 +168,7 @@ def _better(free: Course, bound: Course, config: RefineConfig, clock: Clock) -> 
     if free.believed != bound.believed:
         return bound if bound.believed else free
     alike = [agreement(course, (free.layout, bound.layout)) for course in (free, bound)]
-    clock.lap("spline")
+    watch.lap("spline")
     residual, likeness = config.as_good
     return bound if bound.after <= residual * free.after and alike[1] >= likeness * alike[0] else free
 
@@ -203,8 +203,8 @@ def _expected_share(course: Course) -> float:
     )
 
 
-def _unchanged(coarse: BackwardMap, reason: str, clock: Clock) -> Refinement:
-    stages = tuple(StageReport(name, False, reason, clock[name]) for name in ("outline", "grid", "sheet", "spline"))
+def _unchanged(coarse: BackwardMap, reason: str, watch: Stopwatch) -> Refinement:
+    stages = tuple(StageReport(name, False, reason, watch[name]) for name in ("outline", "grid", "sheet", "spline"))
     return Refinement(coarse, None, stages)
 
 

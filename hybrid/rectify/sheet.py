@@ -11,10 +11,10 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 from jaxtyping import Float
-from scipy.interpolate import BSpline
 
 from hybrid.backward import BackwardMap
 from hybrid.coords import film_centres, film_nodes
+from hybrid.rectify.bspline import axis_weights, design
 from hybrid.rectify.invert import fit_homography
 
 CAMERA = 3
@@ -191,24 +191,11 @@ def inner(a: Float[np.ndarray, "m k"], b: Float[np.ndarray, "m k"]) -> Float[np.
 # ---------------------------------------------------------------- the surface
 
 
-@lru_cache(maxsize=32)
-def _axis_spline(intervals: int, derivative: int) -> BSpline:
-    """The uniform cubic B-splines of one axis, or their derivatives."""
-    spline = BSpline(np.arange(-3, intervals + 4) / intervals, np.eye(intervals + 3), 3)
-    return spline if derivative == 0 else spline.derivative(derivative)
-
-
-def basis(uv: Float[np.ndarray, "m 2"], intervals: int, by_u: int = 0, by_v: int = 0) -> Float[np.ndarray, "m n"]:
-    """Weights of the coefficients, ordered row (v) first, in the surface's value or derivative at film points."""
-    across, down = _axis_spline(intervals, by_u)(uv[:, 0]), _axis_spline(intervals, by_v)(uv[:, 1])
-    return (down[:, :, None] * across[:, None, :]).reshape(len(uv), (intervals + 3) ** 2)
-
-
 def surface(sheet: Sheet, uv: Float[np.ndarray, "m 2"]) -> tuple[Float[np.ndarray, "m 3"], Float[np.ndarray, "m 3 2"]]:
     """Points of a sheet, and their derivatives by u and v: quicker than with the weights of all coefficients."""
     n = sheet.intervals
-    across, across_slope = (_axis_spline(n, k)(uv[:, 0]) for k in (0, 1))
-    down, down_slope = (_axis_spline(n, k)(uv[:, 1]) for k in (0, 1))
+    across, across_slope = (axis_weights(uv[:, 0], n, k) for k in (0, 1))
+    down, down_slope = (axis_weights(uv[:, 1], n, k) for k in (0, 1))
     control = sheet.control.reshape(n + 3, n + 3, 3).transpose(0, 2, 1).reshape(n + 3, -1)
     rows, row_slopes = ((weights @ control).reshape(len(uv), 3, n + 3) for weights in (down, down_slope))
     slopes_uv = [_along(across_slope, rows), _along(across, row_slopes)]
@@ -224,7 +211,7 @@ def _along(weights: Float[np.ndarray, "m k"], rows: Float[np.ndarray, "m 3 k"]) 
 def slopes(intervals: int) -> tuple[Float[np.ndarray, "m n"], Float[np.ndarray, "m n"]]:
     """Weights of the coefficients in the slopes along u and v, on the lattice of places where strain is measured."""
     places = film_centres((2 * intervals - 2, 2 * intervals - 2)).reshape(-1, 2)
-    return basis(places, intervals, 1, 0), basis(places, intervals, 0, 1)
+    return design(places, intervals, 1, 0), design(places, intervals, 0, 1)
 
 
 NODES = (6, 6)
@@ -234,14 +221,14 @@ NODES = (6, 6)
 @lru_cache(maxsize=4)
 def node_weights(intervals: int) -> Float[np.ndarray, "m n"]:
     """Weights of the coefficients in these points."""
-    return basis(film_nodes(NODES).reshape(-1, 2), intervals)
+    return design(film_nodes(NODES).reshape(-1, 2), intervals)
 
 
 @lru_cache(maxsize=4)
 def _refiner(before: int, after: int) -> Float[np.ndarray, "k n"]:
     """Coefficients of the finer splines that come nearest to the coarser ones."""
     places = film_centres((4 * after, 4 * after)).reshape(-1, 2)
-    return np.linalg.lstsq(basis(places, after), basis(places, before), rcond=None)[0]
+    return np.linalg.lstsq(design(places, after), design(places, before), rcond=None)[0]
 
 
 @lru_cache(maxsize=4)
@@ -287,7 +274,6 @@ __all__ = [
     "Projection",
     "Sheet",
     "SheetConfig",
-    "basis",
     "flat_sheet",
     "inner",
     "node_weights",

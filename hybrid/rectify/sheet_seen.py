@@ -9,7 +9,8 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from hybrid.backward import BackwardMap
-from hybrid.rectify.sheet import Frame, Sheet, SheetConfig, basis, inner, project, surface
+from hybrid.rectify.bspline import design
+from hybrid.rectify.sheet import Frame, Sheet, SheetConfig, inner, project, surface
 from hybrid.rectify.sightings import Sightings, group_noise
 from hybrid.rectify.tps import MAD_TO_SIGMA
 
@@ -107,7 +108,7 @@ def slid(
     normal = np.stack([-tangent[:, 1], tangent[:, 0]], axis=1) / np.sqrt(square)[:, None]
     pull = inner(by_uv[rows, :, seen.across], normal)
     sigma = np.hypot(seen.sigma * pull, seen.floor)
-    weights = basis(place, sheet.intervals)
+    weights = design(place, sheet.intervals)
     residual = inner(project(sheet, weights @ sheet.control).point - seen.point, normal)
     if near and (seen.group >= 0).any():
         sigma = group_noise(sigma, seen.group, residual)

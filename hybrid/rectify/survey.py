@@ -15,7 +15,7 @@ from hybrid.backward import BackwardMap
 from hybrid.coords import film_nodes
 from hybrid.pyramid import Pyramid
 from hybrid.records import CoarseMaps, StatusCode
-from hybrid.rectify.invert import Inversion, NotInverted, fit_homography, project
+from hybrid.rectify.invert import Inversion, NotInverted, apply_homography, fit_homography
 from hybrid.rectify.resample import index_in_grid, rectify_photo
 
 PRINT_PX, PRINT_DETAIL_PX = 320, 12.0
@@ -173,7 +173,7 @@ def survey_plane(backward: BackwardMap, max_off: float) -> tuple[Decision, Backw
     uv = film_nodes(backward.nodes.shape[:2]).reshape(-1, 2)
     centre, unit = nodes.mean(axis=0), float(nodes.std())
     homography = fit_homography(uv, (nodes - centre) / unit, np.ones(len(uv)))
-    plane = project(homography, uv) * unit + centre
+    plane = apply_homography(homography, uv) * unit + centre
     off = float(np.linalg.norm(plane - nodes, axis=1).max()) / max(backward.mean_film_pixels())
     evidence = f"the sheet is within {off:.1%} of its size of a plane"
     return Decision(off <= max_off, evidence), BackwardMap(plane.reshape(backward.nodes.shape))
