@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import pytest
 import torch
@@ -12,7 +12,6 @@ from hybrid.coords import film_nodes
 from hybrid.errors import ConfigError
 from hybrid.learn.losses import Targets
 from hybrid.learn.network import FilmNetConfig
-from hybrid.learn.paper_targets import PaperTargets
 from hybrid.learn.presets import PRESETS, preset, weighted_sum
 
 PAPERS = [name for name in PRESETS if name not in ("filmnet", "upright", "edges")]
@@ -26,17 +25,13 @@ def small(name: str):
 
 
 @pytest.mark.parametrize("name", PAPERS)
-def test_a_preset_trains_on_the_fields_that_it_names(name):
-    """Everything else is NaN: had the losses read it, they would be too."""
+def test_a_preset_trains_on_the_targets_that_its_feed_makes(name):
+    """Backward maps are made for those alone that say so; the others must not read them."""
     torch.manual_seed(0)
     chosen = small(name)
-    images, whole = flat_case(64, chosen.nodes(64) or 8)
-    named = {f.name for f in fields(PaperTargets)} & set(chosen.fields)
-    assert named == set(chosen.fields)
-    blank = {
-        f.name: torch.full_like(getattr(whole, f.name), torch.nan) for f in fields(PaperTargets) if f.name not in named
-    }
-    targets = replace(whole, **blank)
+    images, targets = flat_case(64, chosen.nodes(64) or 8)
+    if not chosen.nodes(64):
+        targets = replace(targets, backward=torch.full_like(targets.backward, torch.nan))
     terms = chosen.losses(chosen.network()(chosen.inputs(images, targets)), targets)
     assert set(chosen.weights) <= set(terms)
     loss = weighted_sum(terms, chosen.weights)

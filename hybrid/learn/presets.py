@@ -55,17 +55,15 @@ class Preset:
     """One network, and how it is trained.
 
     config, build: ``build(config)`` makes the network; ``config.input_px`` is the side of its input. losses: terms by
-    name, of output and targets. fields: of the targets that the losses and the input read. weights: of the terms;
-    those left out count once. nodes: side of the true backward map for an input of so many pixels; 0 if it is not
-    needed. inputs: what the network reads. own_feed: where its batches come from, if not the paper's.
-    ship_width: width at which weights are shipped: the largest that fits 25 MB in half precision, or that two cores
-    can train, if that is less. batch, learning_rate: as published.
+    name, of output and targets. weights: of the terms; those left out count once. nodes: side of the true backward map
+    for an input of so many pixels; 0 if it is not needed. inputs: what the network reads. own_feed: where its batches
+    come from, if not the paper's. ship_width: width at which weights are shipped: the largest that fits 25 MB in half
+    precision, or that two cores can train, if that is less. batch, learning_rate: as published.
     """
 
     config: FilmNetConfig | UprightNetConfig | EdgeNetConfig | PaperConfig
     build: Callable[[Any], nn.Module]
     losses: Callable[[Any, Any], dict[str, Tensor]]
-    fields: tuple[str, ...]
     weights: Mapping[str, float] = field(default_factory=dict)
     nodes: Callable[[int], int] = no_nodes
     inputs: Callable[[Tensor, Any], Tensor] = image_input
@@ -100,13 +98,10 @@ class Preset:
         return replace(self, config=replace(self.config, input_px=px))
 
 
-_MAPS = ("mask", "uv", "xyz", "albedo")
-
 _FIRENET = Preset(
     FiReNetConfig(),
     FiReNet,
     paper_losses.firenet_losses,
-    fields=(*_MAPS, "normal", "backward"),
     nodes=node_per_pixel,
     ship_width=0.23,
 )
@@ -114,7 +109,6 @@ _DEWARPNET = Preset(
     DewarpNetConfig(layers="read"),
     DewarpNet,
     paper_losses.dewarpnet_losses,
-    fields=("mask", "xyz", "albedo", "backward"),
     weights={"backward": 10.0, "reconstruction": 0.5},
     nodes=dewarpnet_nodes,
     ship_width=0.25,
@@ -125,7 +119,6 @@ _NET_BW = Preset(
     UvBwConfig(),
     NetBw,
     paper_losses.net_bw_losses,
-    fields=("mask", "xyz", "backward"),
     nodes=node_per_pixel,
     inputs=coordinate_input,
     ship_width=0.125,
@@ -136,7 +129,6 @@ PRESETS: dict[str, Preset] = {
         FilmNetConfig(),
         FilmNet,
         loss_terms,
-        fields=(*_MAPS, "normal", "orientation", "weight"),
         weights=asdict(LossWeights()),
         own_feed=FILM_FEED,
         batch=32,
@@ -146,7 +138,6 @@ PRESETS: dict[str, Preset] = {
         UprightNetConfig(),
         UprightNet,
         upright_losses,
-        fields=(),
         own_feed=print_feed(UprightNetConfig()),
         batch=8,
         learning_rate=3e-3,
@@ -155,20 +146,18 @@ PRESETS: dict[str, Preset] = {
         EdgeNetConfig(),
         EdgeNet,
         edge_losses,
-        fields=(),
         own_feed=edge_feed(EdgeNetConfig()),
         batch=16,
         learning_rate=2e-3,
     ),
     "firenet": _FIRENET,
-    "firenet_multimap": replace(_FIRENET, config=MULTI_MAP, fields=(*_MAPS, "normal"), nodes=no_nodes),
-    "firenet_uv_only": replace(_FIRENET, config=UV_ONLY, fields=_MAPS, nodes=no_nodes),
+    "firenet_multimap": replace(_FIRENET, config=MULTI_MAP, nodes=no_nodes),
+    "firenet_uv_only": replace(_FIRENET, config=UV_ONLY, nodes=no_nodes),
     "dewarpnet": _DEWARPNET,
     "dewarpnet_shape": replace(
         _DEWARPNET,
         build=ShapeNet,
         losses=paper_losses.shape_net_losses,
-        fields=("mask", "xyz"),
         weights={},
         nodes=no_nodes,
     ),
@@ -176,9 +165,7 @@ PRESETS: dict[str, Preset] = {
         _DEWARPNET, build=BackwardNet, losses=paper_losses.backward_net_losses, inputs=coordinate_input
     ),
     "net_bw": _NET_BW,
-    "net_uv": replace(
-        _NET_BW, build=NetUv, losses=paper_losses.net_uv_losses, fields=("mask", "xyz", "uv"), nodes=no_nodes
-    ),
+    "net_uv": replace(_NET_BW, build=NetUv, losses=paper_losses.net_uv_losses, nodes=no_nodes),
 }
 """DewarpNet's stages are trained apart first, shape from photos and the map from true 3D maps. ``dewarpnet.joined``
 makes one network of them, which "dewarpnet" trains further."""
