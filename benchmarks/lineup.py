@@ -17,7 +17,7 @@ import numpy as np
 
 from benchmarks.cases import Case
 from benchmarks.methods import METHODS, Flattened, Method, configured, path_in
-from benchmarks.published import dewarpnet_published, full_dewarpnet, full_dewarpnet_published, full_firenet
+from benchmarks.published import full_dewarpnet, full_dewarpnet_published, full_firenet
 from benchmarks.scanner import map_of_corners, scan, true_corners
 from hybrid.coords import opencv_from_photo
 from hybrid.errors import ConfigError, describe
@@ -116,7 +116,7 @@ LINEUP: dict[str, Maker] = {
     "dewarpnet_published_full": full_dewarpnet_published,
     "dewarpnet_full": full_dewarpnet,
     "firenet_full": full_firenet,
-    "dewarpnet_published": dewarpnet_published,
+    "dewarpnet_published": METHODS["dewarpnet_published"],
     "dewarpnet": METHODS["dewarpnet"],
     "firenet": METHODS["firenet"],
     "filmnet_one_look": METHODS["filmnet_one_look"],

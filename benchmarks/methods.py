@@ -21,6 +21,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import torch
 from jaxtyping import Float, UInt8
@@ -29,8 +30,8 @@ from torch import nn
 from benchmarks.cases import Case, TrueShape, true_shape
 from hybrid.backward import BackwardMap
 from hybrid.errors import PhotoError
-from hybrid.learn.baselines import corrected, in_pixels, recover
-from hybrid.learn.dewarpnet import joined
+from hybrid.learn.baselines import corrected, dewarpnet_map, in_pixels, published_image, published_map, recover
+from hybrid.learn.dewarpnet import DewarpNet, joined
 from hybrid.learn.predict import PredictConfig
 from hybrid.learn.presets import PRESETS, PaperConfig
 from hybrid.learn.tensors import first_map
@@ -214,6 +215,7 @@ def of_rectifier(name: str, rectify: Callable[[Any], RectifyResult], label: str 
 
 DEWARPNET_DUE = "DewarpNet, its map read rightly"
 """Label of DewarpNet without what its published inference does to its map."""
+DEWARPNET_PUBLISHED = "DewarpNet as published"
 
 
 def firenet(folder: Path | None, name: str = "firenet") -> Method | None:
@@ -239,6 +241,29 @@ def dewarpnet(folder: Path | None) -> Method | None:
     if known is None:
         return None
     return _of_network("dewarpnet", DEWARPNET_DUE, known, lambda photo: corrected(known.network, photo))
+
+
+def dewarpnet_published(weights: Path | None) -> Method | None:
+    """DewarpNet run as released, with what weights there are: its error, and the run time at their width."""
+    known = trained_dewarpnet(weights)
+    if known is None:
+        return None
+    return Method(
+        "dewarpnet_published",
+        lambda photo: flatten_as_published(known.network, photo).backward,
+        flatten=lambda photo: flatten_as_published(known.network, photo),
+        parameters=known.parameters,
+        label=known.label(DEWARPNET_PUBLISHED),
+        training=known.training,
+    )
+
+
+def flatten_as_published(network: DewarpNet, photo: UInt8[np.ndarray, "h w 3"]) -> Flattened:
+    """The released inference: the map's mean and resize, and a lookup in double precision at the photo's size."""
+    backward = dewarpnet_map(network, photo, cv2.INTER_LINEAR)
+    image = published_image(backward, photo)
+    found = published_map(backward, (image.shape[0], image.shape[1]))
+    return Flattened(found, np.rint(image * 255).astype(np.uint8))
 
 
 def net_bw(folder: Path | None) -> Method | None:
@@ -296,16 +321,20 @@ METHODS: dict[str, Callable[[Path | None], Method | None]] = {
     "firenet_multimap": lambda folder: firenet(folder, "firenet_multimap"),
     "firenet_uv_only": lambda folder: firenet(folder, "firenet_uv_only"),
     "dewarpnet": dewarpnet,
+    "dewarpnet_published": dewarpnet_published,
     "net_bw": net_bw,
     "net_uv": net_uv,
 }
 """How each method is made from a folder of weights; None where neither it nor the package holds its network's."""
 
 __all__ = [
+    "DEWARPNET_DUE",
+    "DEWARPNET_PUBLISHED",
     "METHODS",
     "Flattened",
     "Method",
     "configured",
+    "flatten_as_published",
     "flattened",
     "of_rectifier",
     "path_in",

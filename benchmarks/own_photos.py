@@ -6,10 +6,15 @@ from pathlib import Path
 
 from data_gen.generate import GenerateConfig, generate
 from data_gen.sample import SampleConfig
+from data_gen.sources import PHANTOMS, SourceConfig
 from hybrid.image_io import write_bytes
 
 PHOTO_PX, MAP_PX = 1080, 256
 SHARD = 8
+OTHER_FILMS = 1_000_000
+"""Is added to the seed: no data set that somebody trains on has these films by chance."""
+PHANTOMS_SHOWN = (PHANTOMS, PHANTOMS + 4)
+"""Embedded phantoms that no data set prints that does not name them."""
 
 
 def make_photos(folder: Path, count: int, seed: int) -> Path:
@@ -19,7 +24,15 @@ def make_photos(folder: Path, count: int, seed: int) -> Path:
         sample = SampleConfig(photos_per_film=1)
         generate(
             GenerateConfig(
-                count, folder, seed=seed, size=PHOTO_PX, map_size=MAP_PX, workers=2, shard_size=SHARD, sample=sample
+                count,
+                folder,
+                seed=OTHER_FILMS + seed,
+                size=PHOTO_PX,
+                map_size=MAP_PX,
+                sources=SourceConfig(phantoms=PHANTOMS_SHOWN),
+                workers=2,
+                shard_size=SHARD,
+                sample=sample,
             )
         )
         write_bytes(done, b"")

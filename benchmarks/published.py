@@ -12,17 +12,23 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import torch
 from jaxtyping import UInt8
 from torch import Tensor, nn
 
 from benchmarks.cases import Case
-from benchmarks.methods import DEWARPNET_DUE, Flattened, Method, millions, trained_dewarpnet
+from benchmarks.methods import (
+    DEWARPNET_DUE,
+    DEWARPNET_PUBLISHED,
+    Flattened,
+    Method,
+    flatten_as_published,
+    millions,
+)
 from hybrid.backward import BackwardMap
 from hybrid.coords import film_nodes, pixel_centres, rescale_points
-from hybrid.learn.baselines import corrected, dewarpnet_map, published_image, published_map, recover
+from hybrid.learn.baselines import corrected, recover
 from hybrid.learn.dewarpnet import NODES, BackwardOutput, DewarpNet, DewarpNetConfig
 from hybrid.learn.firenet import FiReNet, FiReNetConfig, FiReNetOutput
 from hybrid.learn.tensors import map_batch
@@ -30,8 +36,6 @@ from hybrid.learn.weights import parameter_count
 
 TIME_ONLY = "time only: random weights"
 """Why these methods are not scored."""
-
-DEWARPNET_PUBLISHED = "DewarpNet as published"
 
 
 class Prompted(nn.Module):
@@ -152,33 +156,8 @@ def _timed(
     )
 
 
-def dewarpnet_published(weights: Path | None) -> Method | None:
-    """DewarpNet run as released, with what weights there are: its error, and the run time at their width."""
-    known = trained_dewarpnet(weights)
-    if known is None:
-        return None
-    return Method(
-        "dewarpnet_published",
-        lambda photo: flatten_as_published(known.network, photo).backward,
-        flatten=lambda photo: flatten_as_published(known.network, photo),
-        parameters=known.parameters,
-        label=known.label(DEWARPNET_PUBLISHED),
-        training=known.training,
-    )
-
-
-def flatten_as_published(network: DewarpNet, photo: UInt8[np.ndarray, "h w 3"]) -> Flattened:
-    """The released inference: the map's mean and resize, and a lookup in double precision at the photo's size."""
-    backward = dewarpnet_map(network, photo, cv2.INTER_LINEAR)
-    image = published_image(backward, photo)
-    found = published_map(backward, (image.shape[0], image.shape[1]))
-    return Flattened(found, np.rint(image * 255).astype(np.uint8))
-
-
 __all__ = [
-    "DEWARPNET_PUBLISHED",
     "TIME_ONLY",
-    "dewarpnet_published",
     "full_dewarpnet",
     "full_dewarpnet_published",
     "full_firenet",

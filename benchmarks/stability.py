@@ -36,7 +36,7 @@ from hybrid.errors import ConfigError, PhotoError, describe
 from hybrid.image_io import write_bytes
 from hybrid.pipeline import Rectifier, RectifyConfig
 from hybrid.records import RectifyResult, StatusCode
-from hybrid.rectify.refine import refine
+from hybrid.rectify.survey import SurveyConfig
 
 TRUTHFUL_PX = 5.0
 """Largest end-point error of a film that is reported ok, in pixels of the photo (1080) before it was damaged; in one
@@ -52,6 +52,18 @@ OWN_PHOTOS = 12
 
 WHOLE = 0.75
 """Share of the sheet in the photo from which a refusal may be called a loss."""
+
+NOTHING_REFUSED = SurveyConfig(
+    min_mask_share=0.0,
+    min_inlier_share=0.0,
+    max_residual=np.inf,
+    min_coverage=0.0,
+    min_overlap=0.0,
+    max_expected_error=np.inf,
+    min_skewness=-np.inf,
+    max_stretch=np.inf,
+)
+"""What the network sees is taken for a film whatever it looks like; a map that turns over is none even so."""
 
 Rectify = Callable[..., RectifyResult]
 """From a photo or its path."""
@@ -190,7 +202,7 @@ def _serve(folders: tuple[Path, ...], options: Options, line: Connection) -> Non
     """Answer numbers with what is tried and then with how it ended."""
     use_threads(options.threads)
     cases, rectifier = sample_cases(folders), Rectifier(RectifyConfig(weights=options.weights))
-    find_anyway = partial(_map_anyway, rectifier)
+    find_anyway = partial(_map_anyway, Rectifier(RectifyConfig(weights=options.weights, survey=NOTHING_REFUSED)))
     while True:
         try:
             number = line.recv()
@@ -207,9 +219,8 @@ def _serve(folders: tuple[Path, ...], options: Options, line: Connection) -> Non
 
 
 def _map_anyway(rectifier: Rectifier, photo: np.ndarray) -> BackwardMap | None:
-    """The refined map of what the network sees, whether or not that is a film."""
-    coarse = rectifier.network_map(photo)
-    return None if coarse is None else refine(photo, coarse, None, rectifier.config.refine).backward
+    """The map of what the networks see, whether or not that is a film."""
+    return rectifier(photo).backward
 
 
 def _rectified(number: int, it: Damaged, rectify: Rectify, find_anyway: FindAnyway) -> DamagedPhoto:

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from benchmarks.cases import Case
 from benchmarks.photos import load_photo
 from benchmarks.results import CaseNote
-from data_gen.card import bend_of, light_of
+from data_gen.card import light_of
 from hybrid.draw import outline_curve
 
 UNKNOWN = "unknown"
@@ -24,13 +24,16 @@ def note_of(case: Case) -> CaseNote:
     if isinstance(case.source, Path):
         truth = load_photo(case.source.with_suffix(".npz"))
         light = "light box" if "back" in truth.meta.get("light", {}) else "room"
-        bend = None if truth.xyz is None else _bend_deg(truth.xyz)
+        bend = None if truth.xyz is None else _bend_deg(_normals(truth.xyz))
         return CaseNote(case.name, truth.style, light, bend, coverage, (height, width), f"{truth.rows}x{truth.cols}")
     shard, k = case.source
     record = shard.record(k)
     light, style = record.get("light", {}), record.get("style", UNKNOWN)
     known = light_of(light) if {"box", "lamps"} <= set(light) else UNKNOWN
-    bend = bend_of(record)[0] if "grid" in record else None
+    bend = None
+    if shard.has("normal"):
+        normal = shard.field("normal", k)
+        bend = _bend_deg(normal[np.isfinite(normal).all(axis=-1)])
     return CaseNote(case.name, style, known, bend, coverage, (height, width))
 
 
@@ -42,13 +45,18 @@ def _coverage(outline: Float[np.ndarray, "n 2"], size: tuple[int, int]) -> float
     return float(drawn.mean())
 
 
-def _bend_deg(xyz: Float[np.ndarray, "n n 3"]) -> float:
-    """The largest angle between the normals of a lattice of points and their mean."""
+def _normals(xyz: Float[np.ndarray, "n n 3"]) -> Float[np.ndarray, "m 3"]:
+    """Unit normals of a lattice of points."""
     across, down = np.gradient(xyz.astype(np.float64), axis=1), np.gradient(xyz.astype(np.float64), axis=0)
-    normal = np.cross(across, down)
-    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
-    mean = normal.mean(axis=(0, 1))
-    return float(np.degrees(np.arccos(np.clip(normal @ (mean / np.linalg.norm(mean)), -1, 1)).max()))
+    normal = np.cross(across, down).reshape(-1, 3)
+    return normal / np.linalg.norm(normal, axis=-1, keepdims=True)
+
+
+def _bend_deg(normal: Float[np.ndarray, "m 3"]) -> float | None:
+    """The largest angle between normals spread over the film and their mean; None without any."""
+    mean = normal.mean(axis=0, dtype=np.float64) if len(normal) else np.zeros(3)
+    length = float(np.linalg.norm(mean))
+    return float(np.degrees(np.arccos(np.clip(normal @ (mean / length), -1, 1)).max())) if length else None
 
 
 __all__ = ["note_of"]

@@ -172,12 +172,13 @@ def _blurred(linear: np.ndarray, lens: Lens, scale: float, rng: np.random.Genera
     if lens.defocus_px * scale > 0.3:
         image = cv2.GaussianBlur(image, (0, 0), lens.defocus_px * scale)
     if lens.motion_px * scale > 0.7:
-        n = int(np.ceil(lens.motion_px * scale)) | 1
-        kernel = np.zeros((n + 2, n + 2), np.float32)
-        angle = rng.uniform(0, np.pi)
-        half = np.array([np.cos(angle), np.sin(angle)]) * n / 2
-        middle = (n + 1) / 2
-        start, stop = np.rint(middle - half).astype(int), np.rint(middle + half).astype(int)
-        cv2.line(kernel, start.tolist(), stop.tolist(), 1.0, 1, cv2.LINE_AA)
-        image = cv2.filter2D(image, -1, kernel / kernel.sum())
+        image = cv2.filter2D(image, -1, _streak(lens.motion_px * scale, rng.uniform(0, np.pi)))
     return np.array(image, dtype=np.float32)
+
+
+def _streak(length_px: float, angle: float) -> Float[np.ndarray, "k k"]:
+    """What a point becomes that moves evenly over this length: a kernel of weights, an odd number of pixels wide."""
+    reach = int(np.ceil(length_px / 2))
+    pixels, along = np.arange(-reach, reach + 1), (film_centres_1d(64) - 0.5) * length_px
+    x, y = (np.maximum(1 - np.abs(along[:, None] * f(angle) - pixels), 0) for f in (np.cos, np.sin))
+    return (y.T @ x / len(along)).astype(np.float32)

@@ -38,7 +38,7 @@ def flat_prints(config: FlatPrintsConfig) -> None:
         path = config.out / f"{k:06d}.jpg"
         if path.exists():
             continue
-        rng = np.random.default_rng([config.seed, k])
+        rng = np.random.default_rng([config.seed, k, 1])  # no film of a data set of that seed
         film_print = make_print(draw_volume(sources, rng), rng)
         while not film_print.parameters["text"]:
             film_print = make_print(draw_volume(sources, rng), rng)

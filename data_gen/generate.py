@@ -7,6 +7,7 @@ import os
 import sys
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field, replace
+from importlib.util import find_spec
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -78,9 +79,13 @@ def generate(config: GenerateConfig) -> None:
     """Write the data set and its card; a progress bar shows rate and time left.
 
     Raises:
-        ConfigError: a folder that holds a data set made otherwise or that another run writes to; no such cluster.
+        ConfigError: a folder that holds a data set made otherwise or that another run writes to; no such cluster; no
+        Open3D, which only an installation with the extra ``data`` has.
         DataError: sources that cannot be read; a disk that is full or fails. What is finished is kept in each case.
     """
+    if find_spec("open3d") is None:
+        do = "Install the package with its extra for that: pip install 'hybrid[data]', or '.[data]' in its folder."
+        raise ConfigError(describe(what="Making data", got="no Open3D", do=do))
     try:
         with sole_writer(config.out):
             _make_shards(config)

@@ -13,7 +13,8 @@ What the surface does not reflect enters, so the lobes below it share 1 - R (Kel
 `roughplastic` of Mitsuba): whatever the roughness, a sheet with diffuse + transmission + clear + 2 haze = 1 and T = 1
 loses nothing, every draw of parameters reflects and lets through at most what comes in, and f(i, o) = f(o, i).
 Left out: light that the film's far surface reflects back through the print, shadows of the film on itself and light
-from one part of it on another; benchmarks/radiance.py says what they amount to.
+from one part of it on another, of which benchmarks/radiance.py says what they amount to; and the table or wall behind
+a film where its surface mirrors that instead of the room.
 
 Light varies slowly over the film, so radiance = gain * T + veil is evaluated on a lattice of film points and enlarged
 to the print; the lattice is the finer, the more the film is a mirror.
@@ -69,7 +70,7 @@ class LitFilm:
 
     film: bent. smooth: the points at which matt light is evaluated. fine: those of reflections, n x n. surface: its
     gloss. sources: near it. inside: (m, m, 1) share of even light that comes out through the surface, on the smooth
-    points. shadow: (n, n, 1) factor on matt light.
+    points. shadow: (n, n, 1) factor on matt light of the seen side, before which all stands that throws shadows.
     """
 
     film: FilmMesh
@@ -82,9 +83,8 @@ class LitFilm:
     shadow: Float[np.ndarray, "n n 1"]
 
     def matt(self, values: Float[np.ndarray, "m m 3"]) -> Float[np.ndarray, "n n 3"]:
-        """Matt light on the fine points, shadows in it."""
-        size = self.shadow.shape[1::-1]
-        return cv2.resize(values.astype(np.float32), size, interpolation=cv2.INTER_LINEAR) * self.shadow
+        """Matt light on the fine points."""
+        return cv2.resize(values.astype(np.float32), self.shadow.shape[1::-1], interpolation=cv2.INTER_LINEAR)
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,10 +122,10 @@ def light_before(lit: LitFilm, room: FilteredEnvironment) -> FilmLight:
     """What the light on the seen side does: scattered by the print, and reflected by the surface."""
     material, light, (lamps, _) = lit.scene.material, lit.scene.light, lit.sources
     entering = lit.inside * entering_light(lit, lit.smooth.normals, room)
-    veil = lit.matt(material.haze * entering) + reflection(lit.fine, light, room, lit.surface)
+    veil = lit.matt(material.haze * entering) * lit.shadow + reflection(lit.fine, light, room, lit.surface)
     for lamp in lamps:
         veil += lamp_highlight(lamp, lit.fine, lit.surface)[..., None] * np.array(lamp.radiance, np.float32)
-    return FilmLight(lit.matt(material.diffuse * entering), veil)
+    return FilmLight(lit.matt(material.diffuse * entering) * lit.shadow, veil)
 
 
 def light_through(lit: LitFilm, behind: Behind) -> FilmLight:

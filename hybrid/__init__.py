@@ -29,3 +29,8 @@ def __getattr__(name: str) -> Any:
     import importlib
 
     return getattr(importlib.import_module(_PLACES[name]), name)
+
+
+def __dir__() -> list[str]:
+    """Public names, also those that were not used yet."""
+    return sorted({*globals(), *__all__})

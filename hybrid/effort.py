@@ -68,12 +68,12 @@ class RectifyConfig:
                 predict=PredictConfig(sides=(0,)),
                 exact=False,
                 resample=ResampleConfig(cubic_below=0.0),
-                trust=TrustConfig(limit_px=20.0, safety=0.8, exact=False),
+                trust=TrustConfig(limit_px=20.0, safety=0.8),
             ),
             "default": RectifyConfig(),
             "thorough": RectifyConfig(again_above=0.0013),
         }
-        if effort not in efforts:
+        if not isinstance(effort, str) or effort not in efforts:
             raise ConfigError(
                 describe(what="Effort", got=repr(effort), allowed=", ".join(efforts), do="Name one of them.")
             )

@@ -16,7 +16,7 @@ from hybrid.learn.network import FilmNet
 from hybrid.learn.predict import look, look_from_sides
 from hybrid.learn.views import film_view, plane_of, whole_view
 from hybrid.pyramid import Photo, Pyramid
-from hybrid.records import CoarseMaps, StageReport
+from hybrid.records import CoarseMaps, StageReport, StatusCode
 from hybrid.rectify.cell_phases import CellPhases
 from hybrid.rectify.consensus import geometric_median
 from hybrid.rectify.edge_paths import EdgesRead, edge_support, look_across, put_on_edges, read_edges
@@ -26,12 +26,15 @@ from hybrid.rectify.glance import VIEW_PX, glance
 from hybrid.rectify.invert import Inversion, NotInverted, agreed, change, fit_backward
 from hybrid.rectify.plane import flat_film
 from hybrid.rectify.refine import Refinement, refine
-from hybrid.rectify.survey import Verdict, expected_error
+from hybrid.rectify.survey import SurveyConfig, Verdict, expected_error, survey_maps, survey_print
 from hybrid.rectify.trust import expected_error_px, film_verdict, signs_of
 from hybrid.strips import EdgeReader
 
 NETWORK_ERROR = 0.008
 """Median error of the networks' map, in parts of the film's size."""
+
+WIDER = 1.25
+"""How many times as wide as the photo the first look is that is tried if none shows a film."""
 
 AS_SURE = 1.6
 """A refinement that expects more than this times the least error of all does not count for their middle."""
@@ -57,6 +60,15 @@ class Clock:
         yield report
         self.reports += (StageReport(name, report.ran, report.reason, time.perf_counter() - start),)
 
+    def counts(self, refinement: Refinement) -> None:
+        """Of stages that ran several times, has what this refinement says of them reported; seconds are of the first
+        run, the others' being in the stages that called for them."""
+        said = {report.name: report for report in refinement.stages}
+        self.reports = tuple(
+            replace(said[report.name], seconds=report.seconds) if report.name in said else report
+            for report in self.reports
+        )
+
 
 @dataclass(frozen=True, eq=False)
 class LastLook:
@@ -72,12 +84,15 @@ class LastLook:
     factor: int
 
 
-def see(network: FilmNet, pyramid: Pyramid, config: RectifyConfig, clock: Clock) -> LastLook:
-    """The network's looks at the photo: at the whole, then at the film, flattened by the plane seen last."""
+def see(network: FilmNet, pyramid: Pyramid, config: RectifyConfig, clock: Clock, wider: float = 1.0) -> LastLook:
+    """The network's looks at the photo: at the whole, then at the film, flattened by the plane seen last.
+
+    wider: the first look is at a square so many times as wide as the photo.
+    """
     predict = config.predict
     with clock.stage("network") as report:
         photo, factor = pyramid.reduced(max(pyramid.photo.shape[:2]) / predict.least_px)
-        (maps,) = look(network, photo, [whole_view((photo.shape[0], photo.shape[1]))])
+        (maps,) = look(network, photo, [whole_view((photo.shape[0], photo.shape[1]), wider)])
         inversion, looks, moved = fit_backward(maps, config.invert), 1, np.inf
         view: BackwardMap | None = None
         while looks < predict.looks and moved > predict.settled:
@@ -95,6 +110,42 @@ def see(network: FilmNet, pyramid: Pyramid, config: RectifyConfig, clock: Clock)
             inversion = inversion.enlarged(factor)
             report.reason = f"{looks} looks, the last explained to {inversion.residual_px:.1f} px"
     return LastLook(maps.enlarged(factor), inversion, view, photo, factor)
+
+
+def check(pyramid: Pyramid, seen: LastLook, config: SurveyConfig) -> Verdict:
+    """Whether what the network saw is one sheet, seen whole, and printed as films are."""
+    verdict = survey_maps(seen.maps, seen.inversion, config)
+    if not verdict.ok or isinstance(seen.inversion, NotInverted):
+        return verdict
+    printed = survey_print(pyramid, seen.inversion.backward, config)
+    return Verdict(printed.code, f"{printed.reason}; {verdict.reason}")
+
+
+def checked(
+    network: FilmNet, pyramid: Pyramid, seen: LastLook, config: RectifyConfig, clock: Clock
+) -> tuple[LastLook, Verdict]:
+    """What the network saw, and whether it is a film; if not, what it sees from a first look that is wider.
+
+    With little room beside it a film may look as if it went on beyond the photo. That counts only if the whole sheet
+    lies in the photo then: of one that does leave it the seen part would be taken for all.
+    """
+    with clock.stage("check") as report:
+        verdict = check(pyramid, seen, config.survey)
+        if verdict.code is StatusCode.NO_FILM:
+            other = see(network, pyramid, config, Clock(), WIDER)
+            second = check(pyramid, other, config.survey)
+            if second.ok and _lies_within(other.inversion, pyramid.photo.shape):
+                seen, verdict = other, Verdict(second.code, f"from a wider look: {second.reason}")
+        report.reason = verdict.reason
+    return seen, verdict
+
+
+def _lies_within(inversion: Inversion | NotInverted, size: tuple[int, ...]) -> bool:
+    """Whether a photo of ``size`` (height, width, ...) shows all of the sheet."""
+    if isinstance(inversion, NotInverted):
+        return False
+    nodes = inversion.backward.nodes
+    return bool((nodes >= 0).all() and (nodes <= np.array(size[1::-1])).all())
 
 
 def see_from_sides(network: FilmNet, seen: LastLook, config: RectifyConfig, clock: Clock) -> list[Inversion]:
@@ -218,6 +269,7 @@ def reread(
     support = edge_support(pyramid, second.backward, reader)
     report.reason += f"; {float(support.min()):.0%} once refined from there"
     surer = second.believed and support.min() > least + options.surer
+    report.reason += ", which counts" if surer else ", which is not surer"
     return replace(second, support=support) if surer else first
 
 
@@ -259,7 +311,7 @@ def trusted(
         if support is None:
             support = edge_support(pyramid, refinement.backward, reader)
         signs = signs_of(pyramid, seen.maps, coarse.backward, refinement, again.enlarged(seen.factor), support, flat)
-        verdict = film_verdict(signs, config.trust)
+        verdict = film_verdict(signs, config.trust, config.exact)
         report.reason = verdict.reason
     return verdict, expected_error_px(signs, config.trust)
 

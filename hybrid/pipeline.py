@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import replace
 from functools import lru_cache, partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from hybrid.backward import BackwardMap, Orientation
 from hybrid.effort import Effort, RectifyConfig
-from hybrid.errors import FusionError, describe
-from hybrid.geometry import Clock, Report, flat_itself, see, see_from_sides, shape_of, trusted
+from hybrid.errors import ConfigError, FusionError, describe
+from hybrid.geometry import Clock, Report, checked, flat_itself, see, see_from_sides, shape_of, trusted
 from hybrid.image_io import as_photo
 from hybrid.learn.edges import edge_reader
 from hybrid.learn.network import FilmNet, FilmNetConfig, fused
@@ -27,27 +28,33 @@ from hybrid.rectify.fuse import fuse
 from hybrid.rectify.invert import Inversion, NotInverted, agreed
 from hybrid.rectify.refine import Refinement
 from hybrid.rectify.resample import Rectified, rectify_photo
-from hybrid.rectify.survey import survey_maps, survey_photo, survey_print
+from hybrid.rectify.survey import survey_photo
 from hybrid.rectify.trust import largest_error_px
 from hybrid.strips import EdgeReader
 from hybrid.threads import one_thread
 
 
 class Rectifier:
-    """Rectifies photos; the network is loaded once, here.
+    """Rectifies photos; the networks are loaded once, here, and once in each process that it is sent to.
 
     Raises:
-        DataError: ``config.weights`` is not a weights file.
+        ConfigError: ``config`` is no RectifyConfig. DataError: ``config.weights`` is not a weights file.
     """
 
     def __init__(self, config: RectifyConfig | None = None) -> None:
-        self.config = config or RectifyConfig()
+        self.config = RectifyConfig() if config is None else config
+        if not isinstance(self.config, RectifyConfig):
+            do = 'For an effort: Rectifier(RectifyConfig.of("fast")).'
+            raise ConfigError(describe(what="Rectifier", got=repr(config), allowed="a RectifyConfig or None", do=do))
         weights = self.config.weights
         self._network: FilmNet = fused(
             packaged_film_net() if weights is None else load_weights(weights, FilmNet, FilmNetConfig)
         )
         self._edges: EdgeReader = edge_reader(fused(packaged_edge_net()))
         self._reader: UprightNet = fused(packaged_upright_net())
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Rectifier, (self.config,)
 
     def __call__(self, source: str | Path | np.ndarray) -> RectifyResult:
         """The flat film of a photo.
@@ -61,7 +68,7 @@ class Rectifier:
         with one_thread():
             return self._rectified(source)
 
-    def fuse(self, sources: Sequence[str | Path | np.ndarray]) -> RectifyResult:
+    def fuse(self, sources: Iterable[str | Path | np.ndarray]) -> RectifyResult:
         """One film of several photos of it, between which phone or lamps moved, so that glare vanishes.
 
         film, glare and confidence are made of all photos; the rest is the first photo's, its map moved to where all
@@ -78,6 +85,7 @@ class Rectifier:
         if isinstance(sources, (str, Path, np.ndarray)):
             do = "Put them into a list, also if they are one array."
             raise FusionError(describe(what="Photos to fuse", got="one source", allowed="a sequence of them", do=do))
+        sources = list(sources)
         if len(sources) < 2:
             do = "Name two or more photos of one film; a single one is rectified."
             raise FusionError(describe(what="Photos to fuse", got=len(sources), allowed="two or more", do=do))
@@ -117,13 +125,8 @@ class Rectifier:
             return RectifyResult(Status(shown.code), clock.reports)
         pyramid = Pyramid(photo)
         seen = see(self._network, pyramid, self.config, clock)
+        seen, verdict = checked(self._network, pyramid, seen, self.config, clock)
         maps, inversion = seen.maps, seen.inversion
-        with clock.stage("check") as report:
-            verdict = survey_maps(maps, inversion, self.config.survey)
-            report.reason = verdict.reason
-            if verdict.ok and not isinstance(inversion, NotInverted):
-                verdict = survey_print(pyramid, inversion.backward, self.config.survey)
-                report.reason = f"{verdict.reason}; {report.reason}"
         if not verdict.ok or isinstance(inversion, NotInverted):
             code = StatusCode.NO_FILM if verdict.ok else verdict.code
             return RectifyResult(Status(code), clock.reports)
@@ -132,6 +135,7 @@ class Rectifier:
         refinement = shape_of(pyramid, inversion.backward, phases, self._edges, sides, self.config, clock)
         flat = flat_itself(pyramid, inversion.backward, phases, refinement, self.config, clock)
         refinement = flat or refinement
+        clock.counts(refinement)
         verdict, expected = trusted(
             self._network, self._edges, pyramid, seen, refinement, flat is not None, self.config, clock
         )

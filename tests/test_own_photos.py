@@ -121,7 +121,7 @@ def test_what_is_not_known_teaches_nothing(made: Path) -> None:
 
 def test_a_network_that_needs_what_is_missing_says_so(made: Path) -> None:
     with pytest.raises(DataError, match=r"no xyz, normal or albedo.*Train FilmNet"):
-        paper_batch(open_places([made]), PaperView(32, 0), np.random.default_rng(0), AugmentConfig())
+        paper_batch(open_places([made]), PaperView(32, 0), [np.random.default_rng(0)], AugmentConfig())
 
 
 def test_training_goes_on_with_pairs(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -114,8 +114,9 @@ def recover(network: FiReNet, photo: UInt8[np.ndarray, "H W 3"]) -> Recovery:
 @torch.inference_mode()
 def _forward(network: torch.nn.Module, px: int, photo: np.ndarray, interpolation: int) -> Any:
     """The network's output for the whole photo, squeezed into its square input."""
-    small = cv2.resize(photo, (px, px), interpolation=interpolation)
-    return network.eval()(image_batch([small]))
+    small = image_batch([cv2.resize(photo, (px, px), interpolation=interpolation)])
+    network = network.eval().to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
+    return network(small.contiguous(memory_format=torch.channels_last))  # a tenth quicker on processors, as FilmNet's
 
 
 def in_pixels(backward: BackwardMap, size: tuple[int, int]) -> BackwardMap:

@@ -34,12 +34,12 @@ class Feed:
     """Data for one kind of network.
 
     open: the places (samples, or prints) of some folders. batch: images and targets of some places for an input of so
-    many pixels, disturbed at random. test: figures of a network on places that it was not trained on, by name.
-    picture: the network on some of these places, drawn; None where there is nothing to draw.
+    many pixels, each disturbed by its own random numbers. test: figures of a network on places that it was not trained
+    on, by name. picture: the network on some of these places, drawn; None where there is nothing to draw.
     """
 
     open: Callable[[Sequence[Path]], list[Any]]
-    batch: Callable[[Sequence[Any], int, np.random.Generator], tuple[Tensor, Any]]
+    batch: Callable[[Sequence[Any], int, Sequence[np.random.Generator]], tuple[Tensor, Any]]
     test: Callable[[nn.Module, Sequence[Any], int, str], dict[str, float]]
     picture: Callable[[nn.Module, Sequence[Any], int, str], Picture] | None = None
 
@@ -52,8 +52,9 @@ def _test_batches(places: Sequence[Any]) -> list[Sequence[Any]]:
 # ---------------------------------------------------------------- FilmNet
 
 
-def _film_batch(places: Sequence[Any], px: int, rng: np.random.Generator) -> tuple[Tensor, Targets]:
-    return batch_of([training_view(place, px, rng, AugmentConfig()) for place in places])
+def _film_batch(places: Sequence[Any], px: int, rngs: Sequence[np.random.Generator]) -> tuple[Tensor, Targets]:
+    pairs = zip(places, rngs, strict=True)
+    return batch_of([training_view(place, px, rng, AugmentConfig()) for place, rng in pairs])
 
 
 @torch.inference_mode()
@@ -109,8 +110,8 @@ FILM_FEED = Feed(open_places, _film_batch, _film_test, _film_picture)
 def paper_feed(nodes: Callable[[int], int], inputs: Callable[[Tensor, Any], Tensor]) -> Feed:
     """Windows of photos with all maps. nodes, inputs: as in a Preset."""
 
-    def batch(places: Sequence[Any], px: int, rng: np.random.Generator) -> tuple[Tensor, PaperTargets]:
-        return paper_batch(places, PaperView(px, nodes(px)), rng, AugmentConfig())
+    def batch(places: Sequence[Any], px: int, rngs: Sequence[np.random.Generator]) -> tuple[Tensor, PaperTargets]:
+        return paper_batch(places, PaperView(px, nodes(px)), rngs, AugmentConfig())
 
     @torch.inference_mode()
     def test(network: nn.Module, places: Sequence[Any], px: int, device: str) -> dict[str, float]:
@@ -118,7 +119,7 @@ def paper_feed(nodes: Callable[[int], int], inputs: Callable[[Tensor, Any], Tens
         the photo), where the network predicts them."""
         rng, rows = np.random.default_rng(0), []
         for part in _test_batches(places):
-            images, targets = paper_batch(part, PaperView(px, nodes(px)), rng, _UNDISTURBED)
+            images, targets = paper_batch(part, PaperView(px, nodes(px)), [rng] * len(part), _UNDISTURBED)
             output = network(inputs(images.to(device), targets.to(device)))
             rows.append(_paper_scores(output, targets))
         return {name: float(np.mean([row[name] for row in rows])) for name in rows[0]}
@@ -126,7 +127,8 @@ def paper_feed(nodes: Callable[[int], int], inputs: Callable[[Tensor, Any], Tens
     @torch.inference_mode()
     def picture(network: nn.Module, places: Sequence[Any], px: int, device: str) -> Picture:
         view = PaperView(px, nodes(px))
-        images, targets = paper_batch(places[:PICTURE_VIEWS], view, np.random.default_rng(0), _UNDISTURBED)
+        shown = places[:PICTURE_VIEWS]
+        images, targets = paper_batch(shown, view, [np.random.default_rng(0)] * len(shown), _UNDISTURBED)
         return _paper_picture(images, targets, network(inputs(images.to(device), targets.to(device))))
 
     return Feed(open_places, batch, test, picture)
@@ -169,9 +171,9 @@ def _open_prints(folders: Sequence[Path]) -> list[Path]:
 def print_feed(config: UprightNetConfig) -> Feed:
     """Patches of flat prints, for a network of that configuration."""
 
-    def batch(paths: Sequence[Path], px: int, rng: np.random.Generator) -> tuple[Tensor, Tensor]:
-        cut = replace(config, input_px=px)
-        views = [upright_view(read_print(path), cut, rng, PrintAugment()) for path in paths]
+    def batch(paths: Sequence[Path], px: int, rngs: Sequence[np.random.Generator]) -> tuple[Tensor, Tensor]:
+        cut, pairs = replace(config, input_px=px), zip(paths, rngs, strict=True)
+        views = [upright_view(read_print(path), cut, rng, PrintAugment()) for path, rng in pairs]
         return torch.from_numpy(np.stack(views)), torch.zeros(len(views), dtype=torch.int64)
 
     @torch.inference_mode()
@@ -179,7 +181,7 @@ def print_feed(config: UprightNetConfig) -> Feed:
         """Shares of films and of patches that are read right, and the mean -log2 of the films' probabilities."""
         rng, rows = np.random.default_rng(0), []
         for part in _test_batches(paths):
-            output = network(batch(part, px, rng)[0].to(device))
+            output = network(batch(part, px, [rng] * len(part))[0].to(device))
             right = [(scores.argmax(dim=-1) == 0).float() for scores in (output.films, output.votes)]
             bits = -output.films.log_softmax(dim=1)[:, 0] / np.log(2)
             rows.append(torch.stack([right[0], right[1].mean(dim=1), bits], dim=1).cpu().numpy())
@@ -196,15 +198,15 @@ def edge_feed(config: EdgeNetConfig) -> Feed:
     """Strips across the edges of films, for a network of that configuration; four of each sample."""
 
     def views(
-        places: Sequence[EdgePlace], px: int, rng: np.random.Generator, augment: EdgeAugment
+        places: Sequence[EdgePlace], px: int, rngs: Sequence[np.random.Generator], augment: EdgeAugment
     ) -> tuple[Tensor, EdgeTargets]:
-        strip = replace(config, input_px=px).strip
-        images, inside, rows = zip(*(edge_view(place, strip, rng, augment) for place in places), strict=True)
+        strip, pairs = replace(config, input_px=px).strip, zip(places, rngs, strict=True)
+        images, inside, rows = zip(*(edge_view(place, strip, rng, augment) for place, rng in pairs), strict=True)
         truth = torch.from_numpy(np.concatenate(rows)).float()
         return strips_tensor(np.concatenate(images), np.concatenate(inside)), EdgeTargets(truth)
 
-    def batch(places: Sequence[Any], px: int, rng: np.random.Generator) -> tuple[Tensor, EdgeTargets]:
-        return views(places, px, rng, EdgeAugment())
+    def batch(places: Sequence[Any], px: int, rngs: Sequence[np.random.Generator]) -> tuple[Tensor, EdgeTargets]:
+        return views(places, px, rngs, EdgeAugment())
 
     @torch.inference_mode()
     def test(network: nn.Module, places: Sequence[Any], px: int, device: str) -> dict[str, float]:
@@ -213,7 +215,7 @@ def edge_feed(config: EdgeNetConfig) -> Feed:
         rng, rows = np.random.default_rng(0), []
         per_row = 100 * 2 * config.strip.reach / px
         for part in _test_batches(places):
-            strips, truth = views(part, px, rng, EdgeAugment(colours=False))
+            strips, truth = views(part, px, [rng] * len(part), EdgeAugment(colours=False))
             logits = network(strips.to(device)).float().cpu()
             shown = ~truth.row.isnan()
             off = (logits[:, :-1].argmax(dim=1) - truth.row).abs()[shown]

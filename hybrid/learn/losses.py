@@ -18,8 +18,8 @@ class Targets(Tensors):
     """Truth at the network's output resolution; 0 where the mask is False.
 
     uv: of the film as seen. grid: of its cells, across and down: where the first begins, pitch, number. orientation:
-    index of what makes it read right. weight: of each view in the loss. has_shape, has_print, has_grid: 1 where xyz and
-    normal, albedo, and the cells are known; 0 where they are not and teach nothing.
+    index of what makes it read right. weight: of what each view says of uv and of its cells. has_shape, has_print,
+    has_grid: 1 where xyz and normal, albedo, and the cells are known; 0 where they are not and teach nothing.
     """
 
     mask: Bool[Tensor, "b h w"]

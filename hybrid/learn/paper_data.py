@@ -32,10 +32,10 @@ class PaperView:
 
 
 def paper_batch(
-    places: Sequence[Place], view: PaperView, rng: np.random.Generator, config: AugmentConfig
+    places: Sequence[Place], view: PaperView, rngs: Sequence[np.random.Generator], config: AugmentConfig
 ) -> tuple[Tensor, PaperTargets]:
-    """Images (B, 3, px, px) float32 in [0, 1] and targets of random windows of some samples."""
-    seen = [_sample(place, view, rng, config) for place in places]
+    """Images (B, 3, px, px) float32 in [0, 1] and targets of random windows of some samples, one of each."""
+    seen = [_sample(place, view, rng, config) for place, rng in zip(places, rngs, strict=True)]
     images = image_batch([image for image, _ in seen])
     names = ("mask", "uv", "xyz", "normal", "albedo", "backward")
     return images.contiguous(), PaperTargets(**{name: map_batch([maps[name] for _, maps in seen]) for name in names})

@@ -1,8 +1,10 @@
 """The losses of the paper, each with its equation, and those of its baselines.
 
 Norms are taken over the two or three numbers of a pixel and averaged over pixels and films, so that neither the
-image's nor the film's size changes a term's weight; the paper's sums differ by these factors only. Maps of the photo
-are compared on the film. There the published code compares whole images with 0 as the background's truth.
+image's nor the film's size changes a term's weight, as they would in the paper's sums. The paper scales all maps to
+[-1, 1] before it adds their terms; here uv, albedo and background lie in [0, 1], coordinates and depth are in diagonals
+of the film, and only normals in [-1, 1]: these count twice as much as there, depth less. Maps of the photo are compared
+on the film. There the published code compares whole images with 0 as the background's truth.
 
 Where the published code differs from the paper (it never puts the terms of equation (3) to use: its training sums L1
 terms alone): the shift and disturbance are squared, the de-shifted difference is a smooth L1 loss and takes the error

@@ -13,6 +13,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -133,7 +134,8 @@ class Rank:
 
 
 class _Batches(Dataset):
-    """This process's part of batch ``step``: a pure function of seed and step, so that a resumed run sees the same."""
+    """This process's part of batch ``step``: image for image a pure function of the seed and of its number in the run,
+    so that a resumed run, or one of another number of processes, sees the same."""
 
     def __init__(self, plan: Plan, places: list[Any], rank: Rank) -> None:
         self.plan, self.places, self.rank = plan, places, rank
@@ -143,11 +145,20 @@ class _Batches(Dataset):
 
     def __getitem__(self, step: int) -> tuple[Tensor, Any]:
         plan, seed = self.plan, self.plan.config.seed
-        epoch, first = divmod(step * plan.batch, len(self.places))
-        order = np.random.default_rng([seed, epoch]).permutation(len(self.places))
-        mine = range(first + self.rank.number, first + plan.batch, self.rank.count)
-        rng = np.random.default_rng([seed, 1, step, self.rank.number])
-        return plan.preset.feed.batch([self.places[order[k % len(order)]] for k in mine], plan.px_at(step), rng)
+        mine = range(step * plan.batch + self.rank.number, (step + 1) * plan.batch, self.rank.count)
+        places = [self.places[_place_of(k, seed, len(self.places))] for k in mine]
+        return plan.preset.feed.batch(places, plan.px_at(step), [np.random.default_rng([seed, 1, k]) for k in mine])
+
+
+def _place_of(image: int, seed: int, count: int) -> int:
+    """Which of ``count`` places an image of the run shows: each once, in another order, before any comes again."""
+    epoch, k = divmod(image, count)
+    return int(_order(seed, epoch, count)[k])
+
+
+@lru_cache(maxsize=2)
+def _order(seed: int, epoch: int, count: int) -> np.ndarray:
+    return np.random.default_rng([seed, epoch]).permutation(count)
 
 
 def train(config: TrainConfig) -> None:

@@ -27,9 +27,9 @@ def square_view(centre: tuple[float, float], side: float, turn: float = 0.0) -> 
     return BackwardMap(side * middle @ np.array([[cos, sin], [-sin, cos]]) + np.asarray(centre))
 
 
-def whole_view(size: tuple[int, int]) -> BackwardMap:
-    """The smallest square around a photo of ``size`` (height, width)."""
-    return square_view((size[1] / 2, size[0] / 2), float(max(size)))
+def whole_view(size: tuple[int, int], wider: float = 1.0) -> BackwardMap:
+    """The smallest square around a photo of ``size`` (height, width), or one so many times as wide."""
+    return square_view((size[1] / 2, size[0] / 2), wider * max(size))
 
 
 def film_view(film: BackwardMap, margin: float) -> BackwardMap:

@@ -126,8 +126,9 @@ def step(network: MassSpring, frame: Frame, loads: Loads, config: StepConfig) ->
     velocity = _bounded_velocity(problem, result, frame, config)
     mesh = frame.mesh.bent(result.x.reshape(frame.mesh.vertices.shape))
     largest = result.state.largest
-    status = FrameStatus.OK if result.converged else FrameStatus.UNCONVERGED
-    status = FrameStatus.STRETCHED if largest > config.strain_limit else status
+    status = FrameStatus.STRETCHED if largest > config.strain_limit else FrameStatus.OK
+    if not result.converged:  # then the strain is not yet that of the loads
+        status = FrameStatus.UNCONVERGED
     acceleration = (velocity - frame.velocity) / config.dt_s
     return Frame(mesh, velocity, result.iterations, result.moved, largest, result.residual, status, acceleration)
 

@@ -11,9 +11,13 @@ from typing import Any
 
 
 class _CallableRoom(ModuleType):
-    def __call__(self, photo: Any, *options: Any, **named: Any) -> Any:
+    def __call__(self, photo: Any, effort: str = "default") -> Any:
         """Rectify one photo; see ``hybrid.pipeline.rectify``."""
-        return importlib.import_module("hybrid.pipeline").rectify(photo, *options, **named)
+        return importlib.import_module("hybrid.pipeline").rectify(photo, effort)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Another process, as of a pool, imports the room by its name."""
+        return importlib.import_module, (self.__name__,)
 
 
 sys.modules[__name__].__class__ = _CallableRoom

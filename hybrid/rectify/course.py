@@ -252,7 +252,7 @@ def unstretched(progress: Progress, config: RefineConfig, watch: Stopwatch) -> P
     watch.lap("sheet")
     still = _Attempt(no_displacement(config.spline))
     begun = Progress(scene, outline, still, layout, sheet=sheet, sheets=progress.sheets + 1)
-    return _round(begun, config.line_rounds, _matchers(config)[-1], config, watch)
+    return _round(begun, max(config.line_rounds, 1), _matchers(config)[-1], config, watch)
 
 
 def ended(progress: Progress, config: RefineConfig, watch: Stopwatch) -> Course:

@@ -101,7 +101,8 @@ def deilluminate(
 ) -> Deillumination:
     """The print in display grey from the flat film with its light.
 
-    grid: the slice grid; its cells then are the tiles in which white is looked for, and tell what is black in all.
+    grid: the slice grid: there are as many tiles as slices then in which white is looked for, and slices tell what is
+    black in all of them.
     """
     config = config or DeilluminateConfig()
     small, small_valid = _small_copy(rectified, valid, config.work_px)

@@ -99,14 +99,15 @@ def film_size(
     """
     config = config or FilmSizeConfig()
     measured = film_aspect(maps, backward) if aspect is None else aspect
-    return bounded_size(backward, snap_aspect(measured, grid, config, exact=aspect is not None), config)
+    snapped = snap_aspect(measured, grid, config, exact=aspect is not None)
+    return bounded_size(backward, float(np.clip(snapped, 1.0 / config.max_aspect, config.max_aspect)), config)
 
 
 def bounded_size(backward: BackwardMap, aspect: float, config: FilmSizeConfig) -> tuple[int, int]:
-    """Size (h, w) in pixels of a film of that height over width, of about as many pixels as the photo has of it."""
-    aspect = float(np.clip(aspect, 1.0 / config.max_aspect, config.max_aspect))
+    """Size (h, w) in pixels of a film of that height over width, of about as many pixels as the photo has of it; its
+    longer side is never longer than allowed, whatever that makes of the shorter."""
     down, across = backward.mean_film_pixels()
     width = max(across, down / aspect)
-    width *= min(1.0, config.max_side_px / max(width, width * aspect))
     width *= max(1.0, config.min_side_px / min(width, width * aspect))
-    return round(width * aspect), round(width)
+    width *= min(1.0, config.max_side_px / max(width, width * aspect))
+    return max(round(width * aspect), 1), max(round(width), 1)

@@ -16,9 +16,14 @@ from hybrid.coords import film_nodes
 from hybrid.pyramid import Pyramid
 from hybrid.rectify.refine import Refinement
 from hybrid.rectify.trust import cells_alike
+from hybrid.strips import SIDES
 
 NEAR_FRAME = 0.05
 """Largest distance between the film as the network sees it and the photo's frame, in parts of the frame's diagonal."""
+
+BESIDE_FRAME = 0.005
+"""A sheet all of whose edges are seen, and further off the frame than this in parts of its diagonal, has something
+around it."""
 
 AS_ALIKE = 0.95
 """Cells are as alike in the photo as it is where they are so by this part of how alike they are through maps refined
@@ -39,9 +44,10 @@ def already_flat(
     """
     size = (pyramid.photo.shape[0], pyramid.photo.shape[1])
     frame = frame_of(size)
-    off = float(np.linalg.norm(coarse.photo_from_film(film_nodes((33, 33))) - frame.nodes, axis=-1).max())
-    if off > NEAR_FRAME * float(np.hypot(*size)):
+    if _off(coarse, frame) > NEAR_FRAME:
         return None, "the film does not fill the photo"
+    if refined.believed and refined.edges == len(SIDES) and _off(refined.backward, frame) > BESIDE_FRAME:
+        return None, "the sheet's edges are seen inside the photo"
     framed = exactly(frame)
     if framed.grid is None:
         return None, "no grid tells whether the photo is the flat film itself"
@@ -50,10 +56,16 @@ def already_flat(
         max(cells_alike(pyramid, m, grid) for grid in grids) for m in (frame, framed.backward, refined.backward)
     )
     reason = f"cells are alike to {straight:.0%} as the photo is, to {max(refined_ones):.0%} through a refined map"
-    if straight < AS_ALIKE * max(refined_ones):
+    if straight <= 0 or straight < AS_ALIKE * max(refined_ones):
         return None, reason
     grid = replace(framed.grid, vertices_photo=frame.photo_from_film(framed.grid.vertices))
     return replace(framed, backward=frame, grid=grid, expected_px=None, aspect=None), reason
+
+
+def _off(backward: BackwardMap, frame: BackwardMap) -> float:
+    """The largest distance of a map from a photo's frame, in parts of its diagonal."""
+    off = backward.photo_from_film(film_nodes((33, 33))) - frame.nodes
+    return float(np.linalg.norm(off, axis=-1).max() / np.linalg.norm(frame.nodes[-1, -1]))
 
 
 __all__ = ["already_flat", "frame_of"]

@@ -269,8 +269,8 @@ def fuse(
     """One result of several photos of one film, lying as in the first of them.
 
     results: of the photos; a film was found in the first, and photos without one are left out. film, glare and
-    confidence are made of all; rectified, backward and grid are of the first photo, moved to where those photos
-    together say that the print lies whose maps are sure, or all if none is; status and expected error are theirs.
+    confidence are made of all; rectified and backward are of the first photo, moved to where those photos together say
+    that the print lies whose maps are sure, or all if none is; status, expected error and grid are theirs.
 
     Raises:
         FusionError: the photos show different films.
@@ -282,6 +282,7 @@ def fuse(
     if base.backward is None:
         raise FusionError(describe(what="Photos that cannot be fused", got="one without a map", do="Leave it out."))
     used, maps, shifts, found_in, notes = [photos[0]], [base.backward], [np.zeros((NODES, NODES, 2))], [base], []
+    grids = [base.grid]
     for number, (photo, result) in enumerate(zip(photos[1:], results[1:], strict=True), start=2):
         if not result.status.has_film:
             notes.append(f"photo {number} left out: no film was found in it")
@@ -292,12 +293,24 @@ def fuse(
         used.append(photo)
         maps.append(found.turned)
         shifts.append(found.shift)
+        grids.append(result.grid and result.grid.turned(found.way))
         found_in.append(result)
     counts = [one.status.ok for one in found_in] if any(one.status.ok for one in found_in) else [True] * len(used)
     asked = [one for one, counted in zip(found_in, counts, strict=True) if counted]
-    maps = [read_beside(own, shift) for own, shift in zip(maps, to_common(shifts, counts), strict=True)]
+    shifts = to_common(shifts, counts)
+    lengths = [max(own.mean_film_pixels()) for own in maps]
+    maps = [read_beside(own, shift) for own, shift in zip(maps, shifts, strict=True)]
     flats = [rectify_photo(photo, backward, size, resample) for photo, backward in zip(used, maps, strict=True)]
-    grid = base.grid and replace(base.grid, vertices_photo=maps[0].photo_from_film(base.grid.vertices))
+    seen = [
+        (grid, shift)
+        for grid, shift, counted in zip(grids, shifts, counts, strict=True)
+        if counted and grid is not None
+    ]
+    grid = None
+    if seen:
+        surest, shift = max(seen, key=lambda one: one[0].confidence)
+        vertices = surest.vertices - BackwardMap(shift).photo_from_film(surest.vertices)
+        grid = replace(surest, vertices=vertices, vertices_photo=maps[0].photo_from_film(vertices))
     lights = [deilluminate(flat.image, flat.valid, grid, light) for flat in flats]
     fused = merge(
         [one.film for one in lights],
@@ -309,7 +322,11 @@ def fuse(
     reason = f"{len(used)} photos; {'; '.join(notes)}; shares {shares}"
     others = sum(stage.seconds for one in results[1:] for stage in one.stages)
     report = StageReport("fuse", True, reason, others + perf_counter() - start)
-    errors = [one.expected_error_px for one in asked if one.expected_error_px is not None]
+    errors = [
+        one.expected_error_px * lengths[0] / length
+        for one, length, counted in zip(found_in, lengths, counts, strict=True)
+        if counted and one.expected_error_px is not None
+    ]
     return replace(
         base,
         status=asked[0].status,

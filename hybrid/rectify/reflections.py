@@ -77,7 +77,7 @@ def find_reflections(
     # Thin strokes are no reflections, wherever they are.
     dark = cv2.morphologyEx(light.astype(np.float32), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
     cells = _cells(grid, light.shape)
-    black = np.where(valid, _share_black(dark, cells, grid, config), np.float32(0.0))
+    black = np.where(valid, _share_black(dark, valid, cells, grid, config), np.float32(0.0))
     black = cv2.erode(black, np.ones((2 * config.margin_px + 1,) * 2, np.uint8))
     known = black >= config.black_share
     brightest = _across_borders(np.where(known, dark, 0.0), black >= config.sure_share, cells, grid, config)
@@ -120,9 +120,15 @@ def _places(lines: Float[np.ndarray, " k"], samples: int) -> Float[np.ndarray, "
     return np.interp(centres_1d(samples * (len(lines) - 1)) / samples, np.arange(len(lines)), lines)
 
 
-def _share_black(dark: Grey, cells: _Cells, grid: SliceGrid, config: ReflectionConfig) -> Grey:
-    """In which share of the slices the place of each pixel is black; 0 outside the grid."""
-    share = (seen_slices(dark, grid, CELL_SAMPLES) < config.black).mean(axis=(0, 2), dtype=np.float32)
+def _share_black(
+    dark: Grey, valid: Bool[np.ndarray, "h w"], cells: _Cells, grid: SliceGrid, config: ReflectionConfig
+) -> Grey:
+    """In which share of the slices seen there the place of each pixel is black; 0 outside the grid, and where too few
+    are seen to tell."""
+    seen = seen_slices(valid.astype(np.float32), grid, CELL_SAMPLES) > 0.5
+    black = seen & (seen_slices(dark, grid, CELL_SAMPLES) < config.black)
+    count = seen.sum(axis=(0, 2))
+    share = np.where(count >= config.min_cells, black.sum(axis=(0, 2)) / np.maximum(count, 1), 0.0).astype(np.float32)
     within = (cells.row >= 0)[:, None] & (cells.col >= 0)[None]
     return np.where(within, share[np.ix_(cells.row_place, cells.col_place)], np.float32(0.0))
 

@@ -63,7 +63,10 @@ def shrunk(image: Float[np.ndarray, "h w"], factor: int) -> Float[np.ndarray, "s
     """The same film on fewer pixels, each the mean of ``factor`` by ``factor``."""
     if factor == 1:
         return image
-    return cv2.resize(image, None, fx=1.0 / factor, fy=1.0 / factor, interpolation=cv2.INTER_AREA)
+    size = [
+        max(round(n / factor), 1) for n in image.shape[::-1]
+    ]  # given outright: the whole film, whatever is left over
+    return cv2.resize(image, size, interpolation=cv2.INTER_AREA)
 
 
 def detail(image: Float[np.ndarray, "h w"], fine: float, coarse: float) -> Float[np.ndarray, "h w"]:
