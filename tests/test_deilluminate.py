@@ -240,6 +240,19 @@ def test_an_organ_on_which_a_reflection_lies_stays() -> None:
     np.testing.assert_allclose(found[60:], 0.0, atol=0.02)
 
 
+def test_slices_outside_the_photo_are_not_taken_for_black():
+    """Organs that lie across the border of two slices, in every row, as anatomy that fills its cells does."""
+    film = np.zeros((250, 200), np.float32)
+    for row in range(5):
+        film[50 * row + 14 : 50 * row + 36, 36:64] = film[50 * row + 14 : 50 * row + 36, 136:164] = 0.3
+        film[50 * row + 14 : 50 * row + 36, 86:114] = film[50 * row + 14 : 50 * row + 36, :14] = 0.3
+        film[50 * row + 14 : 50 * row + 36, 186:] = 0.3
+    seen = np.ones(film.shape, bool)
+    seen[100:] = False
+    cut = np.where(seen, film, np.float32(0.0))
+    assert find_reflections(cut, seen, grid_of_cells(), ReflectionConfig(side_px=250)).max() < 0.02
+
+
 def print_of_wedges() -> tuple[np.ndarray, np.ndarray]:
     """Cells with a step wedge each: display grey (h, w), and the step's number (0: none); 10 of 255 levels apart."""
     film, step = np.full(SIZE, 0.05), np.zeros(SIZE, int)

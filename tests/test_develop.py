@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from data_gen.develop import Lens, develop, displayed, tone
+from data_gen.develop import Lens, _streak, develop, displayed, tone
 
 PLAIN = Lens(0.18, 0.0, 0.0, "srgb", 0.0, 0.0, 0.0, 0.0, 0.0, 1e-4, 96)
 
@@ -52,6 +52,17 @@ def test_displayed_is_what_the_photo_shows_without_blur_and_noise():
 
 def test_too_much_light_clips_to_white():
     assert displayed(np.full((1, 1, 3), 50.0), np.full((1, 1, 2), 0.5), PLAIN, 1.0).min() == 1.0
+
+
+@pytest.mark.parametrize("length", [0.8, 1.0, 2.4, 5.0])
+def test_motion_of_any_length_blurs_by_its_length(length: float):
+    kernel = _streak(length, 0.0)
+    assert kernel.sum() == pytest.approx(1.0, abs=1e-5)
+    x = np.arange(kernel.shape[1]) - kernel.shape[1] // 2
+    mean, square = (kernel.sum(axis=0) * x).sum(), (kernel.sum(axis=0) * x**2).sum()
+    assert mean == pytest.approx(0.0, abs=1e-5)
+    assert length**2 / 12 - 1e-3 <= square <= length**2 / 12 + 0.25  # and what bilinear pixels add
+    np.testing.assert_allclose(_streak(length, np.pi / 2), kernel.T, atol=1e-6)
 
 
 def test_a_seed_gives_the_same_bytes():

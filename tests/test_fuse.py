@@ -163,6 +163,18 @@ def test_an_unsure_map_does_not_move_a_sure_one():
     assert result.expected_error_px == pytest.approx(9.0, rel=0.02)
 
 
+def test_the_grid_is_that_of_the_surest_photo_that_counts():
+    first, second = seen(SPOTS[0], 0, error_px=8.0), seen(SPOTS[1], 1, error_px=0.5)
+    blind = first[0], replace(unsure(first)[1], grid=None)
+    result = fused(blind, second)
+    assert result.status.ok
+    assert result.grid is not None
+    assert (result.grid.rows, result.grid.cols) == (DRAWING.rows, DRAWING.cols)
+    lines = MARGIN + pixel_from_film(film_nodes((DRAWING.rows + 1, DRAWING.cols + 1)), SIZE)
+    assert np.linalg.norm(result.grid.vertices_photo - lines, axis=-1)[1:-1, 1:-1].mean() < 1.5  # of 8 px
+    np.testing.assert_allclose(result.backward.photo_from_film(result.grid.vertices), result.grid.vertices_photo)
+
+
 def test_film_beyond_the_photos_edges_is_no_glare():
     first, second = seen(SPOTS[0], 0), seen(SPOTS[1], 1)
     cut = [photo[:, : SIZE[1] // 2] for photo, _ in (first, second)]

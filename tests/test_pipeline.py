@@ -1,5 +1,6 @@
 """The whole way with the packaged network: what is promised of a result, and of photos that hold no film."""
 
+import pickle
 from dataclasses import replace
 from pathlib import Path
 from typing import get_args
@@ -14,9 +15,11 @@ from data_gen.sample import SampleConfig, film_samples
 from hybrid.backward import BackwardMap, Orientation, end_point_error, film_as_seen
 from hybrid.coords import film_nodes
 from hybrid.errors import ConfigError, DataError, PhotoError
-from hybrid.geometry import AS_SURE, as_sure, middle
+from hybrid.geometry import AS_SURE, Clock, as_sure, checked, middle, see
 from hybrid.pipeline import Effort, Rectifier, RectifyConfig
+from hybrid.pyramid import Pyramid
 from hybrid.records import SliceGrid, StatusCode
+from hybrid.rectify.invert import Inversion, NotInverted
 from hybrid.rectify.refine import Refinement
 
 EXAMPLE = Path(hybrid.__file__).parent / "examples" / "film.jpg"
@@ -250,6 +253,32 @@ def test_missing_weights_are_refused(tmp_path):
 
 def test_the_shortcut_is_the_rectifier(photo, result):
     np.testing.assert_array_equal(hybrid.rectify(photo).film, result.film)
+
+
+def test_what_rectifies_can_be_sent_to_other_processes(rectifier, photo, result):
+    sent = pickle.loads(pickle.dumps(rectifier))
+    np.testing.assert_array_equal(sent(photo).film, result.film)
+    assert pickle.loads(pickle.dumps(hybrid.rectify)) is hybrid.rectify
+
+
+def test_public_names_are_listed_before_they_are_used():
+    assert set(hybrid.__all__) <= set(dir(hybrid))
+
+
+def test_a_film_that_the_first_looks_miss_is_found_from_a_wider_one(rectifier, photo):
+    pyramid, clock = Pyramid(photo), Clock()
+    missed = replace(
+        see(rectifier._network, pyramid, rectifier.config, clock), inversion=NotInverted("nothing like a film")
+    )
+    seen, verdict = checked(rectifier._network, pyramid, missed, rectifier.config, clock)
+    assert verdict.ok
+    assert "wider look" in clock.reports[-1].reason
+    assert isinstance(seen.inversion, Inversion)
+    cut = Pyramid(photo[:, : photo.shape[1] // 2].copy())  # of what leaves the photo the rest is not taken for all
+    seen, verdict = checked(
+        rectifier._network, cut, see(rectifier._network, cut, rectifier.config, clock), rectifier.config, clock
+    )
+    assert verdict.code is StatusCode.NO_FILM
 
 
 def test_the_room_named_rectify_answers_as_the_shortcut(photo, result):

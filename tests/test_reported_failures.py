@@ -109,6 +109,20 @@ def test_01_what_was_flattened_is_left_as_it_is(rectifier: Rectifier, plain) -> 
     assert np.linalg.norm(off, axis=-1).max() < 1.0
 
 
+@pytest.mark.parametrize(("inset", "seed"), [(0.02, 2), (0.035, 3)])
+def test_01_a_flat_film_with_a_little_table_around_it_is_cut_out(rectifier: Rectifier, inset: float, seed: int) -> None:
+    print_ = flat_picture(film_print(seed, GUTTERS))
+    beside = round(inset * max(print_.shape))
+    photo = np.full((print_.shape[0] + 2 * beside, print_.shape[1] + 2 * beside, 3), (138, 130, 120), np.uint8)
+    photo = np.clip(photo + np.random.default_rng(0).normal(0, 3, photo.shape), 0, 255).astype(np.uint8)
+    photo[beside:-beside, beside:-beside] = print_
+    found = rectifier(photo)
+    nodes = film_nodes((33, 33))
+    assert found.backward is not None
+    off = found.backward.photo_from_film(nodes) - nodes * np.array(print_.shape[1::-1]) - beside
+    assert np.linalg.norm(off, axis=-1).max() < 2.0
+
+
 @pytest.mark.parametrize("at", [(0.61, 0.5), (0.62, 0.6)])
 def test_02_an_edge_or_a_corner_outside_stretches_nothing(rectifier: Rectifier, at: tuple[float, float]) -> None:
     it = shot(fill=0.85, at=at)

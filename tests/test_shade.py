@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -23,6 +24,7 @@ from data_gen.rooms import Environment, directions, prefilter, procedural_room
 from data_gen.scene import Scene, SceneConfig, sample_scene
 from data_gen.seen_film import seen_film
 from data_gen.shade import FilmLight, film_light, glossy_lattice
+from data_gen.shadows import Shadow
 from hybrid.coords import film_centres_1d
 from hybrid.mesh.camera import Camera, look_at
 from hybrid.mesh.film import FilmMesh, film_mesh
@@ -239,6 +241,17 @@ def test_a_box_shines_through_and_black_print_hides_it():
     assert np.allclose(middle / BOX.radiance, middle[0] / BOX.radiance[0], rtol=0.01)
     assert 0.7 < middle[0] / BOX.radiance[0] < 0.8  # 0.8 less what the surface keeps out
     assert light.veil.max() < 1e-3
+
+
+def test_what_stands_before_a_film_takes_no_light_from_behind_it():
+    shadow = Shadow("head", (0.5, 0.5), 0.0, 1.0, 20.0, 0.8, 0)
+    box = scene(LOBES["all"], replace(LIGHT, front=0.0, box=BOX))
+    before = scene(LOBES["all"])
+    for lit, darker in ((box, False), (before, True)):
+        free, crossed = (film_light(flat(), replace(lit, shadows=casts), EVEN) for casts in ((), (shadow,)))
+        share = crossed.gain[80, 80] / cv2.resize(free.gain, crossed.gain.shape[1::-1])[80, 80]
+        assert (share < 0.95).all() == darker
+        assert (share > 0.99).all() != darker
 
 
 # ---------------------------------------------------------------- lattices, draws

@@ -151,6 +151,18 @@ def test_adaptive_steps_converge_where_a_long_one_is_cut_short():
     assert adapted.mesh.vertices[-1, 0, 2] > 50.0
 
 
+def test_a_step_that_was_cut_short_says_so_even_if_the_film_is_stretched_by_then():
+    network = mass_spring(sheet(levels=1), FilmMaterial())
+    held = np.zeros(network.film.shape)
+    held[0] = held[-1] = np.inf
+    goal = network.film.vertices.copy()
+    goal[-1, :, 1] += 40.0
+    loads = replace(free(network), goal_mm=goal.reshape(-1, 3), goal_stiffness=held.ravel())
+    short = step(network, at_rest(network.film), loads, StepConfig(max_iterations=1))
+    assert short.max_strain > StepConfig().strain_limit
+    assert short.status is FrameStatus.UNCONVERGED
+
+
 def test_same_in_another_place_and_orientation():
     network = mass_spring(sheet(), FilmMaterial())
     turn = rotation(0)

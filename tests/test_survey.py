@@ -147,6 +147,7 @@ def test_size_holds_the_photo_and_stays_bounded():
     assert max(film_size(huge, maps, None)) == FilmSizeConfig().max_side_px
     tiny = true.cropped((0.0, 0.0), (0.01, 0.01))
     assert min(film_size(tiny, maps, None)) == FilmSizeConfig().min_side_px
+    assert max(film_size(huge, maps, None, FilmSizeConfig(min_side_px=64, max_side_px=64))) == 64
 
 
 def test_survey_takes_a_photo_of_any_shape():
