@@ -85,6 +85,9 @@ def report_lines(path: Path, result: RectifyResult, files: Iterable[Path]) -> li
     seconds = sum(stage.seconds for stage in result.stages)
     lines = [str(path), *(f"  {stage}" for stage in result.stages)]
     lines.append(f"  {status_word(result)}  {result.status}  ({seconds:.2f} s)")
+    if result.upright_probability is not None and result.upright_probability < 0.5:
+        chance = f"only {result.upright_probability:.0%} probable"
+        lines.append(f"  LOOK  It may lie on its side or mirrored: that it reads right as it is given is {chance}.")
     return lines + [f"  -> {file}" for file in files if SLICES_SUFFIX not in file.parent.name]
 
 

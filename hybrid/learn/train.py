@@ -31,38 +31,48 @@ from hybrid.learn.weights import load_into, save_weights
 
 @dataclass(frozen=True)
 class TrainConfig:
-    """Train a network on a data set made by ``python -m data_gen.generate``.
-
-    data: data set folders. out: folder for checkpoint, curves and weights; a run that was cut off goes on from it.
-    preset: which network (hybrid/learn/presets.py). width: factor on the channels of the paper's networks.
-    input_px: side of the network's input, if not the preset's. start: weights to start from, as for fine-tuning.
-    passes: images shown in all. coarse_share: share of them shown at ``coarse_px``, which costs less, before the rest
-    at the network's own input size (networks with one input size only: none). held_out: the first samples of the data,
-    only tested on (0: no tests). batch, learning_rate: of AdamW with one cosine cycle and a warm-up, if not the
-    preset's. weight_decay: of AdamW. ema: decay of the averaged weights, which are the ones saved. seed: of weights,
-    order and views. loaders: processes that prepare views. steps_per_test: steps from test to test. minutes_per_save:
-    minutes from checkpoint to checkpoint. device: cpu or cuda.
-    """
+    """Train a network on data sets made by ``python -m data_gen.generate``; the same command goes on with a run that was
+    cut off."""
 
     data: tuple[Path, ...]
+    """Data set folders."""
     out: Path
+    """Folder for checkpoint, curves and weights."""
     preset: str = "filmnet"
+    """Which network: filmnet, upright, edges, or one of the paper's (docs/training.md lists all)."""
     width: float | None = None
+    """Factor on the channels of the paper's networks."""
     input_px: int | None = None
+    """Side of the network's input, if not the preset's."""
     start: Path | None = None
+    """Weights to start from, as for fine-tuning."""
     passes: int = 200_000
+    """Images shown in all."""
     coarse_share: float = 0.0
+    """Share of them shown at ``coarse_px``, which costs less, before the rest at the network's own input size (networks
+    with one input size only: none)."""
     coarse_px: int = 128
+    """Side of the input of that share."""
     held_out: int = 512
+    """The first samples of the data, only tested on; 0 for no tests."""
     batch: int | None = None
+    """Images of a step, if not the preset's."""
     learning_rate: float | None = None
+    """Of AdamW with a warm-up and one half cosine, if not the preset's."""
     weight_decay: float = 1e-2
+    """Of AdamW."""
     ema: float = 0.998
+    """Decay of the averaged weights, which are the ones saved."""
     seed: int = 0
+    """Of weights, order and views."""
     loaders: int = 1
+    """Processes that prepare views."""
     steps_per_test: int = 500
+    """Steps from test to test."""
     minutes_per_save: float = 3.0
+    """Minutes from checkpoint to checkpoint."""
     device: str = "cpu"
+    """cpu or cuda."""
 
 
 @dataclass(frozen=True)
