@@ -16,10 +16,19 @@ MIN_NODES = 4
 """A cubic spline needs four nodes along each axis."""
 
 
+@lru_cache(maxsize=8)
+def _node_splines(n_nodes: int):
+    """The cubic splines that are 1 at one node and 0 at the others, and their derivatives."""
+    spline = make_interp_spline(node_centres_1d(n_nodes), np.eye(n_nodes), k=3)
+    return spline, spline.derivative()
+
+
 def spline_weights(n_nodes: int, t: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n g"]:
-    """Weights of the g node values in the cubic spline through them, at film coordinates ``t`` of one axis."""
-    nodes = node_centres_1d(n_nodes)
-    return make_interp_spline(nodes, np.eye(n_nodes), k=3)(t)
+    """Weights of the g node values in the cubic spline through them, at film coordinates ``t`` of one axis; beyond
+    [0, 1] it goes on linearly, as BackwardMap does."""
+    spline, slope = _node_splines(n_nodes)
+    inside = np.clip(t, 0.0, 1.0)
+    return spline(inside) + (t - inside)[:, None] * slope(inside)
 
 
 @lru_cache(maxsize=32)

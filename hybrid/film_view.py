@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import cv2
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
-from scipy.interpolate import make_interp_spline
 
-from hybrid.backward import BackwardMap
-from hybrid.coords import node_centres_1d, opencv_from_photo
+from hybrid.backward import BackwardMap, spline_weights
+from hybrid.coords import opencv_from_photo
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,28 +27,14 @@ class FilmView:
     inside: Bool[np.ndarray, "h w"]
 
 
-@lru_cache(maxsize=8)
-def _node_spline(n_nodes: int):
-    """The cubic splines that are 1 at one node and 0 at the others, and their derivatives."""
-    spline = make_interp_spline(node_centres_1d(n_nodes), np.eye(n_nodes), k=3)
-    return spline, spline.derivative()
-
-
-def extended_weights(n_nodes: int, t: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n g"]:
-    """Weights of node values at coordinates ``t`` of one axis, going on linearly beyond [0, 1] as BackwardMap does."""
-    spline, slope = _node_spline(n_nodes)
-    nearest = np.clip(t, 0.0, 1.0)
-    return spline(nearest) + (t - nearest)[:, None] * slope(nearest)
-
-
 def _lattice_xy(
     nodes: Float[np.ndarray, "gh gw 2"], u: Float[np.ndarray, " w"], v: Float[np.ndarray, " h"]
 ) -> tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"]]:
     """x and y (float32) of all points (u[j], v[i]) of a map with these nodes, apart, as OpenCV reads them quickest: the
     map is separable."""
     gh, gw = nodes.shape[:2]
-    columns = np.tensordot(extended_weights(gh, v), nodes, axes=(1, 0)).astype(np.float32)
-    weights_u = extended_weights(gw, u).astype(np.float32).T
+    columns = np.tensordot(spline_weights(gh, v), nodes, axes=(1, 0)).astype(np.float32)
+    weights_u = spline_weights(gw, u).astype(np.float32).T
     return columns[..., 0] @ weights_u, columns[..., 1] @ weights_u
 
 
@@ -72,4 +56,4 @@ def view_film(
     return FilmView(np.atleast_3d(image).astype(np.float32), u, v, inside)
 
 
-__all__ = ["FilmView", "extended_weights", "view_film"]
+__all__ = ["FilmView", "view_film"]

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from synthetic_film import FilmDrawing, draw_print, make_photo
 
+from hybrid.backward import spline_weights
 from hybrid.coords import film_centres_1d
-from hybrid.film_view import FilmView, _lattice_xy, extended_weights, view_film
+from hybrid.film_view import FilmView, _lattice_xy, view_film
 from hybrid.rectify.follow import follow_comb
 from hybrid.rectify.grid import Comb, GridConfig, find_comb
 from hybrid.rectify.match import MatchConfig, match_cells
@@ -127,5 +128,5 @@ def test_a_view_shows_what_the_map_says():
     expected = true.photo_from_film(np.stack([uu, vv], axis=-1))
     on_one = (np.abs(uu - 0.5) <= 0.5) | (np.abs(vv - 0.5) <= 0.5)  # from corners BackwardMap goes on in another order
     assert np.abs(np.stack(_lattice_xy(true.nodes, u, v), axis=-1) - expected)[on_one].max() < 0.05  # float32
-    assert np.abs(extended_weights(9, u).sum(axis=1) - 1.0).max() < 1e-9
+    assert np.abs(spline_weights(9, u).sum(axis=1) - 1.0).max() < 1e-9
     assert view_film(photo, true, u, v).image.shape == (11, 13, 3)

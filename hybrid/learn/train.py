@@ -31,8 +31,7 @@ from hybrid.learn.weights import load_into, save_weights
 
 @dataclass(frozen=True)
 class TrainConfig:
-    """Train a network on data sets made by ``python -m data_gen.generate``; the same command goes on with a run that was
-    cut off."""
+    """Train a network on data of ``python -m data_gen.generate``; the same command goes on with a run cut off."""
 
     data: tuple[Path, ...]
     """Data set folders."""
