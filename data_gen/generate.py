@@ -84,7 +84,7 @@ def generate(config: GenerateConfig) -> None:
         DataError: sources that cannot be read; a disk that is full or fails. What is finished is kept in each case.
     """
     if find_spec("open3d") is None:
-        do = "Install the package with its extra for that: pip install 'hybrid[data]', or '.[data]' in its folder."
+        do = "Install the package with its extra for that: pip install '.[data]' in the project's folder."
         raise ConfigError(describe(what="Making data", got="no Open3D", do=do))
     try:
         with sole_writer(config.out):
