@@ -256,6 +256,21 @@ def _own_of_slices(detail: Film, grid: SliceGrid) -> Float[np.ndarray, "slices n
     return slices.swapaxes(1, 2).reshape(grid.rows * grid.cols, -1)
 
 
+def _surest_grid(
+    grids: Sequence[SliceGrid | None], shifts: Sequence[Float[np.ndarray, "gh gw 2"]], first: BackwardMap
+) -> SliceGrid | None:
+    """The grid of the greatest confidence, where the print lies on the common film; None without any.
+
+    shifts: of each grid's film beside the common one. first: the common film's map into the photo that it is given for.
+    """
+    seen = [(grid, shift) for grid, shift in zip(grids, shifts, strict=True) if grid is not None]
+    if not seen:
+        return None
+    grid, shift = max(seen, key=lambda one: one[0].confidence)
+    vertices = grid.vertices - BackwardMap(shift).photo_from_film(grid.vertices)
+    return replace(grid, vertices=vertices, vertices_photo=first.photo_from_film(vertices))
+
+
 # ---------------------------------------------------------------- all together
 
 
@@ -301,16 +316,8 @@ def fuse(
     lengths = [max(own.mean_film_pixels()) for own in maps]
     maps = [read_beside(own, shift) for own, shift in zip(maps, shifts, strict=True)]
     flats = [rectify_photo(photo, backward, size, resample) for photo, backward in zip(used, maps, strict=True)]
-    seen = [
-        (grid, shift)
-        for grid, shift, counted in zip(grids, shifts, counts, strict=True)
-        if counted and grid is not None
-    ]
-    grid = None
-    if seen:
-        surest, shift = max(seen, key=lambda one: one[0].confidence)
-        vertices = surest.vertices - BackwardMap(shift).photo_from_film(surest.vertices)
-        grid = replace(surest, vertices=vertices, vertices_photo=maps[0].photo_from_film(vertices))
+    told = [one if counted else None for one, counted in zip(grids, counts, strict=True)]
+    grid = _surest_grid(told, shifts, maps[0])
     lights = [deilluminate(flat.image, flat.valid, grid, light) for flat in flats]
     fused = merge(
         [one.film for one in lights],

@@ -63,9 +63,7 @@ def shrunk(image: Float[np.ndarray, "h w"], factor: int) -> Float[np.ndarray, "s
     """The same film on fewer pixels, each the mean of ``factor`` by ``factor``."""
     if factor == 1:
         return image
-    size = [
-        max(round(n / factor), 1) for n in image.shape[::-1]
-    ]  # given outright: the whole film, whatever is left over
+    size = [max(round(n / factor), 1) for n in image.shape[::-1]]  # not fx and fy: these leave odd pixels over
     return cv2.resize(image, size, interpolation=cv2.INTER_AREA)
 
 
