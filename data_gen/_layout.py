@@ -14,6 +14,7 @@ GRIDS = (
     ((5, 5), 0.04), ((3, 3), 0.04), ((4, 6), 0.04), ((5, 3), 0.03), ((3, 5), 0.03), ((8, 5), 0.03), ((5, 6), 0.02),
     ((7, 5), 0.02), ((5, 7), 0.01), ((6, 6), 0.02), ((7, 6), 0.02), ((8, 6), 0.02), ((6, 8), 0.01), ((4, 7), 0.01),
     ((6, 3), 0.01), ((3, 6), 0.01), ((3, 2), 0.01), ((2, 3), 0.01), ((2, 2), 0.02), ((9, 7), 0.01),
+    ((4, 2), 0.01), ((2, 4), 0.006), ((1, 2), 0.006), ((2, 1), 0.006),
 )  # fmt: skip
 """(rows, cols) and how often."""
 
@@ -39,6 +40,9 @@ class PrintConfig:
     placing_weights: chances of PLACINGS.
     margin_share, text_share, header_share, empty_share: chances of margins, of texts, of a header strip, and of empty
         cells at the end.
+    clear_share, frame_share: chances, where there are margins, that these are bare film, bright as the print's white
+        (DICOM calls them borders of white density), and that a line is drawn through them all around the grid.
+    bright_gap_share: chance that gutters are bright.
     scout_share, windows_share, marks_share: chances of a scout view in the first cell, of several windows on one film,
         and of wedges and crosses in the cells.
     """
@@ -54,6 +58,9 @@ class PrintConfig:
     scout_share: float = 0.1
     windows_share: float = 0.15
     marks_share: float = 0.2
+    clear_share: float = 0.2
+    frame_share: float = 0.2
+    bright_gap_share: float = 0.12
 
     def __post_init__(self) -> None:
         if self.longer_px < 128 or not 0 <= self.longer_spread < 1:
@@ -74,7 +81,9 @@ class Layout:
     pitch_px: (down, across) from cell to cell. gap_px: even, between neighbouring cells, half of it outside the
     outermost. margins_px: (top, right, bottom, left) outside the grid, the header in the top one.
     rule_px: thickness of rules or boxes. boxes: a rule around each cell instead of between them.
-    outer_rules: rules also along the grid's border. film: name of its format, or free.
+    outer_rules: rules also along the grid's border. frame_px: thickness of a line around the grid, in the margins; 0
+    for none. frame_at: its place, in parts of the way from the sheet's edges to the grid. film: name of its format, or
+    free.
     """
 
     rows: int
@@ -87,6 +96,8 @@ class Layout:
     rule_px: int
     boxes: bool
     outer_rules: bool
+    frame_px: int
+    frame_at: float
     film: str
     size_mm: tuple[float, float]
 
@@ -153,9 +164,10 @@ def random_layout(rng: np.random.Generator, config: PrintConfig) -> Layout:
     if style == "gutter":
         gap = 2 * max(1, round(float(np.exp(rng.uniform(np.log(0.003), np.log(0.03)))) * pitch_px[1] / 2))
     rule = int(rng.integers(1, 5)) if style == "rules" else 0
+    frame, framed = int(rng.integers(1, 5)), rng.random() < config.frame_share and margins.min() > 0
     layout = Layout(
         rows, cols, pitch_px, gap, tuple(int(m * target) for m in margins), int(header * target), style, rule,
-        bool(boxes), bool(rng.random() < 0.5), film, (0.0, 0.0),
+        bool(boxes), bool(rng.random() < 0.5), frame if framed else 0, float(rng.uniform(0.1, 0.9)), film, (0.0, 0.0),
     )  # fmt: skip
     mm_per_px = long_mm / max(layout.shape)
     return replace(layout, size_mm=(layout.shape[0] * mm_per_px, layout.shape[1] * mm_per_px))

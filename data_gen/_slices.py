@@ -32,9 +32,10 @@ Point = tuple[float, float]
 class Look:
     """Greys of a print, its windows, how slices are placed.
 
-    windows: (level, width) of each. deal: of DEALS. fill: share of the cell that the anatomy takes, over 1 where it is
-    zoomed in. offset: of the anatomy's middle, in cells. round_field: black outside the scanner's circle.
-    scout: a scout view stands in the first cell. interpolation: an OpenCV constant.
+    windows: (level, width) of each. deal: of DEALS. clear: margins, if there are any, are bare film, which is bright.
+    fill: share of the cell that the anatomy takes, over 1 where it is zoomed in. offset: of the anatomy's middle, in
+    cells. round_field: black outside the scanner's circle. scout: a scout view stands in the first cell.
+    interpolation: an OpenCV constant.
     """
 
     windows: tuple[tuple[float, float], ...]
@@ -43,6 +44,7 @@ class Look:
     white: float
     gap_grey: float
     margin_grey: float
+    clear: bool
     rule_grey: float
     fill: float
     offset: Point
@@ -72,6 +74,8 @@ def random_look(rng: np.random.Generator, volume: CtVolume, config: PrintConfig)
                 float(np.round(table[i, 1] * np.exp(rng.normal(0, 0.15))))) for i in chosen]  # fmt: skip
     base = float(rng.uniform(0.0, 0.12) * rng.random() ** 0.5)
     lift = [base + (rng.uniform(0.0, 0.12) if rng.random() < share else 0.0) for share in (0.5, 0.25)]
+    clear, bright_gaps = rng.random() < config.clear_share, rng.random() < config.bright_gap_share
+    bare, like_margin = float(rng.uniform(0.6, 1.0)), rng.random() < 0.4
     zoomed = rng.random() < 0.1
     spread = 0.06 if zoomed else 0.02
     return Look(
@@ -79,8 +83,9 @@ def random_look(rng: np.random.Generator, volume: CtVolume, config: PrintConfig)
         deal=str(rng.choice(DEALS[1:])) if several else "one",
         base=base,
         white=float(rng.uniform(0.86, 1.0)),
-        gap_grey=float(lift[0] if rng.random() < 0.7 else 0.0),
-        margin_grey=float(lift[1]),
+        gap_grey=bare if bright_gaps or (clear and like_margin) else float(lift[0] if rng.random() < 0.7 else 0.0),
+        margin_grey=bare if clear else float(lift[1]),
+        clear=bool(clear),
         rule_grey=float(rng.uniform(0.25, 1.0)),
         fill=float(rng.uniform(1.0, 1.35) if zoomed else 0.98 - 0.48 * rng.random() ** 1.5),
         offset=(float(rng.normal(0, spread)), float(rng.normal(0, spread))),

@@ -98,6 +98,8 @@ def _draw_lines(image: Float[np.ndarray, "h w"], layout: Layout, look: Look) -> 
     if look.margin_grey != look.base:
         for strip in (np.s_[: int(ys[0])], np.s_[int(ys[-1]) :], np.s_[:, : int(xs[0])], np.s_[:, int(xs[-1]) :]):
             image[strip] = look.margin_grey
+    if layout.frame_px:
+        _draw_frame(image, layout, look.base if look.clear else look.rule_grey)
     if layout.style == "gutter":
         _draw_bars(image, layout, xs, ys, layout.gap_px, look.gap_grey)
     if layout.style == "rules" and not layout.boxes:
@@ -118,6 +120,17 @@ def _draw_lines(image: Float[np.ndarray, "h w"], layout: Layout, look: Look) -> 
                 np.s_[y : y + h, corner[0] : x + w],
             ):
                 image[strip] = look.rule_grey
+
+
+def _draw_frame(image: Float[np.ndarray, "h w"], layout: Layout, grey: float) -> None:
+    """A line around the grid, through the margins."""
+    top, right, bottom, left = (round(layout.frame_at * margin) for margin in layout.margins_px)
+    height, width = layout.shape
+    frame = np.zeros(layout.shape, bool)
+    frame[top : height - bottom, left : width - right] = True
+    thick = layout.frame_px
+    frame[top + thick : height - bottom - thick, left + thick : width - right - thick] = False
+    image[frame] = grey
 
 
 def _draw_bars(
@@ -143,12 +156,18 @@ def _draw_bars(
 
 def _draw_header(rng: np.random.Generator, image: Float[np.ndarray, "h w"], layout: Layout, look: Look) -> str:
     """A strip above the grid with a line of text that names nobody; the text."""
-    strip = image[: layout.header_px]
-    strip[:] = look.base + rng.uniform(0.0, 0.3)
+    strip, on_bare_film = image[: layout.header_px], look.clear and rng.random() < 0.6
+    strip[:] = look.margin_grey if on_bare_film else look.base + rng.uniform(0.0, 0.3)
     letters = "".join(rng.choice(list("ABCDEFGHIKLMNOPRSTUVXZ0123456789   "), int(rng.integers(12, 60))))
     height = max(6, round(0.4 * layout.header_px))
     sprite = text_sprite(letters, Font(str(rng.choice(FAMILIES)), height))
-    stamp(image, sprite, int(rng.uniform(0.01, 0.5) * image.shape[1]), (layout.header_px - height) // 2, 0.9)
+    stamp(
+        image,
+        sprite,
+        int(rng.uniform(0.01, 0.5) * image.shape[1]),
+        (layout.header_px - height) // 2,
+        look.base if on_bare_film else 0.9,
+    )
     return letters
 
 

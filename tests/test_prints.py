@@ -122,7 +122,7 @@ def test_empty_cells_stand_at_the_end(head: CtVolume):
 
 
 def test_all_grids_and_styles_come_up():
-    layouts = [random_layout(np.random.default_rng(s), PrintConfig(style_weights=(1.0, 1.0, 1.0))) for s in range(400)]
+    layouts = [random_layout(np.random.default_rng(s), PrintConfig(style_weights=(1.0, 1.0, 1.0))) for s in range(1500)]
     assert {(x.rows, x.cols) for x in layouts} == {grid for grid, _ in GRIDS}
     assert {x.style for x in layouts} == set(STYLES)
     aspects = np.array([x.pitch_px[0] / x.pitch_px[1] for x in layouts])
@@ -130,6 +130,45 @@ def test_all_grids_and_styles_come_up():
     assert aspects.min() > 0.5
     assert aspects.max() < 2.0
     assert 0.4 < np.mean([not any(x.margins_px) for x in layouts]) < 0.75
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_clear_margins_are_bright_all_around_and_dark_ones_are_not(empty: CtVolume, seed: int):
+    plain = {**BARE, "style_weights": (1.0, 0.0, 0.0)}
+    for clear_share in (0.0, 1.0):
+        film = make(empty, seed, margin_share=1.0, clear_share=clear_share, frame_share=0.0, **plain)
+        top, right, bottom, left = film.parameters["margins_px"]
+        image = film.image
+        margins = (image[:top], image[image.shape[0] - bottom :], image[:, :left], image[:, image.shape[1] - right :])
+        for margin in (m for m in margins if m.size):
+            assert (margin >= 0.6).all() if clear_share else (margin < 0.3).all()
+
+
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("clear_share", [0.0, 1.0])
+def test_a_frame_runs_through_the_margins_around_the_grid(empty: CtVolume, seed: int, clear_share: float):
+    options = {**BARE, "longer_px": 900, "margin_share": 1.0, "style_weights": (1.0, 0.0, 0.0)}
+    films = [make(empty, seed, clear_share=clear_share, frame_share=share, **options) for share in (0.0, 1.0)]
+    changed = films[0].image != films[1].image
+    assert films[1].parameters["frame_px"] >= 1
+    rows, cols = np.flatnonzero(changed.any(axis=1)), np.flatnonzero(changed.any(axis=0))
+    assert changed[rows[0], cols[0] : cols[-1] + 1].all()
+    assert changed[rows[-1], cols[0] : cols[-1] + 1].all()
+    assert changed[rows[0] : rows[-1] + 1, [cols[0], cols[-1]]].all()
+    thick = films[1].parameters["frame_px"]
+    assert not changed[rows[0] + thick : rows[-1] + 1 - thick, cols[0] + thick : cols[-1] + 1 - thick].any()
+    top, right, bottom, left = films[1].parameters["margins_px"]
+    height, width = changed.shape
+    assert rows[0] <= top
+    assert cols[0] <= left
+    assert rows[-1] >= height - bottom - 1
+    assert cols[-1] >= width - right - 1
+
+
+def test_bright_gutters_are_as_bright_as_bare_film(empty: CtVolume):
+    film = make(empty, 2, style_weights=(0.0, 0.0, 1.0), bright_gap_share=1.0, **BARE)
+    x, y = (round(t) for t in pixel_from_film(film.vertices, film.image.shape)[0, 1])
+    assert (film.image[y + 8, x - 1 : x + 1] >= 0.6).all()
 
 
 def test_slices_follow_the_papers_rule():
