@@ -161,6 +161,11 @@ class BackwardMap:
         """The map of the film read after it was moved as ``way`` says."""
         return BackwardMap(way.moved(self.nodes))
 
+    def outline(self) -> Float[np.ndarray, "n 2"]:
+        """Photo points of the nodes along the sheet's edges, once around from its top-left corner."""
+        nodes = self.nodes
+        return np.concatenate([nodes[0, :-1], nodes[:-1, -1], nodes[-1, :0:-1], nodes[:0:-1, 0]])
+
     def mean_film_pixels(self) -> tuple[float, float]:
         """Mean height and width in photo pixels of the film: lengths of the lattice lines, averaged."""
         across = np.linalg.norm(np.diff(self.nodes, axis=1), axis=-1).sum(axis=1).mean()

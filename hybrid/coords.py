@@ -10,7 +10,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 if TYPE_CHECKING:  # torch takes a second to import, and most users of this module do not need it
     import torch
@@ -118,6 +118,18 @@ def rescale_points(
 ) -> Float[np.ndarray, "*n 2"]:
     """Points of an image of ``from_size`` (h, w) in the frame of the same image resized to ``to_size``."""
     return xy * np.array([to_size[1] / from_size[1], to_size[0] / from_size[0]])
+
+
+def inside_outline(outline: Float[np.ndarray, "n 2"], size: tuple[int, int]) -> Bool[np.ndarray, "h w"]:
+    """Which pixels of a picture of ``size`` (height, width) lie within a closed line of photo points."""
+    import cv2
+
+    at = opencv_from_photo(outline)
+    # fillPoly takes integers with fractional bits; beyond some picture widths nothing is lost by clipping
+    fixed = np.rint(np.clip(at, -10.0 * max(size), 10.0 * max(size)) * 16).astype(np.int32)
+    drawn = np.zeros(size, dtype=np.uint8)
+    cv2.fillPoly(drawn, [fixed], 1, shift=4)
+    return drawn.astype(bool)
 
 
 # ---------------------------------------------------------------- colour

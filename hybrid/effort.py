@@ -9,6 +9,7 @@ from typing import Literal
 from hybrid.errors import ConfigError, describe
 from hybrid.learn.predict import PredictConfig
 from hybrid.learn.upright import UprightConfig
+from hybrid.rectify.cover import CoverConfig
 from hybrid.rectify.deilluminate import DeilluminateConfig
 from hybrid.rectify.edge_paths import EdgeConfig
 from hybrid.rectify.film_size import FilmSizeConfig
@@ -48,6 +49,7 @@ class RectifyConfig:
     size: FilmSizeConfig = field(default_factory=FilmSizeConfig)
     resample: ResampleConfig = field(default_factory=ResampleConfig)
     upright: UprightConfig = field(default_factory=UprightConfig)
+    cover: CoverConfig = field(default_factory=CoverConfig)
     light: DeilluminateConfig = field(default_factory=DeilluminateConfig)
     trust: TrustConfig = field(default_factory=TrustConfig)
     fuse: FuseConfig = field(default_factory=FuseConfig)

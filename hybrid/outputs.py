@@ -249,6 +249,7 @@ def result_record(photo_size: tuple[int, ...], result: RectifyResult) -> dict[st
             "upright_probability": _rounded(result.upright_probability),
         },
         "glare_share": None if result.glare is None else round(float(result.glare.mean()), 5),
+        "covered_share": None if result.covered is None else round(float(result.covered.mean()), 5),
         "confidence": None if result.confidence is None else round(float(result.confidence.mean()), 4),
         "grid": None
         if grid is None

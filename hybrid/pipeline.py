@@ -22,6 +22,7 @@ from hybrid.learn.weights import load_weights, packaged_edge_net, packaged_film_
 from hybrid.pyramid import Pyramid
 from hybrid.records import CoarseMaps, RectifyResult, SliceGrid, Status, StatusCode
 from hybrid.rectify.cell_phases import CellPhases
+from hybrid.rectify.cover import covered_parts
 from hybrid.rectify.deilluminate import deilluminate
 from hybrid.rectify.film_size import bounded_size, film_size
 from hybrid.rectify.fuse import fuse
@@ -164,8 +165,12 @@ class Rectifier:
             way, probability = self._read(flat, report)
             if way.index:
                 flat, backward, grid = flat.turned(way), backward.turned(way), grid and grid.turned(way)
+        with clock.stage("cover") as report:
+            covered = covered_parts(maps, backward, (flat.valid.shape[0], flat.valid.shape[1]), self.config.cover)
+            report.ran = bool(covered.any())
+            report.reason = f"something lies before {covered.mean():.1%} of the film"
         with clock.stage("light") as report:
-            light = deilluminate(flat.image, flat.valid, grid, self.config.light)
+            light = deilluminate(flat.image, flat.valid, grid, self.config.light, covered)
             report.ran, report.reason = light.ran, light.reason
         return RectifyResult(
             status=Status(StatusCode.OK),
@@ -177,6 +182,7 @@ class Rectifier:
             orientation=way,
             upright_probability=probability,
             glare=light.glare,
+            covered=covered,
             confidence=light.confidence,
         )
 

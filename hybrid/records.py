@@ -25,8 +25,8 @@ class CoarseMaps:
     photo_points: (h, w, 2) photo points (full-resolution pixels) of the pixel centres.
     expected_error: how wrong the network expects uv to be, in film units; None where it does not say.
     phases: cosine and sine of where in its cell each pixel lies, a full turn from cell to cell: across the film, then
-        down; the shorter the pair, the less sure. in_grid: probability that a film pixel lies in a cell. None where the
-        network does not say.
+        down; the shorter the pair, the less sure. in_grid: probability that a film pixel lies in a cell. covered: that
+        something lies before a pixel of the sheet. None where the network does not say.
     """
 
     mask: Float[np.ndarray, "h w"]
@@ -37,6 +37,7 @@ class CoarseMaps:
     expected_error: Float[np.ndarray, "h w"] | None = None
     phases: Float[np.ndarray, "h w 2 2"] | None = None
     in_grid: Float[np.ndarray, "h w"] | None = None
+    covered: Float[np.ndarray, "h w"] | None = None
 
     @property
     def film(self) -> Bool[np.ndarray, "h w"]:
@@ -152,7 +153,8 @@ class RectifyResult:
     upright_probability: that the film as it is given reads right; None where nothing could be read.
     glare: (h, w) bool, where the photo is clipped or veiled so that nothing could be recovered; not beyond its edge,
         where the film is black and its confidence 0.
-    confidence: (h, w) float32 in [0, 1], how far the film can be trusted.
+    covered: (h, w) bool, where something lies before the film (a hand, a clip, tape): the film shows it, not the print.
+    confidence: (h, w) float32 in [0, 1], how far the film can be trusted; 0 on glare and where it is covered.
     expected_error_px: mean distance, in pixels of the photo, by which film points are expected to be off; the true one
         is as often larger as smaller.
     limit_px: largest such distance, in pixels of the photo, of a film whose status is OK; effort fast allows more.
@@ -167,6 +169,7 @@ class RectifyResult:
     orientation: Orientation | None = None
     upright_probability: float | None = None
     glare: Bool[np.ndarray, "h w"] | None = field(default=None, repr=False)
+    covered: Bool[np.ndarray, "h w"] | None = field(default=None, repr=False)
     confidence: Float[np.ndarray, "h w"] | None = field(default=None, repr=False)
     expected_error_px: float | None = None
     limit_px: float | None = None

@@ -61,6 +61,7 @@ def random_case(seed=0, b=2, n=8):
         draw(b, n, n) - 3,
         draw(b, 2, 2, n, n) - 0.5,
         draw(b, n, n) - 0.5,
+        draw(b, n, n) - 0.5,
         draw(b, 8),
         draw(b, 3, n, n),
     )
@@ -71,7 +72,8 @@ def targets_of(mask, uv, xyz, albedo, normal) -> Targets:
     """Targets of upright films of 4 x 3 cells that weigh alike."""
     b = len(mask)
     grid = torch.tensor([[0.05, 0.3, 3.0], [0.1, 0.2, 4.0]]).expand(b, 2, 3)
-    return Targets(mask, uv, xyz, albedo, normal, grid, torch.zeros(b, dtype=torch.int64), *torch.ones(4, b))
+    covered = torch.zeros_like(mask)
+    return Targets(mask, uv, xyz, albedo, normal, covered, grid, torch.zeros(b, dtype=torch.int64), *torch.ones(4, b))
 
 
 # ---------------------------------------------------------------- network
@@ -113,7 +115,7 @@ def test_losses_by_hand():
     uv = torch.stack([error, error], dim=1)
     zeros = torch.zeros(2, 2, 2)
     phases = torch.zeros(2, 2, 2, 2, 2)
-    output = FilmNetOutput(zeros, uv, torch.zeros(2, 3, 2, 2), zeros, zeros, phases, zeros, torch.zeros(2, 8))
+    output = FilmNetOutput(zeros, uv, torch.zeros(2, 3, 2, 2), zeros, zeros, phases, zeros, zeros, torch.zeros(2, 8))
     assert float(uv_loss(output, targets)) == pytest.approx(2 * 0.3)
     # One neighbouring pair of film pixels, in the first film only: |0.3 - 0.1| for u and for v.
     assert float(slope_loss(output, targets)) == pytest.approx(0.4 / 2, abs=1e-6)
@@ -131,7 +133,8 @@ def test_a_perfect_prediction_costs_nothing():
     scale = torch.full_like(logit, -3.0)
     phases = cell_phases(targets.uv, targets.grid)
     cells = torch.where(in_grid(targets.uv, targets.grid), 40.0, -40.0)
-    maps = (logit, targets.uv, targets.xyz, targets.albedo, scale, phases, cells)
+    covered = torch.where(targets.covered, 40.0, -40.0)
+    maps = (logit, targets.uv, targets.xyz, targets.albedo, scale, phases, cells, covered)
     perfect = FilmNetOutput(*maps, upright, targets.normal)
     terms = loss_terms(perfect, targets)
     assert all(float(term) < 1e-6 for name, term in terms.items() if name != "scale")
@@ -147,6 +150,7 @@ def test_losses_do_not_see_the_background():
         output.log_scale,
         torch.where(targets.mask[:, None, None], output.phases, 77.0),
         torch.where(targets.mask, output.grid_logit, 77.0),
+        torch.where(targets.mask, output.covered_logit, 77.0),
         output.orientation,
         output.normal,
     )

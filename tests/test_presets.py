@@ -46,6 +46,7 @@ def test_weights_stand_for_terms_that_there_are():
     targets = Targets(
         mask=torch.ones(2, 16, 16, dtype=torch.bool),
         albedo=torch.zeros(2, 16, 16),
+        covered=torch.zeros(2, 16, 16, dtype=torch.bool),
         orientation=torch.zeros(2, dtype=torch.int64),
         weight=torch.ones(2),
         has_shape=torch.ones(2),

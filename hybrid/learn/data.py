@@ -56,7 +56,7 @@ class View:
 
     uv: film coordinates of the film as seen in the view. grid: of its cells, across and down: where the first begins,
     pitch, number; None where they are not known. orientation: index of what makes the film read right. weight: of the
-    view in the loss. has_shape, has_print: whether xyz and normal, and albedo, are known.
+    view in the loss. has_shape, has_print: whether xyz, normal and what covers the film, and albedo, are known.
     """
 
     image: UInt8[np.ndarray, "n n 3"]
@@ -65,6 +65,7 @@ class View:
     xyz: np.ndarray
     albedo: np.ndarray
     normal: np.ndarray
+    covered: np.ndarray
     grid: Float[np.ndarray, "2 3"] | None
     orientation: int
     weight: float
@@ -89,6 +90,7 @@ def training_view(place: Place, px: int, rng: np.random.Generator, config: Augme
         turned_axes(truth.xyz, axes),
         truth.albedo,
         turned_axes(truth.normal, axes),
+        truth.covered,
         None if truth.vertices is None else grid_along(way.seen_from_film(truth.vertices)),
         way.index,
         weight,
@@ -100,7 +102,8 @@ def training_view(place: Place, px: int, rng: np.random.Generator, config: Augme
 def batch_of(views: list[View]) -> tuple[torch.Tensor, Targets]:
     """Images (B, 3, n, n) float32 in [0, 1], channels last, and targets."""
     images = image_batch([v.image for v in views])
-    maps = {name: map_batch([getattr(v, name) for v in views]) for name in ("mask", "uv", "xyz", "albedo", "normal")}
+    names = ("mask", "uv", "xyz", "albedo", "normal", "covered")
+    maps = {name: map_batch([getattr(v, name) for v in views]) for name in names}
     grids = np.stack([UNKNOWN_GRID if v.grid is None else v.grid for v in views])
     return images.contiguous(memory_format=torch.channels_last), Targets(
         **maps,

@@ -60,7 +60,8 @@ def _film_batch(places: Sequence[Any], px: int, rngs: Sequence[np.random.Generat
 @torch.inference_mode()
 def _film_test(network: nn.Module, places: Sequence[Any], px: int, device: str) -> dict[str, float]:
     """Errors of views of each kind: mean |uv error| in % of the film; of windows, the mask's intersection over union
-    and the share of films whose orientation is right."""
+    and the share of films whose orientation is right; of films that a plane flattens, the intersection over union of
+    what covers them, all views together."""
     kinds = {"whole": (1.0, 0.0), "plane": (0.0, 1.0), "bent": (0.0, 0.0)}
     row: dict[str, float] = {}
     for kind, (whole, plane) in kinds.items():
@@ -70,22 +71,27 @@ def _film_test(network: nn.Module, places: Sequence[Any], px: int, device: str) 
         for part in _test_batches(places):
             views = [training_view(place, px, rng, augment) for place in part]
             scores.append(_film_scores(network, *batch_of(views), device))
-        error, overlap, upright = np.concatenate(scores).mean(axis=0)
+        error, overlap, upright, both, either = np.concatenate(scores).mean(axis=0)
         row[f"test_{kind}_percent"] = 100 * float(error)
+        if kind == "plane":
+            row["test_covered_iou"] = float(both / either) if either else 1.0
         if kind == "whole":
             row |= {"test_mask_iou": float(overlap), "test_upright": float(upright)}
     return row
 
 
 def _film_scores(network: nn.Module, images: Tensor, targets: Targets, device: str) -> np.ndarray:
-    """(B, 3): mean distance of uv, intersection over union of the mask, 1 where the orientation is right."""
+    """(B, 5): mean distance of uv, intersection over union of the mask, 1 where the orientation is right; pixels said
+    and known to be covered, and pixels said or known to be."""
     output = network(images.to(device))
     uv, logit, guess = output.uv.cpu(), output.mask_logit.cpu(), output.orientation.cpu().argmax(dim=1)
     inside = targets.mask.float()
     error = ((uv - targets.uv).norm(dim=1) * inside).sum(dim=(1, 2)) / inside.sum(dim=(1, 2)).clamp(min=1)
     both, either = (logit > 0) & targets.mask, (logit > 0) | targets.mask
     overlap = both.sum(dim=(1, 2)) / either.sum(dim=(1, 2)).clamp(min=1)
-    return torch.stack([error, overlap, (guess == targets.orientation).float()], dim=1).numpy()
+    sheet, said = targets.mask | targets.covered, output.covered_logit.cpu() > 0
+    counts = ((said & targets.covered).sum(dim=(1, 2)), ((said & sheet) | targets.covered).sum(dim=(1, 2)))
+    return torch.stack([error, overlap, (guess == targets.orientation).float(), *counts], dim=1).numpy()
 
 
 @torch.inference_mode()

@@ -17,9 +17,10 @@ from hybrid.learn.tensors import Tensors
 class Targets(Tensors):
     """Truth at the network's output resolution; 0 where the mask is False.
 
-    uv: of the film as seen. grid: of its cells, across and down: where the first begins, pitch, number. orientation:
-    index of what makes it read right. weight: of what each view says of uv and of its cells. has_shape, has_print,
-    has_grid: 1 where xyz and normal, albedo, and the cells are known; 0 where they are not and teach nothing.
+    uv: of the film as seen. covered: something lies before the film; never where the mask is True. grid: of its cells,
+    across and down: where the first begins, pitch, number. orientation: index of what makes it read right. weight: of
+    what each view says of uv and of its cells. has_shape, has_print, has_grid: 1 where xyz, normal and what covers the
+    film, albedo, and the cells are known; 0 where they are not and teach nothing.
     """
 
     mask: Bool[Tensor, "b h w"]
@@ -27,12 +28,17 @@ class Targets(Tensors):
     xyz: Float[Tensor, "b 3 h w"]
     albedo: Float[Tensor, "b h w"]
     normal: Float[Tensor, "b 3 h w"]
+    covered: Bool[Tensor, "b h w"]
     grid: Float[Tensor, "b 2 3"]
     orientation: Int64[Tensor, " b"]
     weight: Float[Tensor, " b"]
     has_shape: Float[Tensor, " b"]
     has_print: Float[Tensor, " b"]
     has_grid: Float[Tensor, " b"]
+
+
+COVERED_COUNTS = 4.0
+"""How many times as much as others the places count where something lies before the film."""
 
 
 @dataclass(frozen=True)
@@ -46,6 +52,7 @@ class LossWeights:
     slope: float = 4.0
     scale: float = 0.05
     normal: float = 0.5
+    covered: float = 0.5
     phases: float = 0.25
     grid: float = 0.1
     orientation: float = 0.05
@@ -87,6 +94,14 @@ def normal_loss(output: FilmNetOutput, targets: Targets) -> Float[Tensor, ""]:
     return masked_mean((output.normal - targets.normal).abs().sum(dim=1), targets.mask, targets.has_shape)
 
 
+def covered_loss(output: FilmNetOutput, targets: Targets) -> Float[Tensor, ""]:
+    """Cross-entropy, over the sheet, of whether something lies before it; the rare places where it does count more."""
+    share = torch.tensor(COVERED_COUNTS, dtype=output.uv.dtype, device=output.uv.device)
+    truth = targets.covered.to(output.uv.dtype)
+    error = functional.binary_cross_entropy_with_logits(output.covered_logit, truth, reduction="none", pos_weight=share)
+    return masked_mean(error, targets.mask | targets.covered, targets.has_shape)
+
+
 def cell_phases(uv: Float[Tensor, "b 2 h w"], grid: Float[Tensor, "b 2 3"]) -> Float[Tensor, "b 2 2 h w"]:
     """Cosine and sine of where in its cell each place lies, across and down; a full turn from cell to cell."""
     first, pitch = (grid[..., k, None, None] for k in (0, 1))
@@ -124,6 +139,7 @@ def loss_terms(output: FilmNetOutput, targets: Targets) -> dict[str, Tensor]:
         "slope": slope_loss(output, targets),
         "scale": scale_loss(output, targets),
         "normal": normal_loss(output, targets),
+        "covered": covered_loss(output, targets),
         "phases": phase_loss(output, targets),
         "grid": grid_loss(output, targets),
         "orientation": functional.cross_entropy(output.orientation, targets.orientation),

@@ -36,9 +36,9 @@ class FilmNetOutput:
     axes turned and mirrored with the view, relative to the film's centre, in film diagonals. albedo: display grey of
     the print. log_scale: natural log of the expected absolute error of uv (Laplace). phases: cosine and sine of where
     in its cell each place lies, a full turn from cell to cell; across, then down the film as seen; the shorter the
-    pair, the less sure. grid_logit: in a cell, not in a margin, where positive. orientation: logits of the eight ways
-    in which the film may lie. normal: unit towards the side that reads right, in the axes of xyz, predicted while
-    training only, else None.
+    pair, the less sure. grid_logit: in a cell, not in a margin, where positive. covered_logit: of places on the sheet,
+    something lies before it where positive. orientation: logits of the eight ways in which the film may lie. normal:
+    unit towards the side that reads right, in the axes of xyz, predicted while training only, else None.
     """
 
     mask_logit: Float[Tensor, "b h w"]
@@ -48,11 +48,12 @@ class FilmNetOutput:
     log_scale: Float[Tensor, "b h w"]
     phases: Float[Tensor, "b 2 2 h w"]
     grid_logit: Float[Tensor, "b h w"]
+    covered_logit: Float[Tensor, "b h w"]
     orientation: Float[Tensor, "b 8"]
     normal: Float[Tensor, "b 3 h w"] | None = None
 
 
-_CHANNELS = 1 + 2 + 3 + 1 + 1 + 4 + 1
+_CHANNELS = 1 + 2 + 3 + 1 + 1 + 4 + 1 + 1
 _TRAINING_CHANNELS = 3
 
 
@@ -120,6 +121,7 @@ class FilmNet(nn.Module):
             log_scale=maps[:, 7] - 3.0,
             phases=maps[:, 8:12].unflatten(1, (2, 2)),
             grid_logit=maps[:, 12],
+            covered_logit=maps[:, 13],
             orientation=self.orientation_head(x32.mean(dim=(2, 3))),
             normal=functional.pixel_shuffle(self.training_head(y8), 2) if self.training else None,
         )

@@ -44,14 +44,14 @@ def look(network: FilmNet, photo: UInt8[np.ndarray, "H W 3"], views: Sequence[Ba
     images = torch.from_numpy(np.stack([view_image(photo, view, n) for view in views])).permute(0, 3, 1, 2)
     with torch.inference_mode():
         output = network(images.float().div_(255).contiguous(memory_format=torch.channels_last))
-        mask, in_grid = (torch.sigmoid(logit).numpy() for logit in (output.mask_logit, output.grid_logit))
+        logits = (output.mask_logit, output.grid_logit, output.covered_logit)
+        mask, in_grid, covered = (torch.sigmoid(logit).numpy() for logit in logits)
     uv, xyz = (maps.permute(0, 2, 3, 1).numpy() for maps in (output.uv, output.xyz))
     phases = output.phases.permute(0, 3, 4, 1, 2).numpy()
     albedo, error = output.albedo.clamp(0, 1).numpy(), torch.exp(output.log_scale).numpy()
-    return [
-        CoarseMaps(mask[k], uv[k], xyz[k], albedo[k], output_points(view, n, STRIDE), error[k], phases[k], in_grid[k])
-        for k, view in enumerate(views)
-    ]
+    points = [output_points(view, n, STRIDE) for view in views]
+    columns = (mask, uv, xyz, albedo, points, error, phases, in_grid, covered)
+    return [CoarseMaps(*maps) for maps in zip(*columns, strict=True)]
 
 
 def look_from_sides(

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
 from hybrid.backward import BackwardMap
-from hybrid.coords import opencv_from_photo, rescale_points, rgb_from_bgr
+from hybrid.coords import inside_outline, opencv_from_photo, rescale_points, rgb_from_bgr
 from hybrid.errors import DataError, describe
 from hybrid.learn.coding import ALBEDO_LEVELS, UV_LEVELS, decode_normal, xyz_from_stored
 from hybrid.learn.shards import Shard, open_dataset
@@ -28,9 +28,10 @@ class Truth:
     """The maps of a sample at some photo points; 0 where the mask is False.
 
     uv: film coordinates. xyz: camera axes, relative to the film's centre, in film diagonals. normal: unit, camera axes.
-    albedo: display grey of the print. A map that the sample lacks is 0 everywhere; has_shape: whether it has xyz and
-    normal; has_print: whether it has albedo. vertices: film coordinates of the corners of the cells; None where these
-    are not known.
+    albedo: display grey of the print. covered: something lies before the film; not where the mask is True. A map that
+    the sample lacks is 0 everywhere; has_shape: whether it has xyz and normal, and with them what covers the film;
+    has_print: whether it has albedo. vertices: film coordinates of the corners of the cells; None where these are not
+    known.
     """
 
     mask: Bool[np.ndarray, "h w"]
@@ -38,6 +39,7 @@ class Truth:
     xyz: Float[np.ndarray, "h w 3"]
     albedo: Float[np.ndarray, "h w"]
     normal: Float[np.ndarray, "h w 3"]
+    covered: Bool[np.ndarray, "h w"]
     has_shape: bool
     has_print: bool
     vertices: Float[np.ndarray, "r c 2"] | None
@@ -118,6 +120,7 @@ def truth_at(place: Place, points: Float[np.ndarray, "h w 2"], photo_size: tuple
         _relative(xyz, seen, record) if has_shape else nothing,
         albedo[..., 0] / np.float32(ALBEDO_LEVELS),
         _nearest_normal(place, at, seen) if has_shape else nothing,
+        _covered(place, at, photo_size) & ~seen,
         has_shape,
         has_print="albedo" in maps,
         vertices=np.array(record["grid"]["film"]) if "grid" in record else None,
@@ -140,6 +143,17 @@ def _nearest_normal(place: Place, at: np.ndarray, seen: np.ndarray) -> np.ndarra
     x, y = (np.clip(np.rint(at[..., k]).astype(np.int64), 0, mask.shape[1 - k] - 1) for k in (0, 1))
     known = seen & mask[y, x]
     return np.where(known[..., None], decode_normal(stored[y, x], known), np.float32(0))
+
+
+def _covered(place: Place, at: np.ndarray, photo_size: tuple[int, int]) -> Bool[np.ndarray, "h w"]:
+    """Where a pixel of the maps lies well within the sheet's outline and shows no film, at OpenCV coordinates."""
+    mask = film_mask(place)
+    size = (mask.shape[0], mask.shape[1])
+    inside = inside_outline(rescale_points(film_of(place).outline(), photo_size, size), size)
+    hidden = cv2.erode(inside.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool) & ~mask
+    x, y = (np.rint(at[..., k]).astype(np.int64) for k in (0, 1))
+    within = (x >= 0) & (x < size[1]) & (y >= 0) & (y < size[0])
+    return within & hidden[np.clip(y, 0, size[0] - 1), np.clip(x, 0, size[1] - 1)]
 
 
 def _relative(stored: np.ndarray, seen: np.ndarray, record: dict) -> np.ndarray:

@@ -63,7 +63,8 @@ class Deillumination:
 
     film: (h, w) float32 display grey in [0, 1]; black where the photo does not reach.
     glare: (h, w) bool, clipped or veiled in the photo: nothing could be recovered.
-    confidence: (h, w) float32 in [0, 1], how much of what the photo shows there is print; 0 on glare and outside.
+    confidence: (h, w) float32 in [0, 1], how much of what the photo shows there is print; 0 on glare, outside, and
+        where something lies before the film.
     ran: whether the light was uneven, so that something was removed; reason: the evidence, with numbers.
     """
 
@@ -98,14 +99,17 @@ def deilluminate(
     valid: Bool[np.ndarray, "h w"],
     grid: SliceGrid | None = None,
     config: DeilluminateConfig | None = None,
+    covered: Bool[np.ndarray, "h w"] | None = None,
 ) -> Deillumination:
     """The print in display grey from the flat film with its light.
 
     grid: the slice grid: there are as many tiles as slices then in which white is looked for, and slices tell what is
-    black in all of them.
+    black in all of them. covered: where something lies before the film: it tells nothing of the light, and stays in the
+    film, with no confidence.
     """
     config = config or DeilluminateConfig()
-    small, small_valid = _small_copy(rectified, valid, config.work_px)
+    print_seen = valid if covered is None else valid & ~covered
+    small, small_valid = _small_copy(rectified, print_seen, config.work_px)
     table = _grey_table(small)
     grey = _linear_grey(small, table)
     light = find_light(grey, small_valid, grid, config.light)
@@ -120,12 +124,13 @@ def deilluminate(
     glare = find_clipped(rectified) if small.max() >= CLIPPED else np.zeros(film.shape, bool)
     clipped = np.count_nonzero(glare)
     _add_veiled(glare, light, white - light.pedestal)
-    if not valid.all():
+    if not print_seen.all():
         film[~valid] = 0.0
-        glare &= valid
+        glare &= print_seen
     lost = np.count_nonzero(glare)
     note = f"{decision.reason}; {clipped / glare.size:.1%} clipped, {lost / glare.size:.1%} lost in all"
-    return Deillumination(film, glare, _confidence(light, white - light.pedestal, glare, valid), not decision.yes, note)
+    confidence = _confidence(light, white - light.pedestal, glare, print_seen)
+    return Deillumination(film, glare, confidence, not decision.yes, note)
 
 
 def find_clipped(rectified: UInt8[np.ndarray, "h w 3"]) -> Bool[np.ndarray, "h w"]:

@@ -151,7 +151,7 @@ def _film_of(result: RectifyResult) -> Film:
 
 
 def _untrusted(result: RectifyResult) -> Bool[np.ndarray, "h w"]:
-    """Pixels that show glare, or nothing at all."""
+    """Pixels that show glare, or something before the film, or nothing at all."""
     lost = np.zeros(_film_of(result).shape, bool) if result.glare is None else result.glare
     return lost if result.confidence is None else lost | (result.confidence <= 0)
 
@@ -256,6 +256,19 @@ def _own_of_slices(detail: Film, grid: SliceGrid) -> Float[np.ndarray, "slices n
     return slices.swapaxes(1, 2).reshape(grid.rows * grid.cols, -1)
 
 
+def _cover_on(
+    size: tuple[int, int], result: RectifyResult, way: Orientation, shift: Float[np.ndarray, "gh gw 2"]
+) -> Bool[np.ndarray, "h w"]:
+    """Where something lies before the film of a photo that was moved in one way, on the common film of ``size``.
+
+    shift: of the photo's film beside the common one.
+    """
+    if result.covered is None or not result.covered.any():
+        return np.zeros(size, dtype=bool)
+    own = np.ascontiguousarray(way.moved(result.covered)).astype(np.float32)
+    return _moved_by(cv2.resize(own, size[::-1], interpolation=cv2.INTER_LINEAR), shift) >= 0.5
+
+
 def _surest_grid(
     grids: Sequence[SliceGrid | None], shifts: Sequence[Float[np.ndarray, "gh gw 2"]], first: BackwardMap
 ) -> SliceGrid | None:
@@ -297,7 +310,7 @@ def fuse(
     if base.backward is None:
         raise FusionError(describe(what="Photos that cannot be fused", got="one without a map", do="Leave it out."))
     used, maps, shifts, found_in, notes = [photos[0]], [base.backward], [np.zeros((NODES, NODES, 2))], [base], []
-    grids = [base.grid]
+    grids, ways = [base.grid], [Orientation(0, False)]
     for number, (photo, result) in enumerate(zip(photos[1:], results[1:], strict=True), start=2):
         if not result.status.has_film:
             notes.append(f"photo {number} left out: no film was found in it")
@@ -309,6 +322,7 @@ def fuse(
         maps.append(found.turned)
         shifts.append(found.shift)
         grids.append(result.grid and result.grid.turned(found.way))
+        ways.append(found.way)
         found_in.append(result)
     counts = [one.status.ok for one in found_in] if any(one.status.ok for one in found_in) else [True] * len(used)
     asked = [one for one, counted in zip(found_in, counts, strict=True) if counted]
@@ -318,13 +332,17 @@ def fuse(
     flats = [rectify_photo(photo, backward, size, resample) for photo, backward in zip(used, maps, strict=True)]
     told = [one if counted else None for one, counted in zip(grids, counts, strict=True)]
     grid = _surest_grid(told, shifts, maps[0])
-    lights = [deilluminate(flat.image, flat.valid, grid, light) for flat in flats]
+    covers = [_cover_on(size, *of_photo) for of_photo in zip(found_in, ways, shifts, strict=True)]
+    lights = [
+        deilluminate(flat.image, flat.valid, grid, light, cover) for flat, cover in zip(flats, covers, strict=True)
+    ]
     fused = merge(
         [one.film for one in lights],
-        [one.glare | ~flat.valid for one, flat in zip(lights, flats, strict=True)],
+        [one.glare | ~flat.valid | cover for one, flat, cover in zip(lights, flats, covers, strict=True)],
         [one.confidence for one in lights],
         config.merge,
     )
+    glare = fused.lost & np.logical_or.reduce([one.glare for one in lights])
     shares = ", ".join(f"{share:.0%}" for share in fused.shares)
     reason = f"{len(used)} photos; {'; '.join(notes)}; shares {shares}"
     others = sum(stage.seconds for one in results[1:] for stage in one.stages)
@@ -342,7 +360,8 @@ def fuse(
         rectified=flats[0].image,
         backward=maps[0],
         grid=grid,
-        glare=fused.glare & np.logical_or.reduce([flat.valid for flat in flats]),
+        glare=glare,
+        covered=fused.lost & ~glare & np.logical_or.reduce(covers),
         confidence=fused.confidence,
         stages=(*base.stages, report),
     )

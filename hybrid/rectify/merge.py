@@ -29,7 +29,7 @@ class Fused:
     """The merged film, where no photo tells, how far it can be trusted, and each photo's share in it."""
 
     film: Film
-    glare: Bool[np.ndarray, "h w"]
+    lost: Bool[np.ndarray, "h w"]
     confidence: Film
     shares: tuple[float, ...]
 
@@ -57,7 +57,7 @@ def merge(
 ) -> Fused:
     """One film of several that lie on each other: their mean, weighted by trust, without what differs from the others.
 
-    lost: where a photo tells nothing (glare, or beyond its edge). trust: in [0, 1].
+    lost: where a photo tells nothing (glare, something before the film, or beyond the photo's edge). trust: in [0, 1].
 
     What light leaves behind is broad, and mostly too bright: it is judged on blurred films against their lower median,
     or of two against the one that is trusted more.
@@ -78,12 +78,12 @@ def merge(
         merged += weight * film
         total += weight
         weights.append(weight)
-    glare = np.logical_and.reduce(list(lost))
-    film = np.where(glare, films[0], merged / np.maximum(total, np.float32(1e-9)))
+    nowhere = np.logical_and.reduce(list(lost))
+    film = np.where(nowhere, films[0], merged / np.maximum(total, np.float32(1e-9)))
     best = np.maximum.reduce([np.where(gone, np.float32(0), sure) for gone, sure in zip(lost, trust, strict=True)])
-    shares = tuple(float((weight / np.maximum(total, 1e-9))[~glare].mean()) if not glare.all() else 0.0
+    shares = tuple(float((weight / np.maximum(total, 1e-9))[~nowhere].mean()) if not nowhere.all() else 0.0
                    for weight in weights)  # fmt: skip
-    return Fused(film, glare, best, shares)
+    return Fused(film, nowhere, best, shares)
 
 
 def _blurred(values: Film, sigma: float) -> Film:

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
 from hybrid.backward import BackwardMap
-from hybrid.coords import film_nodes
+from hybrid.coords import film_nodes, inside_outline, photo_from_opencv
 from hybrid.pyramid import Pyramid
 from hybrid.records import CoarseMaps, StatusCode
 from hybrid.rectify.invert import Inversion, NotInverted, apply_homography, fit_homography
@@ -155,14 +155,8 @@ def _shape_verdict(backward: BackwardMap, evidence: str, config: SurveyConfig) -
 def mask_overlap(maps: CoarseMaps, backward: BackwardMap) -> float:
     """Intersection over union of the mask with the film's outline, within the picture that the network saw."""
     mask: Bool[np.ndarray, "h w"] = maps.film
-    nodes = backward.nodes
-    edges = np.concatenate([nodes[0], nodes[1:, -1], nodes[-1, -2::-1], nodes[-2:0:-1, 0]])
-    outline = np.stack(index_in_grid(maps.photo_points, edges), axis=-1)
-    drawn = np.zeros(mask.shape, dtype=np.uint8)
-    # fillPoly takes integers with fractional bits; beyond some picture widths nothing is lost by clipping
-    fixed = np.rint(np.clip(outline, -10.0 * max(mask.shape), 10.0 * max(mask.shape)) * 16).astype(np.int32)
-    cv2.fillPoly(drawn, [fixed], 1, shift=4)
-    inside = drawn.astype(bool)
+    outline = np.stack(index_in_grid(maps.photo_points, backward.outline()), axis=-1)
+    inside = inside_outline(photo_from_opencv(outline), (mask.shape[0], mask.shape[1]))
     union = np.count_nonzero(mask | inside)
     return np.count_nonzero(mask & inside) / union if union else 0.0
 

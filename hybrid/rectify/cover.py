@@ -1,0 +1,52 @@
+"""What lies before the film: hands, clips, tape. Hidden print is marked, never made up."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float
+
+from hybrid.backward import BackwardMap
+from hybrid.coords import film_centres, photo_from_opencv, sample_bilinear
+from hybrid.errors import require_at_least
+from hybrid.records import CoarseMaps
+from hybrid.rectify.resample import index_in_grid
+
+
+@dataclass(frozen=True)
+class CoverConfig:
+    """When a part of the film counts as hidden by something that lies before it."""
+
+    least_chance: float = 0.5
+    """That the network gives to it."""
+    side_px: int = 96
+    """Pixels along each side of the film at which the network's map is read: twice as many as it has."""
+
+    def __post_init__(self) -> None:
+        require_at_least(self, 4, "side_px")
+
+
+def covered_parts(
+    maps: CoarseMaps, backward: BackwardMap, size: tuple[int, int], config: CoverConfig | None = None
+) -> Bool[np.ndarray, "h w"]:
+    """Which pixels of a film image of ``size`` (height, width) show something before the film.
+
+    maps: the network's last look. backward: the film's map, however it is turned.
+    """
+    config = config or CoverConfig()
+    chance = _chance(maps, backward, config)
+    if chance is None:
+        return np.zeros(size, dtype=bool)
+    return np.asarray(cv2.resize(chance, size[::-1], interpolation=cv2.INTER_LINEAR) >= config.least_chance)
+
+
+def _chance(maps: CoarseMaps, backward: BackwardMap, config: CoverConfig) -> Float[np.ndarray, "n n"] | None:
+    """The probability on a small copy of the film; None where it is low in all that the network saw, as in most."""
+    if maps.covered is None or maps.covered.max() < config.least_chance:
+        return None
+    points = backward.photo_from_film(film_centres((config.side_px, config.side_px)))
+    at = photo_from_opencv(np.stack(index_in_grid(maps.photo_points, points), axis=-1))
+    chance = sample_bilinear(np.asarray(maps.covered, dtype=np.float32), at)
+    return chance if chance.max() >= config.least_chance else None

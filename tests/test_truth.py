@@ -1,0 +1,44 @@
+"""Truth of a sample at the points of a view: what lies before the film is told from what is beside it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hybrid.coords import film_nodes, pixel_centres
+from hybrid.learn.samples import truth_at
+from hybrid.learn.shards import Shard
+
+
+class OneSample(Shard):
+    """A shard of one sample without maps but the film's: a flat film in a photo of 160 px, maps of 80 px."""
+
+    def __init__(self, hole: tuple[slice, slice] | None) -> None:
+        self.nodes = 24.0 + 112.0 * film_nodes((5, 5))
+        self.mask = np.zeros((80, 80), bool)
+        self.mask[12:68, 12:68] = True
+        if hole is not None:
+            self.mask[hole] = False
+
+    def stored(self, name: str, index: int) -> np.ndarray:
+        return {"mask": self.mask, "backward": self.nodes, "uv": np.zeros((80, 80, 2), np.uint16)}[name]
+
+    def has(self, name: str) -> bool:
+        return name == "uv"
+
+    def record(self, index: int) -> dict[str, Any]:
+        return {}
+
+
+@pytest.mark.parametrize("hole", [None, (slice(30, 50), slice(50, 80))])
+def test_what_is_hidden_within_the_outline_is_covered(hole):
+    truth = truth_at((OneSample(hole), 0), pixel_centres((160, 160)) + 5.0, (160, 160))
+    assert not (truth.covered & truth.mask).any()
+    expected = np.zeros((160, 160), bool)
+    if hole is not None:
+        expected[55:95, 95:131] = True  # twice as many pixels, five pixels further to the top left
+    wrong = (truth.covered ^ expected).sum()
+    assert wrong <= 0.15 * expected.sum()
+    assert not truth.covered[:, 150:].any(), "beyond the photo nothing is known"
