@@ -41,8 +41,6 @@ class RectifyConfig:
     foreshortening: ForeshorteningConfig = field(default_factory=ForeshorteningConfig)
     refine: RefineConfig = field(default_factory=RefineConfig)
     plane: PlaneConfig = field(default_factory=PlaneConfig)
-    exact: bool = True
-    """Whether the networks' map is made exact by what is seen of the film; else it is only searched for the grid."""
     again_above: float = float("inf")
     """Expected error of a refinement, in parts of the film's longer side, above which it is started from what the
     network saw of each side apart, too; the middle of the surest counts."""
@@ -58,9 +56,10 @@ class RectifyConfig:
     def of(effort: Effort | str) -> RectifyConfig:
         """The options of an effort.
 
-        fast: the networks' map of one side as it is, unless the film is flat, and the photo read bilinearly; a film
-        counts as flattened if it is right to 20 pixels of a photo of 1080. default: the options' own values. thorough:
-        refinement from each side's map, too, unless the first is sure to about a pixel of a photo of 1080.
+        fast: the networks' map of one side, made exact in two rounds without an unstretched sheet, and the photo read
+        bilinearly; a film counts as flattened if it is right to 10 pixels of a photo of 1080. default: the options' own
+        values. thorough: refinement from each side's map, too, unless the first is sure to about a pixel of a photo of
+        1080.
 
         Raises:
             ConfigError: there is no such effort.
@@ -68,9 +67,9 @@ class RectifyConfig:
         efforts = {
             "fast": RectifyConfig(
                 predict=PredictConfig(sides=(0,)),
-                exact=False,
+                refine=RefineConfig(matched=False, sheet_rounds=0),
                 resample=ResampleConfig(cubic_below=0.0),
-                trust=TrustConfig(limit_px=20.0, safety=0.8),
+                trust=TrustConfig(limit_px=10.0, safety=0.5),
             ),
             "default": RectifyConfig(),
             "thorough": RectifyConfig(again_above=0.0013),

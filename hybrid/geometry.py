@@ -22,16 +22,12 @@ from hybrid.rectify.consensus import geometric_median
 from hybrid.rectify.edge_paths import EdgesRead, edge_support, look_across, put_on_edges, read_edges
 from hybrid.rectify.flat import already_flat
 from hybrid.rectify.foreshortening import even
-from hybrid.rectify.glance import VIEW_PX, glance
 from hybrid.rectify.invert import Inversion, NotInverted, agreed, change, fit_backward
 from hybrid.rectify.plane import flat_film
 from hybrid.rectify.refine import Refinement, refine
 from hybrid.rectify.survey import SurveyConfig, Verdict, expected_error, survey_maps, survey_print
 from hybrid.rectify.trust import expected_error_px, film_verdict, signs_of
 from hybrid.strips import EdgeReader
-
-NETWORK_ERROR = 0.008
-"""Median error of the networks' map, in parts of the film's size."""
 
 WIDER = 1.25
 """How many times as wide as the photo the first look is that is tried if none shows a film."""
@@ -206,15 +202,8 @@ def shape_of(
         report.reason = (
             f"cells moved by {moved:.2%} of the film" if report.ran else "the network tells nothing of cells"
         )
-    if config.exact:
-        others = (evened(on_edges(side.backward)) for side in every)
-        return _exact(pyramid, start, phases, read, reader, others, config, clock)
-    look_at = partial(
-        glance, expected=NETWORK_ERROR, config=config.refine, why="the networks' map is kept in this effort"
-    )
-    found = _on_copy(pyramid, start, phases, VIEW_PX, look_at)
-    clock.reports += found.stages
-    return found
+    others = (evened(on_edges(side.backward)) for side in every)
+    return _exact(pyramid, start, phases, read, reader, others, config, clock)
 
 
 def _exact(
@@ -311,7 +300,7 @@ def trusted(
         if support is None:
             support = edge_support(pyramid, refinement.backward, reader)
         signs = signs_of(pyramid, seen.maps, coarse.backward, refinement, again.enlarged(seen.factor), support, flat)
-        verdict = film_verdict(signs, config.trust, config.exact)
+        verdict = film_verdict(signs, config.trust)
         report.reason = verdict.reason
     return verdict, expected_error_px(signs, config.trust)
 

@@ -16,7 +16,8 @@ from hybrid.errors import ConfigError, FusionError, describe
 from hybrid.geometry import Clock, Report, checked, flat_itself, see, see_from_sides, shape_of, trusted
 from hybrid.image_io import as_photo
 from hybrid.learn.edges import edge_reader
-from hybrid.learn.network import FilmNet, FilmNetConfig, fused
+from hybrid.learn.inference import ready
+from hybrid.learn.network import FilmNet, FilmNetConfig
 from hybrid.learn.upright import UprightNet, orientation_chances, upright_way
 from hybrid.learn.weights import load_weights, packaged_edge_net, packaged_film_net, packaged_upright_net
 from hybrid.pyramid import Pyramid
@@ -48,11 +49,11 @@ class Rectifier:
             do = 'For an effort: Rectifier(RectifyConfig.of("fast")).'
             raise ConfigError(describe(what="Rectifier", got=repr(config), allowed="a RectifyConfig or None", do=do))
         weights = self.config.weights
-        self._network: FilmNet = fused(
+        self._network: FilmNet = ready(
             packaged_film_net() if weights is None else load_weights(weights, FilmNet, FilmNetConfig)
         )
-        self._edges: EdgeReader = edge_reader(fused(packaged_edge_net()))
-        self._reader: UprightNet = fused(packaged_upright_net())
+        self._edges: EdgeReader = edge_reader(ready(packaged_edge_net()))
+        self._reader: UprightNet = ready(packaged_upright_net())
 
     def __reduce__(self) -> tuple[Any, ...]:
         return Rectifier, (self.config,)

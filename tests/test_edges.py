@@ -11,7 +11,7 @@ from hybrid.effort import RectifyConfig
 from hybrid.geometry import Report, reread
 from hybrid.learn.edge_data import true_rows
 from hybrid.learn.edges import EdgeNet, EdgeNetConfig, EdgeTargets, edge_losses, edge_reader
-from hybrid.learn.network import fused
+from hybrid.learn.inference import ready
 from hybrid.learn.weights import packaged_edge_net, parameter_count
 from hybrid.pyramid import Pyramid
 from hybrid.rectify.edge_paths import EdgeConfig, edge_support, put_on_edges, read_edges, read_paths
@@ -49,7 +49,7 @@ STEPS = EdgeReader(STRIP, step_reader)
 
 @pytest.fixture(scope="module")
 def reader() -> EdgeReader:
-    return edge_reader(fused(packaged_edge_net()))
+    return edge_reader(ready(packaged_edge_net()))
 
 
 # ---------------------------------------------------------------- strips
@@ -190,7 +190,7 @@ def test_the_network_gives_every_row_and_half_of_the_columns():
 
 @torch.inference_mode()
 def test_the_strips_of_a_film_are_read_together_and_films_apart():
-    network, strips = fused(packaged_edge_net()), torch.rand(8, 4, STRIP.rows, STRIP.columns)
+    network, strips = ready(packaged_edge_net()), torch.rand(8, 4, STRIP.rows, STRIP.columns)
     before = network(strips)
     strips[5] = torch.rand(strips[5].shape)  # one side of the second film
     moved = (network(strips) - before).abs().amax(dim=(1, 2))

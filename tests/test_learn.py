@@ -14,6 +14,7 @@ from hybrid.coords import film_centres, pixel_centres, rescale_points
 from hybrid.errors import ConfigError, DataError
 from hybrid.learn import train as train_module
 from hybrid.learn.data import AugmentConfig, grid_along, random_view, training_view
+from hybrid.learn.inference import PackedConv, ready
 from hybrid.learn.losses import (
     LossWeights,
     Targets,
@@ -24,7 +25,7 @@ from hybrid.learn.losses import (
     slope_loss,
     uv_loss,
 )
-from hybrid.learn.network import STRIDE, FilmNet, FilmNetConfig, FilmNetOutput, fused
+from hybrid.learn.network import STRIDE, FilmNet, FilmNetConfig, FilmNetOutput
 from hybrid.learn.paper_data import PaperView, paper_batch
 from hybrid.learn.predict import as_in_view, look, look_from_sides
 from hybrid.learn.presets import PRESETS, weighted_sum
@@ -86,17 +87,30 @@ def test_maps_are_a_quarter_of_the_input(px):
     assert output.xyz.shape == (2, 3, px // STRIDE, px // STRIDE)
 
 
-def test_folding_the_normalisation_changes_nothing():
+@pytest.mark.parametrize("images", [1, 3])
+def test_making_a_network_ready_changes_nothing(images):
     torch.manual_seed(0)
     network = FilmNet(TINY).train()
     for _ in range(3):
         network(torch.rand(4, 3, 64, 64))
-    image = torch.rand(1, 3, 64, 64)
+    image = torch.rand(images, 3, 64, 64)
     with torch.no_grad():
         before = network.eval()(image)
-        after = fused(network)(image)
+        after = ready(network)(image)
     torch.testing.assert_close(after.uv, before.uv, atol=1e-5, rtol=1e-4)
     torch.testing.assert_close(after.mask_logit, before.mask_logit, atol=1e-5, rtol=1e-4)
+
+
+@pytest.mark.skipif(not torch.backends.mkldnn.is_available(), reason="PyTorch without oneDNN")
+@pytest.mark.parametrize(("kernel", "stride", "groups"), [(1, 1, 1), (3, 2, 1), (7, 4, 2)])
+def test_a_packed_convolution_is_the_convolution(kernel, stride, groups):
+    torch.manual_seed(0)
+    conv = torch.nn.Conv2d(6, 8, kernel, stride, kernel // 2, groups=groups)
+    with torch.inference_mode():
+        packed = PackedConv(conv)
+        for size in ((1, 6, 16, 16), (3, 6, 20, 12)):
+            image = torch.rand(size).contiguous(memory_format=torch.channels_last)
+            torch.testing.assert_close(packed(image), conv(image), atol=1e-5, rtol=1e-5)
 
 
 def test_the_shipped_network_is_within_its_budget():
@@ -263,13 +277,13 @@ def test_windows_for_the_papers_networks_agree_with_their_own_backward_map(datas
 
 def test_the_photo_points_of_the_maps_cover_the_view():
     photo = np.zeros((100, 150, 3), np.uint8)
-    (maps,) = look(fused(FilmNet(TINY)), photo, [square_view((75.0, 50.0), 80.0)])
+    (maps,) = look(ready(FilmNet(TINY)), photo, [square_view((75.0, 50.0), 80.0)])
     np.testing.assert_allclose(maps.photo_points[0, 0], [35 + 2.5, 10 + 2.5], atol=1e-4)
     np.testing.assert_allclose(maps.photo_points.mean(axis=(0, 1)), [75, 50], atol=1e-4)
 
 
 def test_looks_together_are_looks_one_by_one():
-    network, photo = fused(FilmNet(TINY)), np.random.default_rng(0).integers(0, 256, (90, 90, 3), dtype=np.uint8)
+    network, photo = ready(FilmNet(TINY)), np.random.default_rng(0).integers(0, 256, (90, 90, 3), dtype=np.uint8)
     views = [square_view((40.0, 50.0), 60.0), square_view((45.0, 45.0), 90.0)]
     for one, other in zip(look(network, photo, views), (look(network, photo, [v])[0] for v in views), strict=True):
         np.testing.assert_allclose(one.uv, other.uv, atol=1e-5)
@@ -277,9 +291,10 @@ def test_looks_together_are_looks_one_by_one():
 
 def test_a_look_from_another_side_names_the_same_film_points():
     """A network that only repeats where each pixel is in its view says the same of all sides, once turned back."""
-    network = fused(FilmNet(TINY))
+    network = FilmNet(TINY)
     for parameter in network.head.parameters():
-        parameter.zero_()
+        torch.nn.init.zeros_(parameter)
+    network = ready(network)
     photo = np.random.default_rng(0).integers(0, 256, (80, 80, 3), dtype=np.uint8)
     view = square_view((40.0, 40.0), 60.0, turn=0.2)
     for maps in look_from_sides(network, photo, view, range(8)):
@@ -405,7 +420,7 @@ def test_large_photos_are_reduced_once_and_maps_go_back_to_them():
     photo = np.random.default_rng(0).integers(0, 256, (301, 402, 3), dtype=np.uint8)
     small, factor = Pyramid(photo).reduced(2.0)
     assert (small.shape, factor) == ((150, 201, 3), 2)
-    network = fused(FilmNet(TINY))
+    network = ready(FilmNet(TINY))
     (maps,) = look(network, small, [square_view((100.0, 75.0), 150.0)])
     (full,) = look(network, photo, [square_view((200.0, 150.0), 300.0)])
     np.testing.assert_allclose(maps.enlarged(factor).photo_points, full.photo_points, atol=1e-3)

@@ -66,16 +66,16 @@ def test_the_corners_of_the_example_are_where_they_are_seen(result):
 def test_every_stage_reports(result):
     names = [stage.name for stage in result.stages]
     geometry = "network check edges plane sides spacing outline grid sheet spline reread again flat verdict"
-    assert names == f"read survey {geometry} resample upright light".split()
+    assert names == f"read survey {geometry} resample upright cover light".split()
     assert all(stage.reason and stage.seconds >= 0 for stage in result.stages)
 
 
 def test_efforts_differ_in_what_runs(photo, result):
-    """Fast leaves the network's map as it is and still finds slices; thorough refines again what is not sure."""
+    """Fast refines the network's map of one side and fits no sheet; thorough refines again what is not sure."""
     fast = hybrid.rectify(photo, effort="fast")
     ran = {stage.name: stage.ran for stage in fast.stages}
     assert fast.status.ok
-    assert (ran["sides"], ran["outline"], ran["spline"], ran["grid"]) == (False, False, False, True)
+    assert [ran[name] for name in ("sides", "outline", "grid", "sheet", "spline")] == [False, True, True, False, True]
     assert len(fast.slices()) == len(result.slices())
     thorough = RectifyConfig.of("thorough")
     sure, never_sure = (replace(thorough, again_above=above) for above in (1.0, 0.0))

@@ -78,12 +78,6 @@ def test_in_a_tiny_photo_one_pixel_is_allowed() -> None:
     assert not film_verdict(replace(tiny, film_px=1.01 * most * 70 / unit)).ok
 
 
-def test_a_map_that_is_meant_to_be_rough_is_judged_by_its_expected_error_alone() -> None:
-    rough = replace(SURE, corrected=False, edges=0)
-    assert not film_verdict(rough).ok
-    assert film_verdict(rough, exact=False).ok
-
-
 def grid_over(true: BackwardMap, rows: int, cols: int) -> SliceGrid:
     vertices = film_nodes((rows + 1, cols + 1))
     return SliceGrid(rows, cols, vertices, true.photo_from_film(vertices), 1.0)

@@ -9,7 +9,7 @@ import torch
 from synthetic_film import FilmDrawing, draw_print
 
 from hybrid.backward import Orientation
-from hybrid.learn.network import fused
+from hybrid.learn.inference import ready
 from hybrid.learn.upright import (
     WAYS,
     PatchVotes,
@@ -29,7 +29,7 @@ RIGHT, TURNED = WAYS[0], WAYS[1]
 
 @pytest.fixture(scope="module")
 def reader() -> UprightNet:
-    return fused(packaged_upright_net())
+    return ready(packaged_upright_net())
 
 
 def written_film(seed: int = 0) -> np.ndarray:

@@ -52,7 +52,7 @@ class LossWeights:
     slope: float = 4.0
     scale: float = 0.05
     normal: float = 0.5
-    covered: float = 0.5
+    covered: float = 4.0
     phases: float = 0.25
     grid: float = 0.1
     orientation: float = 0.05

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TypeVar
 
 import torch
 from jaxtyping import Float
@@ -11,8 +10,6 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from hybrid.coords import film_centres_1d
-
-Network = TypeVar("Network", bound=nn.Module)
 
 STRIDE = 4
 """Input pixels per output pixel and axis: the uv map varies slowly, so a quarter of the resolution loses nothing."""
@@ -148,16 +145,3 @@ def local_contrast(images: Float[Tensor, "b 3 H W"], window: int = 32) -> Float[
 
     off = grey - around(grey)
     return (off / (4.0 * (around(off * off) + 1e-4).sqrt())).clamp(-1.0, 1.0)
-
-
-def fused(network: Network) -> Network:
-    """A network for inference: batch normalisation folded into the convolutions, channels last, no gradients."""
-    network = network.eval().requires_grad_(False)
-    for module in network.modules():
-        if isinstance(module, nn.Sequential):
-            for k in range(len(module) - 1):
-                conv, norm = module[k], module[k + 1]
-                if isinstance(conv, nn.Conv2d) and isinstance(norm, nn.BatchNorm2d):
-                    module[k] = nn.utils.fuse_conv_bn_eval(conv, norm)
-                    module[k + 1] = nn.Identity()
-    return network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]

@@ -9,8 +9,9 @@ from typing import TypeVar
 import numpy as np
 import torch
 from jaxtyping import Float, Shaped, UInt8
-from torch import Tensor
+from torch import Tensor, nn
 
+Network = TypeVar("Network", bound=nn.Module)
 Record = TypeVar("Record", bound="Tensors")
 
 

@@ -16,7 +16,8 @@ from torch import Tensor, nn
 from hybrid.coords import CONVENTIONS_VERSION
 from hybrid.errors import DataError, describe
 from hybrid.learn.edges import EdgeNet, EdgeNetConfig
-from hybrid.learn.network import FilmNet, FilmNetConfig, Network
+from hybrid.learn.network import FilmNet, FilmNetConfig
+from hybrid.learn.tensors import Network
 from hybrid.learn.upright import UprightNet, UprightNetConfig
 
 

@@ -65,6 +65,9 @@ class RefineConfig:
     """A round that moves the film by less than this is the last, in film units."""
     settled_sheet: float = 1e-3
     """The same for the rounds from an unstretched sheet."""
+    matched: bool = True
+    """Whether the cells are matched to their mean in a round of its own, which reaches farther, before they are
+    registered."""
     line_rounds: int = 2
     """Rounds in which lines are looked for where they have not been found: they show better in a straighter view."""
     max_move: float = 0.08
@@ -76,7 +79,7 @@ class RefineConfig:
     sheet_prior_px: float = 5.0
     """As SplineConfig.prior_px, for the displacement of that sheet."""
     sheet_rounds: int = 3
-    """Most rounds from the unstretched sheet that explains best what the last round saw."""
+    """Most rounds from the unstretched sheet that explains best what the last round saw; 0: no sheet is fitted."""
     as_good: tuple[float, float] = (2.0, 0.85)
     """Their end counts if what is seen disagrees with it by less than this ratio, and its cells look at least so much
     as alike."""
@@ -307,8 +310,8 @@ def read_view(
 
 def _matchers(config: RefineConfig) -> list[Callable[..., tuple[Sightings, ...]]]:
     """How cells are matched, round for round: ever less far and ever more exactly."""
-    match = partial(match_cells, config=config.match)
-    return [match, *(partial(register_cells, blur_px=b, config=config.congeal) for b in config.congeal.blurs_px)]
+    match = [partial(match_cells, config=config.match)] if config.matched else []
+    return match + [partial(register_cells, blur_px=b, config=config.congeal) for b in config.congeal.blurs_px]
 
 
 def _observe_print(

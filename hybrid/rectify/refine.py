@@ -38,6 +38,8 @@ UNSTRETCHED = (
     "edges and print are those of an unstretched sheet",
 )
 """What the report of stage ``sheet`` says where the end is not that of a sheet, and where it is."""
+NOT_TRIED = "no sheet is fitted in this effort"
+"""What it says where none was tried."""
 
 
 @dataclass(frozen=True)
@@ -126,10 +128,11 @@ def refine(
     share = _expected_share(course)
     grid = course.layout.slice_grid(reading, backward, share if course.believed else np.inf)
     watch.lap("grid")
+    about_sheet = UNSTRETCHED[course.sheet is not None] if config.sheet_rounds else NOT_TRIED
     stages = (
         StageReport("outline", course.edges > 0, f"{course.edges} of 4 edges", watch["outline"]),
         StageReport("grid", grid is not None, course.layout.reason(reading), watch["grid"]),
-        StageReport("sheet", course.sheet is not None, UNSTRETCHED[course.sheet is not None], watch["sheet"]),
+        StageReport("sheet", course.sheet is not None, about_sheet, watch["sheet"]),
         StageReport("spline", changed, course.verdict, watch["spline"]),
     )
     return Refinement(

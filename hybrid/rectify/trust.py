@@ -176,11 +176,8 @@ def largest_error_px(photo_px: int, config: TrustConfig) -> float:
     return max(config.limit_px / REFERENCE_PX * photo_px, 1.0)
 
 
-def film_verdict(signs: Signs, config: TrustConfig | None = None, exact: bool = True) -> Verdict:
-    """OK where the film is as good as certain to lie where the map says, UNSURE else, with the evidence.
-
-    exact: whether the map was to be corrected by what is seen on the film: then it counts only if it was.
-    """
+def film_verdict(signs: Signs, config: TrustConfig | None = None) -> Verdict:
+    """OK where the film is as good as certain to lie where the map says, UNSURE else, with the evidence."""
     config = config or TrustConfig()
     if signs.flat:
         return Verdict(StatusCode.OK, f"the photo is the flat film itself: cells are alike to {signs.alike:.0%}")
@@ -189,13 +186,13 @@ def film_verdict(signs: Signs, config: TrustConfig | None = None, exact: bool = 
     doubts = [
         text
         for text, doubtful in (
-            (f"{signs.edges} of 4 edges seen", exact and signs.edges < config.min_edges),
+            (f"{signs.edges} of 4 edges seen", signs.edges < config.min_edges),
             ("no grid seen", not signs.grid),
             (f"only {signs.levels:.0f} of 255 grey levels", signs.levels < config.min_levels),
             (f"an edge reads as one to {signs.support:.0%} only", signs.support < config.min_support),
             ("the network sees other cells", signs.grid and signs.in_step < config.min_in_step),
             ("cells are not alike", signs.grid and signs.alike < config.min_alike),
-            ("not corrected by what is seen on the film", exact and not signs.corrected),
+            ("not corrected by what is seen on the film", not signs.corrected),
             (f"more than {config.safety * limit:.1f} px", expected > config.safety * limit),
         )
         if doubtful
