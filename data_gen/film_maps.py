@@ -25,7 +25,8 @@ from hybrid.errors import HybridError
 from hybrid.geometry import Clock, see
 from hybrid.image_io import write_bytes
 from hybrid.learn.edge_data import FILM_MAPS
-from hybrid.learn.network import FilmNet, fused
+from hybrid.learn.inference import ready
+from hybrid.learn.network import FilmNet
 from hybrid.learn.samples import Place, film_of, open_places, photo_of
 from hybrid.learn.weights import packaged_film_net
 from hybrid.pyramid import Pyramid
@@ -80,7 +81,7 @@ def _network(folder: Path) -> tuple[FilmNet, list[Place]]:
     torch.set_num_threads(1)
     cv2.setNumThreads(1)
     threadpool_limits(1)
-    return fused(packaged_film_net()), open_places([folder])
+    return ready(packaged_film_net()), open_places([folder])
 
 
 def _film_map(folder: Path, number: int) -> Float32[np.ndarray, "n m 2"]:

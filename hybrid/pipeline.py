@@ -167,9 +167,10 @@ class Rectifier:
             if way.index:
                 flat, backward, grid = flat.turned(way), backward.turned(way), grid and grid.turned(way)
         with clock.stage("cover") as report:
-            covered = covered_parts(maps, backward, (flat.valid.shape[0], flat.valid.shape[1]), self.config.cover)
+            covered = covered_parts(maps, backward, flat.valid, self.config.cover)
             report.ran = bool(covered.any())
-            report.reason = f"something lies before {covered.mean():.1%} of the film"
+            seen_before = f"something lies before {covered.mean():.1%} of the film"
+            report.reason = seen_before if report.ran else "nothing is seen before the film"
         with clock.stage("light") as report:
             light = deilluminate(flat.image, flat.valid, grid, self.config.light, covered)
             report.ran, report.reason = light.ran, light.reason

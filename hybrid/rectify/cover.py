@@ -29,17 +29,18 @@ class CoverConfig:
 
 
 def covered_parts(
-    maps: CoarseMaps, backward: BackwardMap, size: tuple[int, int], config: CoverConfig | None = None
+    maps: CoarseMaps, backward: BackwardMap, valid: Bool[np.ndarray, "h w"], config: CoverConfig | None = None
 ) -> Bool[np.ndarray, "h w"]:
-    """Which pixels of a film image of ``size`` (height, width) show something before the film.
+    """Which pixels of the flat film show something before it.
 
-    maps: the network's last look. backward: the film's map, however it is turned.
+    maps: the network's last look. backward: the film's map, however it is turned. valid: where the photo reaches.
     """
     config = config or CoverConfig()
     chance = _chance(maps, backward, config)
     if chance is None:
-        return np.zeros(size, dtype=bool)
-    return np.asarray(cv2.resize(chance, size[::-1], interpolation=cv2.INTER_LINEAR) >= config.least_chance)
+        return np.zeros_like(valid)
+    covered = cv2.resize(chance, valid.shape[::-1], interpolation=cv2.INTER_LINEAR) >= config.least_chance
+    return np.asarray(covered & valid)
 
 
 def _chance(maps: CoarseMaps, backward: BackwardMap, config: CoverConfig) -> Float[np.ndarray, "n n"] | None:
