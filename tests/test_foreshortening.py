@@ -83,6 +83,7 @@ def test_where_nothing_is_sure_nothing_moves():
 def test_refinement_begins_there(bends):
     photo, true = make_photo(FilmDrawing(5, 4, rules=False), np.random.default_rng(3))
     coarse, phases = bent_along(true, *bends), told_of(true, even_grid(5, 4), np.random.default_rng(0))
-    refined = refine(photo, coarse, phases, RefineConfig())
+    start = even(coarse, phases, edges_of(true, coarse), CONFIG)
     assert mean_error(coarse, true) > 15
-    assert mean_error(refined.backward, true) < 2
+    assert mean_error(start, true) < 5
+    assert mean_error(refine(photo, start, phases, RefineConfig()).backward, true) < 1
