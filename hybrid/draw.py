@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from hybrid.backward import BackwardMap
-from hybrid.coords import node_centres_1d, opencv_from_photo, rescale_points
+from hybrid.coords import opencv_from_photo, rescale_points
 from hybrid.records import RectifyResult, SliceGrid
 
 Picture = UInt8[np.ndarray, "_ _ 3"]
@@ -32,10 +32,7 @@ _CAPTION_HEIGHT = 26
 
 def outline_curve(backward: BackwardMap) -> Float[np.ndarray, "n 2"]:
     """The film's four edges as one closed curve of photo points, clockwise from its top-left corner."""
-    t = node_centres_1d(CURVE_POINTS)
-    zero, one = np.zeros_like(t), np.ones_like(t)
-    edges = [(t, zero), (one, t), (t[::-1], one), (zero, t[::-1])]
-    return backward.photo_from_film(np.concatenate([np.stack(edge, axis=-1) for edge in edges]))
+    return backward.resized((CURVE_POINTS, CURVE_POINTS)).outline()
 
 
 def grid_curves(grid: SliceGrid, backward: BackwardMap) -> list[Float[np.ndarray, "n 2"]]:

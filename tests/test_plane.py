@@ -112,7 +112,7 @@ def test_a_line_is_found_among_outliers_and_meets_the_others_in_the_corners():
 
 def test_a_glance_leaves_the_map_and_finds_the_grid():
     true = plane_map()
-    found = glance(flat_photo(), true, None, 5e-4, REFINE, "reasons")
+    found = glance(flat_photo(), true, None, 5e-4, REFINE)
     assert found.backward is true
     assert found.grid is not None
     assert (found.grid.rows, found.grid.cols) == (4, 3)

@@ -1,4 +1,4 @@
-"""The grid of slices as one look through the map shows it, where the map is to be left as it is."""
+"""The grid of slices of a flat film, as one look through its map shows it: the map is left as it is."""
 
 from __future__ import annotations
 
@@ -18,7 +18,10 @@ from hybrid.rectify.layout import Layout, find_layout
 from hybrid.rectify.refine import RefineConfig, Refinement
 
 VIEW_PX = 500
-"""Longer side of the film in this look: half of what refinement looks at, as a rough map shows texts no better."""
+"""Longer side of the film in this look: half of what refinement looks at; slices are counted as well."""
+
+FLAT = "the film is flat"
+"""Why it needs no spline, for the reports."""
 
 
 def glance(
@@ -27,12 +30,10 @@ def glance(
     phases: CellPhases | None,
     expected: float,
     config: RefineConfig,
-    why: str,
 ) -> Refinement:
     """The map as it is, with the grid that shows through it.
 
-    phases: what the network tells of the cells. expected: error of the map, in parts of the film's size. why: it needs
-    no spline, for the reports.
+    phases: what the network tells of the cells. expected: error of the map, in parts of the film's size.
     """
     start = perf_counter()
     down, across = backward.mean_film_pixels()
@@ -45,9 +46,9 @@ def glance(
     grid = layout.slice_grid(reading, backward, expected)
     seconds = perf_counter() - start
     stages = (
-        StageReport("outline", False, why, 0.0),
+        StageReport("outline", False, FLAT, 0.0),
         StageReport("grid", grid is not None, layout.reason(reading), seconds),
-        StageReport("spline", False, why, 0.0),
+        StageReport("spline", False, FLAT, 0.0),
     )
     return Refinement(backward, grid, stages)
 
