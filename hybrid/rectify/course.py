@@ -199,9 +199,10 @@ def _round(
     scene, outline, displacement = progress.scene, progress.outline, progress.attempt.displacement
     looking = number < config.line_rounds
     view = view_of(scene, displacement)
-    told = phases_along(scene, displacement) if number == 0 else None
-    reading = read_view(view, progress.layout, told, config) if number == 0 else None
-    layout, lines = find_layout(view, progress.layout, looking, reading, config.grid, config.repeat)
+    known = progress.layout
+    if number == 0:
+        known = replace(known, read=read_view(view, known, phases_along(scene, displacement), config))
+    layout, lines = find_layout(view, known, looking, config.grid, config.repeat)
     found = _observe_print(view, layout, lines, matcher, outline, config)
     watch.lap("grid")
     evidence = tuple(e.lifted(displacement) for e in found)

@@ -38,10 +38,11 @@ class Evidence:
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """What is known of the grid along u and along v."""
+    """What is known of the grid along u and along v. read: how the film was read when it was looked at first."""
 
     combs: tuple[Comb | None, Comb | None] = (None, None)
     repeats: tuple[Repeats | None, Repeats | None] = (None, None)
+    read: Reading | None = None
 
     @property
     def is_enough(self) -> bool:
@@ -66,7 +67,7 @@ class Layout:
                 combs[e.source.axis] = e.source.adjusted(e.sightings, constants).straight()
             elif isinstance(e.source, Repeats):
                 repeats[e.source.axis] = e.source.adjusted(constants)
-        return Layout((combs[0], combs[1]), (repeats[0], repeats[1]))
+        return replace(self, combs=(combs[0], combs[1]), repeats=(repeats[0], repeats[1]))
 
     def reason(self, reading: Reading | None) -> str:
         """How the film was read and what was fitted, for the report."""
@@ -112,42 +113,39 @@ def _fitted(read: Repeats, fitted: Comb | Repeats | None) -> Comb | Repeats:
 
 
 def find_layout(
-    view: FilmView, known: Layout, looking: bool, reading: Reading | None, grid: GridConfig, repeat: RepeatConfig
+    view: FilmView, known: Layout, looking: bool, grid: GridConfig, repeat: RepeatConfig
 ) -> tuple[Layout, tuple[Sightings | None, Sightings | None]]:
     """What is found of the grid in this view, added to what was known, and the sightings of the lines of each axis.
 
-    reading: the cells as they were read in this view, if they were: repetition counts only if it tells as many. Lines
-    are only followed unless ``looking`` for them. Lines that contradict the repeats are dropped: tables and bones make
-    lines too.
+    Repetition counts only if it tells as many cells as were read. Lines are only followed unless ``looking`` for them.
+    Lines that contradict the repeats, or lie beside where cells meet, are dropped: tables and bones make lines too.
     """
     grey = view.image[..., 0]
-    repeats = [r or _as_read(find_repeats(grey, axis, repeat), axis, reading) for axis, r in enumerate(known.repeats)]
+    read = (None, None) if known.read is None or not known.read.is_likely else (known.read.columns, known.read.rows)
+    repeats = [r or _as_read(find_repeats(grey, axis, repeat), read[axis]) for axis, r in enumerate(known.repeats)]
     combs, followed = list(known.combs), []
     for axis, repeated in enumerate(repeats):
         comb = combs[axis]
         if looking and (comb is None or len(comb.seen) <= comb.cells):
             around = (0.94 * repeated.pitch, 1.06 * repeated.pitch) if repeated is not None else (0.0, 1.0)
             found = find_comb(grey, axis, grid, around)
-            if found is not None and _plausible(found, repeated, grid):
+            if found is not None and _plausible(found, repeated, read[axis], grid):
                 comb = found if comb is None or len(found.seen) > len(comb.seen) else comb
         followed.append(follow_comb(view, comb, grid) if comb is not None else None)
         combs[axis] = comb if followed[axis] is not None else None
         repeats[axis] = _in_step(repeated, combs[axis])
-    return Layout((combs[0], combs[1]), (repeats[0], repeats[1])), (followed[0], followed[1])
+    return replace(known, combs=(combs[0], combs[1]), repeats=(repeats[0], repeats[1])), (followed[0], followed[1])
 
 
-def _as_read(repeat: Repeats | None, axis: int, reading: Reading | None) -> Repeats | None:
+def _as_read(repeat: Repeats | None, read: Repeats | None) -> Repeats | None:
     """The cells that repeat along one axis, as many as were read there; as texts do not tell their place, centred.
 
     Repetition tells the pitch better, but its peaks are mistaken for one another where the map is crooked yet.
     """
-    if reading is None or not reading.is_likely:
-        return repeat
-    read = (reading.columns, reading.rows)[axis]
-    if repeat is not None and repeat.cells == read.cells:
+    if read is None or (repeat is not None and repeat.cells == read.cells):
         return repeat
     pitch = min(read.pitch, 1.0 / read.cells)
-    return Repeats(axis, 0.5 * (1.0 - read.cells * pitch), pitch, read.cells)
+    return Repeats(read.axis, 0.5 * (1.0 - read.cells * pitch), pitch, read.cells)
 
 
 def _in_step(repeat: Repeats | None, comb: Comb | None) -> Repeats | None:
@@ -157,11 +155,20 @@ def _in_step(repeat: Repeats | None, comb: Comb | None) -> Repeats | None:
     return Repeats(comb.axis, comb.first, comb.pitch, comb.cells)
 
 
-def _plausible(comb: Comb, repeat: Repeats | None, config: GridConfig) -> bool:
-    """True where the cells repeat at the comb's pitch or, if no repetition is seen, several lines are unbroken."""
+def _plausible(comb: Comb, repeat: Repeats | None, read: Repeats | None, config: GridConfig) -> bool:
+    """True where the cells repeat at the comb's pitch or, if no repetition is seen, several lines are unbroken; and the
+    lines lie where cells meet, as the film was read."""
+    if read is not None and beside_cells(comb, read) > config.beside:
+        return False
     if repeat is None:
         return comb.cells > 2 and comb.strength >= config.sure_share
     return comb.strength >= config.believed_share and abs(comb.pitch - repeat.pitch) < 0.04 * repeat.pitch
+
+
+def beside_cells(comb: Comb, cells: Repeats) -> float:
+    """How far the lines that were seen lie from where cells meet, in cells on average."""
+    seen = comb.lines()[comb.seen]
+    return float(np.abs(seen[:, None] - cells.lines()).min(axis=1).mean() / cells.pitch)
 
 
 __all__ = ["Evidence", "Layout", "find_layout"]

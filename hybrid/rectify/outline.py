@@ -194,7 +194,7 @@ def subpixel_edge(strip: Strip, path: Int[np.ndarray, " p"], reach: int = 4) -> 
     image = np.pad(strip.image, ((middle, middle), (0, 0), (0, 0)), mode="edge")
     columns = np.arange(len(path))
     local = image[path[None, :] + np.arange(2 * middle + 1)[:, None], columns]  # (rows around path, profiles, 3)
-    outer, inner = local[: middle - 3].mean(axis=0), local[middle + 4 :].mean(axis=0)
+    outer, inner = np.median(local[: middle - 3], axis=0), np.median(local[middle + 4 :], axis=0)
     near = slice(middle - reach - 1, middle + reach + 2)
     excess = _line_excess(local, outer, inner)[near]
     contrast = np.linalg.norm(outer - inner, axis=1)
@@ -203,7 +203,7 @@ def subpixel_edge(strip: Strip, path: Int[np.ndarray, " p"], reach: int = 4) -> 
     else:
         # Blur adds up light, not grey levels: in these the steepest place of a blurred step lies on its dark side.
         local = linear_from_srgb(local / 255.0)
-        step = local[: middle - 3].mean(axis=0) - local[middle + 4 :].mean(axis=0)
+        step = np.median(local[: middle - 3], axis=0) - np.median(local[middle + 4 :], axis=0)
         direction = step / np.maximum(np.linalg.norm(step, axis=1, keepdims=True), 1e-6)
         slope = -gaussian_filter1d(np.einsum("dpc,pc->dp", local, direction), 1.0, axis=0, order=1)[near]
         rows = path - reach - 1 + parabola_peak(slope)
