@@ -80,9 +80,8 @@ class RefineConfig:
     """As SplineConfig.prior_px, for the displacement of that sheet."""
     sheet_rounds: int = 3
     """Most rounds from the unstretched sheet that explains best what the last round saw; 0: no sheet is fitted."""
-    as_good: tuple[float, float] = (2.0, 0.85)
-    """Their end counts if what is seen disagrees with it by less than this ratio, and its cells look at least so much
-    as alike."""
+    least_likeness: float = 0.05
+    """Adds to how alike the cells look where two ends are weighed by that: none may have cells."""
     max_residual: float = 2.5
     """Where held-out sightings disagree with the spline by more than this, in their stated deviations, some of them are
     wrong together, as where cells were taken for their neighbours: the map is not believed."""

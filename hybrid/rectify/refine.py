@@ -164,16 +164,17 @@ def _course(begun: Progress, config: RefineConfig, watch: Stopwatch) -> Course |
 
 
 def _better(free: Course, bound: Course, config: RefineConfig, watch: Stopwatch) -> Course:
-    """The course that ends with a sheet, if that explains what was seen, and the cells look alike, nearly as well.
+    """The course with the smaller residual over the square of how alike its cells look; ``bound`` ends with a sheet.
 
+    Neither alone tells: cells look alike through a sheet that is bent wrongly, too, and what misleads a sheet fits it.
     A course that is believed is better than one that is not.
     """
     if free.believed != bound.believed:
         return bound if bound.believed else free
-    alike = [agreement(course, (free.layout, bound.layout)) for course in (free, bound)]
+    layouts = (free.layout, bound.layout)
+    doubt = [course.after / np.square(agreement(course, layouts) + config.least_likeness) for course in (free, bound)]
     watch.lap("spline")
-    residual, likeness = config.as_good
-    return bound if bound.after <= residual * free.after and alike[1] >= likeness * alike[0] else free
+    return bound if doubt[1] <= doubt[0] else free
 
 
 def _apart(one: Course, other: Course) -> float:
