@@ -211,7 +211,7 @@ def test_12_vertical_lines_come_out_vertical(plain) -> None:
 
 @pytest.mark.parametrize("turns", [1, 2, 3])
 def test_13_a_turned_photo_gives_an_upright_film(rectifier: Rectifier, turns: int) -> None:
-    found = rectifier(np.ascontiguousarray(np.rot90(shot(8).photo, turns)))
+    found = rectifier(np.ascontiguousarray(np.rot90(shot(4).photo, turns)))
     assert found.orientation is not None
     assert (found.orientation.turns, found.orientation.mirrored) == (turns, False)
 

@@ -49,7 +49,7 @@ class DeilluminateConfig:
     """Display grey of the print's black surround."""
     print_white: float = 0.95
     """Display grey of the brightest parts."""
-    root_share: float = 0.5
+    root_share: float = 0.75
     """Tone curve: share of the square root (a print seen by reflection: the display's own gamma) against the straight
     line (a print whose transmission is proportional to its grey). Which it is, one photo does not tell."""
 
