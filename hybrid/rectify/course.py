@@ -80,6 +80,8 @@ class RefineConfig:
     """As SplineConfig.prior_px, for the displacement of that sheet."""
     sheet_rounds: int = 3
     """Most rounds from the unstretched sheet that explains best what the last round saw; 0: no sheet is fitted."""
+    sheet_doubt: float = 1.1
+    """How much more doubtful than an end that is bent freely one with an unstretched sheet may be (refine.py)."""
     least_likeness: float = 0.05
     """Adds to how alike the cells look where two ends are weighed by that: none may have cells."""
     max_residual: float = 2.5

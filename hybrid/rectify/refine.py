@@ -164,17 +164,18 @@ def _course(begun: Progress, config: RefineConfig, watch: Stopwatch) -> Course |
 
 
 def _better(free: Course, bound: Course, config: RefineConfig, watch: Stopwatch) -> Course:
-    """The course with the smaller residual over the square of how alike its cells look; ``bound`` ends with a sheet.
+    """The less doubtful course: doubt is the residual over the square of how alike the cells look. Neither alone tells:
+    cells look alike through a sheet that is bent wrongly, too, and what misleads a sheet fits it.
 
-    Neither alone tells: cells look alike through a sheet that is bent wrongly, too, and what misleads a sheet fits it.
-    A course that is believed is better than one that is not.
+    ``bound`` ends with a sheet, which films are, so it counts if it is hardly more doubtful. A course that is believed
+    is better than one that is not.
     """
     if free.believed != bound.believed:
         return bound if bound.believed else free
     layouts = (free.layout, bound.layout)
     doubt = [course.after / np.square(agreement(course, layouts) + config.least_likeness) for course in (free, bound)]
     watch.lap("spline")
-    return bound if doubt[1] <= doubt[0] else free
+    return bound if doubt[1] <= config.sheet_doubt * doubt[0] else free
 
 
 def _apart(one: Course, other: Course) -> float:
