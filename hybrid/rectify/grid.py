@@ -48,7 +48,7 @@ class GridConfig:
     """Least response of a line, in median absolute responses of the film."""
     beside: float = 0.06
     """Lines that lie further than this from where cells meet, in cells on average, as the film was read, are no lines
-    between cells, but tables or rows of text: of 151 combs that were right none, of 15 that were not all did."""
+    between cells, but tables or rows of text: of 196 combs on 256 simulated photos 16 do, all of them wrong."""
     tolerance: float = 0.012
     """How far a line may lie from its place in the comb, in film units."""
     margin: float = 0.16
