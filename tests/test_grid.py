@@ -7,10 +7,12 @@ from synthetic_film import FilmDrawing, draw_print, make_photo
 from hybrid.backward import spline_weights
 from hybrid.coords import film_centres_1d
 from hybrid.film_view import FilmView, _lattice_xy, view_film
+from hybrid.rectify.cells import Reading
 from hybrid.rectify.follow import follow_comb
 from hybrid.rectify.grid import Comb, GridConfig, find_comb
+from hybrid.rectify.layout import Layout, find_layout
 from hybrid.rectify.match import MatchConfig, match_cells
-from hybrid.rectify.repeat import RepeatConfig, cell_agreement, find_repeats
+from hybrid.rectify.repeat import RepeatConfig, Repeats, cell_agreement, find_repeats
 
 GRID, REPEAT = GridConfig(), RepeatConfig()
 
@@ -119,6 +121,22 @@ def test_a_grid_fills_the_film_unless_its_ends_lie_inside_or_both_to_one_side(fi
     """Lines left of every cell, as frames have, would else move the whole film by as much."""
     comb = Comb(0, first, (last - first) / 4, 4, np.arange(5), 2, 1, 1.0, np.zeros((5, 1)))
     assert comb.fills_film(GRID) == fills
+
+
+@pytest.mark.parametrize(("place", "between"), [(0.0, True), (0.92, False)])
+def test_lines_count_where_the_cells_were_read_to_meet(place: float, between: bool):
+    """Tables under the slices are straight, too, and repeat as cells do."""
+    view = flat_view(FilmDrawing(6, 3, rules=False), 7)
+    image = view.image[..., 0].copy()
+    for row in range(1 - round(place), 6):
+        at = round(600 * (row + place) / 6)
+        image[at - 1 : at + 1] = 170.0
+    read = Reading(Repeats(0, 0.0, 1 / 3, 3), Repeats(1, 0.0, 1 / 6, 6), 0.99)
+    seen = FilmView(image[..., None], view.u, view.v, view.inside)
+    for known in (Layout(), Layout(read=read)):
+        layout, lines = find_layout(seen, known, True, GRID, REPEAT)
+        found = between or known.read is None
+        assert (layout.combs[1] is not None, lines[1] is not None) == (found, found)
 
 
 def test_a_view_shows_what_the_map_says():

@@ -116,3 +116,14 @@ def test_blur_does_not_move_an_edge(blur_px, levels):
     image = np.repeat(np.repeat(grey[:, None, None], 20, axis=1), 3, axis=2)
     strip = Strip(image, depth, np.linspace(0, 1, 20), np.ones((61, 20), bool), 1.0)
     assert np.abs(subpixel_edge(strip, np.full(20, 30)) - 0.3).max() < 0.1
+
+
+def test_rules_in_a_narrow_dark_margin_do_not_move_the_edge():
+    """A bright rule 7 px inside a black sheet that is darker than what lies behind it."""
+    depth = np.arange(-30.0, 31.0)
+    grey = np.where(depth < 0, 27.0, 8.0)
+    grey[(depth >= 7) & (depth < 10)] = 200.0
+    image = np.repeat(np.repeat(grey[:, None, None], 20, axis=1), 3, axis=2)
+    strip = Strip(image, depth, np.linspace(0, 1, 20), np.ones((61, 20), bool), 1.0)
+    for path in (27, 28, 30):  # a gap between the compared windows lets it lie there
+        assert np.abs(subpixel_edge(strip, np.full(20, path)) + 0.5).max() < 0.5

@@ -10,9 +10,9 @@ from synthetic_film import FilmDrawing, disturbed, make_photo
 
 from hybrid.backward import BackwardMap, end_point_error
 from hybrid.coords import film_nodes
-from hybrid.rectify.course import Course
+from hybrid.rectify.course import Course, Stopwatch
 from hybrid.rectify.layout import Layout
-from hybrid.rectify.refine import RefineConfig, _apart, refine
+from hybrid.rectify.refine import RefineConfig, _apart, _better, refine
 from hybrid.rectify.scene import scene_of
 from hybrid.rectify.sightings import Sightings, SplineConfig, fit_displacement, no_displacement
 
@@ -128,6 +128,26 @@ def test_ends_that_a_shift_parts_are_not_apart():
     unmoved, shifted = end(still.values), end(np.full_like(still.values, 0.01))
     assert _apart(unmoved, shifted) == pytest.approx(0.0, abs=1e-6)
     assert _apart(unmoved, end(0.02 * (still.lattice.nodes - 0.5))) == pytest.approx(0.008, abs=0.001)
+
+
+@pytest.mark.parametrize(
+    ("residuals", "alike", "sheet_counts"),
+    [
+        ((1.0, 1.0), (0.5, 0.5), True),
+        ((1.0, 1.05), (0.5, 0.5), True),  # hardly more doubtful
+        ((1.0, 1.5), (0.5, 0.5), False),
+        ((1.0, 1.0), (0.5, 0.4), False),
+        ((1.0, 1.5), (0.5, 0.7), True),
+        ((1.0, 1.0), (0.0, 0.0), True),  # no cells
+    ],
+)
+def test_the_less_doubtful_end_counts(monkeypatch, residuals, alike, sheet_counts):
+    coarse, still = BackwardMap(film_nodes((9, 9)) * 400.0 + 50.0), no_displacement(CONFIG.spline)
+    scene = scene_of(np.zeros((500, 500, 3), np.uint8), coarse)
+    free, bound = (Course(scene, still, Layout(), (), 0.0, after, True, None, "") for after in residuals)
+    monkeypatch.setattr("hybrid.rectify.refine.agreement", lambda course, _: alike[course is bound])
+    assert (_better(free, bound, CONFIG, Stopwatch()) is bound) == sheet_counts
+    assert _better(free, replace(bound, believed=False), CONFIG, Stopwatch()) is free
 
 
 def test_refining_twice_gives_the_same_bits():
