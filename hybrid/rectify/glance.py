@@ -18,7 +18,7 @@ from hybrid.rectify.layout import Layout, find_layout
 from hybrid.rectify.refine import RefineConfig, Refinement
 
 VIEW_PX = 500
-"""Longer side of the film in this look: half of what refinement looks at; slices are counted as well."""
+"""Longer side of the film in this look: half of what refinement looks at, enough to count slices."""
 
 FLAT = "the film is flat"
 """Why it needs no spline, for the reports."""

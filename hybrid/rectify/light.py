@@ -91,21 +91,20 @@ def find_light(
         return Light(np.ones(FIELD_SIZE, np.float32), veil, pedestal)
     logs = np.log(np.maximum(bright, 0.02 * typical))
     gain = _envelope(logs, weight, config.gain_intervals, config.gain_smoothing, config.gain_above)
-    gain = _beyond_scatter(gain, logs, weight)
     limit = np.float32(np.log(config.gain_range))
-    return Light(np.exp(np.clip(gain - np.median(gain), -limit, limit)), veil, pedestal)
+    return Light(np.exp(np.clip(_beyond_scatter(gain, logs, weight), -limit, limit)), veil, pedestal)
 
 
 def _beyond_scatter(
     field: Float32[np.ndarray, "n n"], value: Float[np.ndarray, "th tw"], weight: Float[np.ndarray, "th tw"]
 ) -> Float32[np.ndarray, "n n"]:
-    """The field, with its variation shrunk by what the scatter of the tiles around it explains (James and Stein 1961):
-    the brightest parts of a print are not equally bright, and a fit to those varies, too, without any light."""
+    """By how much the field differs from its median, shrunk by what the scatter of the tiles around it explains (James
+    and Stein 1961): the brightest parts of a print are not equally bright, and a fit to those varies without any light.
+    """
     seen, at_tiles = weight > 0, cv2.resize(field, value.shape[::-1], interpolation=cv2.INTER_AREA)
     scatter = float(np.square(value - at_tiles)[seen].mean()) * min(1.0, FREEDOM / np.count_nonzero(seen))
     kept = max(0.0, 1.0 - scatter / max(float(at_tiles[seen].var()), 1e-12))
-    middle = np.median(field)
-    return middle + np.float32(kept) * (field - middle)
+    return np.float32(kept) * (field - np.median(field))
 
 
 def _tile_quantile(

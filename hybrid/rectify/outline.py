@@ -202,8 +202,8 @@ def subpixel_edge(strip: Strip, path: Int[np.ndarray, " p"], reach: int = 4) -> 
         rows = path - reach - 1 + parabola_peak(gaussian_filter1d(excess, 0.7, axis=0)) - RULE_HALF_PX
     else:
         # Blur adds up light, not grey levels: in these the steepest place of a blurred step lies on its dark side.
-        local = linear_from_srgb(local / 255.0)
-        step = np.median(local[: middle - 3], axis=0) - np.median(local[middle + 4 :], axis=0)
+        local, outer, inner = (linear_from_srgb(grey / 255.0) for grey in (local, outer, inner))
+        step = outer - inner
         direction = step / np.maximum(np.linalg.norm(step, axis=1, keepdims=True), 1e-6)
         slope = -gaussian_filter1d(np.einsum("dpc,pc->dp", local, direction), 1.0, axis=0, order=1)[near]
         rows = path - reach - 1 + parabola_peak(slope)
