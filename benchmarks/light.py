@@ -14,6 +14,7 @@ import sys
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -26,15 +27,19 @@ from scipy.optimize import isotonic_regression
 from benchmarks.command import run_command, write_figures
 from benchmarks.photos import TruePhoto, load_photos
 from hybrid.backward import BackwardMap
-from hybrid.coords import film_nodes, pixel_from_film, sample_bilinear
+from hybrid.coords import pixel_from_film, sample_bilinear
 from hybrid.draw import contact_sheet, fitted, rgb_from_film, side_by_side
 from hybrid.errors import ConfigError, describe
 from hybrid.image_io import write_rgb
+from hybrid.learn.inference import ready
+from hybrid.learn.light import level_reader
 from hybrid.learn.samples import Place, film_of, open_places, photo_of
+from hybrid.learn.weights import packaged_light_net
+from hybrid.levels import LevelReader
 from hybrid.metrics import ssim
 from hybrid.outputs import make_folder
 from hybrid.pipeline import Rectifier
-from hybrid.records import RectifyResult, SliceGrid
+from hybrid.records import RectifyResult
 from hybrid.rectify.deilluminate import Deillumination, deilluminate
 from hybrid.rectify.resample import rectify_photo
 
@@ -84,12 +89,6 @@ class LightScore:
 # ---------------------------------------------------------------- what is compared
 
 
-def grid_of(vertices: Float[np.ndarray, "r c 2"], backward: BackwardMap) -> SliceGrid:
-    """The true grid of slices."""
-    at = np.asarray(vertices, dtype=np.float64)
-    return SliceGrid(at.shape[0] - 1, at.shape[1] - 1, at, backward.photo_from_film(at), 1.0)
-
-
 def flat_size(backward: BackwardMap, aspect: float) -> tuple[int, int]:
     """Size (h, w) of the film in which the photo's pixels are kept. aspect: height over width."""
     down, across = backward.mean_film_pixels()
@@ -98,20 +97,13 @@ def flat_size(backward: BackwardMap, aspect: float) -> tuple[int, int]:
     return round(width * aspect), round(width)
 
 
-def photo_grid(truth: TruePhoto) -> SliceGrid:
-    """The grid that the print's name tells: rows and columns within a margin in pixels."""
-    margin = int(truth.texture.stem.rpartition("_m")[2]) / np.array(truth.read_print().shape[::-1])
-    at = margin + film_nodes((truth.rows + 1, truth.cols + 1)) * (1 - 2 * margin)
-    return grid_of(at, truth.backward)
-
-
 def score_photo(truth: TruePhoto, rectifier: Rectifier | None) -> tuple[LightScore, Compared] | None:
     """One photo with textures; None where the pipeline finds no film."""
     printed = truth.read_print()
     if rectifier is None:
         size = flat_size(truth.backward, printed.shape[0] / printed.shape[1])
         flat = rectify_photo(truth.read(), truth.backward, size)
-        light, milliseconds = timed(flat.image, flat.valid, photo_grid(truth))
+        light, milliseconds = timed(flat.image, flat.valid)
         image, film, glare = flat.image, light.film, light.glare
     else:
         result: RectifyResult = rectifier(truth.read())
@@ -130,7 +122,7 @@ def score_sample(place: Place) -> tuple[LightScore, Compared]:
     record, backward, photo = shard.record(k), film_of(place), photo_of(place)
     size = flat_size(backward, record["size_mm"][0] / record["size_mm"][1])
     flat = rectify_photo(photo, backward, size)
-    light, milliseconds = timed(flat.image, flat.valid, grid_of(np.array(record["grid"]["film"]), backward))
+    light, milliseconds = timed(flat.image, flat.valid)
     seen, uv, true_glare = (shard.field(name, k) for name in ("mask", "uv", "glare"))
     truth = np.nan_to_num(shard.field("albedo", k))
     share = seen.shape[0] / photo.shape[0]
@@ -152,14 +144,18 @@ def grey_of(image: UInt8[np.ndarray, "h w 3"]) -> Grey:
     return cv2.cvtColor(image, cv2.COLOR_RGB2GRAY).astype(np.float32) / 255
 
 
-def timed(
-    image: UInt8[np.ndarray, "h w 3"], valid: Bool[np.ndarray, "h w"], grid: SliceGrid
-) -> tuple[Deillumination, float]:
+@lru_cache(maxsize=1)
+def reader() -> LevelReader:
+    """The packaged network."""
+    return level_reader(ready(packaged_light_net()))
+
+
+def timed(image: UInt8[np.ndarray, "h w 3"], valid: Bool[np.ndarray, "h w"]) -> tuple[Deillumination, float]:
     """The film without its light, and the least milliseconds of a few runs."""
-    least, light = np.inf, deilluminate(image, valid, grid)
+    least, light = np.inf, deilluminate(image, valid, reader())
     for _ in range(RUNS):
         start = time.perf_counter()
-        light = deilluminate(image, valid, grid)
+        light = deilluminate(image, valid, reader())
         least = min(least, time.perf_counter() - start)
     return light, 1e3 * float(least)
 

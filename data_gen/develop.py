@@ -89,17 +89,17 @@ def develop(linear: Float[np.ndarray, "h w 3"], lens: Lens, white: White, rng: n
     return _jpeg(cv2.convertScaleAbs(np.maximum(display, 0), alpha=255), lens.jpeg)
 
 
-def displayed(
-    radiance: Float[np.ndarray, "h w 3"], place: Float[np.ndarray, "h w 2"], lens: Lens, white: White
-) -> Float32[np.ndarray, "h w 3"]:
-    """Display values in [0, 1] that the camera gives to radiances at points of the photo, blur and noise left aside.
-
-    place: in units of the photo's sides, 0 to 1.
-    """
-    x, y = place[..., 0], place[..., 1]
-    fall = np.maximum(1 - lens.vignette / 2 * ((2 * x - 1) ** 2 + (2 * y - 1) ** 2), 0).astype(np.float32)
-    exposed = (radiance * _gains(lens, white).astype(np.float32)) * fall[..., None]
+def displayed(radiance: Float[np.ndarray, "h w 3"], lens: Lens, white: White) -> Float32[np.ndarray, "h w 3"]:
+    """Display values in [0, 1] that the camera gives to radiances; blur, noise and vignetting are left aside."""
+    exposed = radiance * _gains(lens, white).astype(np.float32)
     return _toned(np.ascontiguousarray(exposed, np.float32), lens.tone)
+
+
+def vignetting(place: Float[np.ndarray, "h w 2"], lens: Lens) -> Float32[np.ndarray, "h w 1"]:
+    """Share of the light that reaches points of the photo. place: in units of the photo's sides, 0 to 1."""
+    x, y = place[..., 0], place[..., 1]
+    fall = np.maximum(1 - lens.vignette / 2 * ((2 * x - 1) ** 2 + (2 * y - 1) ** 2), 0)
+    return fall[..., None].astype(np.float32)
 
 
 def _gains(lens: Lens, white: White) -> Float[np.ndarray, "3"]:

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from data_gen.composite import PrintLevels, at_photo_scale, composite, on_film, print_levels
-from data_gen.develop import develop, displayed
+from data_gen.develop import develop, displayed, vignetting
 from data_gen.patches import hidden_share, put_over
 from data_gen.prints import FilmPrint, PrintConfig, make_print
 from data_gen.rooms import FilteredEnvironment, prefilter
@@ -23,6 +23,7 @@ from data_gen.through import behind_film
 from data_gen.viewpoint import view_parameters
 from hybrid.backward import BackwardMap
 from hybrid.coords import film_centres_1d
+from hybrid.levels import LEAST_CONTRAST
 from hybrid.mesh.camera import Camera
 from hybrid.mesh.film import FilmMesh, film_mesh
 from hybrid.mesh.raycast import FACET_MM, AnnotationMaps, FilmCaster, true_backward_map
@@ -34,10 +35,6 @@ SIMULATION_VERTICES = 26
 
 FACET_SIDE = 1000.0
 """Side of a photo, in pixels, for which facets of FACET_MM are made; for smaller photos they may be coarser."""
-
-GLARE_LEVELS = 12
-"""Display levels, of 255, between print black and print white below which a pixel counts as glare."""
-
 
 METERING = 0.5
 """Power by which a photo brighter than the film's white lowers the exposure: 0 none, 1 as if it were all background."""
@@ -101,7 +98,7 @@ def film_samples(seed: int, number: int, config: SampleConfig) -> Iterator[Sampl
     """The photos of film ``number`` of the data set ``seed``; the same numbers give the same bytes."""
     rng = np.random.default_rng([seed, number])
     film_print = make_print(draw_volume(config.sources, rng), rng, config.prints)
-    recipe, frames = bend(_sheet(film_print), rng, config.bend)
+    recipe, frames = bend(sheet_of(film_print), rng, config.bend)
     room = prefilter(draw_environment(config.sources, rng))
     levels = print_levels(film_print.image)
     casters: dict[int, FilmCaster] = {}
@@ -123,13 +120,13 @@ def _photograph(
 ) -> Sample:  # fmt: skip
     """One photo of a bent film."""
     film, camera = caster.film, scene.camera
-    light, around = _lit(film, scene, room, float(np.median(levels.reflectance[-1])))
+    light, around = scene_light(film, scene, room, float(np.median(levels.reflectance[-1])))
     backward = true_backward_map(film, camera)
     reflectance = at_photo_scale(levels.reflectance, backward.mean_film_pixels())
     seen = caster.annotate(camera.resized(map_size))
     view = caster.view(camera, seen if camera.size == map_size else None)
     linear = put_over(composite(view, reflectance, light, around.behind), around.before)
-    white = _metered(light, linear)
+    white = metered(light, linear)
     photo = develop(linear, scene.lens, white, rng)
 
     covered = cv2.resize(hidden_share(around.before, camera.size), map_size[::-1], interpolation=cv2.INTER_AREA) > 0.02
@@ -154,7 +151,7 @@ def _photograph(
     )
 
 
-def _lit(film: FilmMesh, scene: Scene, room: FilteredEnvironment, grey: float) -> tuple[FilmLight, Surroundings]:
+def scene_light(film: FilmMesh, scene: Scene, room: FilteredEnvironment, grey: float) -> tuple[FilmLight, Surroundings]:
     """Light that leaves the film, and all around it, which shines and shows through the film but for a light box.
 
     grey: the print's usual reflectance. A dark background follows what the film shows without it.
@@ -169,7 +166,7 @@ def _lit(film: FilmMesh, scene: Scene, room: FilteredEnvironment, grey: float) -
     return light, around
 
 
-def _metered(light: FilmLight, linear: Float[np.ndarray, "h w 3"]) -> Float[np.ndarray, "3"]:
+def metered(light: FilmLight, linear: Float[np.ndarray, "*pixels 3"]) -> Float[np.ndarray, "3"]:
     """RGB radiance that the camera takes for white: of the film's bright parts, with regard to the rest of the photo.
 
     Phones meter all they see, so a bright background darkens the film; and take out most of the light's colour.
@@ -196,19 +193,32 @@ def _albedo(
 def _glare(
     maps: AnnotationMaps, film: FilmMesh, light: FilmLight, scene: Scene, white: Float[np.ndarray, "3"]
 ) -> Bool[np.ndarray, "h w"]:
-    """Film pixels that cannot be recovered: print black and print white come out less than ``GLARE_LEVELS`` apart.
+    """Film pixels that cannot be recovered: print black and print white come out less than ``LEAST_CONTRAST`` apart.
 
     That is where reflections clip both, or veil them so much that tone curve and eight bits leave nothing between.
     Found in film space from the light's gain and veil, exposure, white balance, vignetting and tone curve; channels
     count by the one in which black and white differ most. Blur, bloom and noise are left aside.
     """
+    black, bright = black_and_white(on_sensor(light, film, scene), scene, white)
+    red, green, blue = cv2.split(cv2.subtract(bright, black))
+    (contrast,) = on_film([cv2.max(cv2.max(red, green), blue)], maps.uv)
+    return maps.mask & (contrast < LEAST_CONTRAST)
+
+
+def on_sensor(light: FilmLight, film: FilmMesh, scene: Scene) -> FilmLight:
+    """The light of the film's points as it reaches the sensor: less towards the photo's corners."""
     v, u = (film_centres_1d(n) for n in PLACES)
     place = scene.camera.photo_from_world(film.surface(u, v)) / np.array(scene.camera.size[::-1])
     place = cv2.resize(place.astype(np.float32), light.gain.shape[1::-1], interpolation=cv2.INTER_LINEAR)
-    black, bright = (displayed(x, place, scene.lens, white) for x in (light.veil, light.veil + light.gain))
-    red, green, blue = cv2.split(cv2.subtract(bright, black))
-    (contrast,) = on_film([cv2.max(cv2.max(red, green), blue)], maps.uv)
-    return maps.mask & (contrast < GLARE_LEVELS / 255)
+    share = vignetting(place, scene.lens)
+    return FilmLight(light.gain * share, light.veil * share)
+
+
+def black_and_white(
+    light: FilmLight, scene: Scene, white: Float[np.ndarray, "3"]
+) -> tuple[Float[np.ndarray, "n n 3"], Float[np.ndarray, "n n 3"]]:
+    """What the photo shows of print black and print white at each point of the film, display RGB in [0, 1]."""
+    return displayed(light.veil, scene.lens, white), displayed(light.veil + light.gain, scene.lens, white)
 
 
 def _light_statistics(light: FilmLight, maps: AnnotationMaps, glare: Bool[np.ndarray, "h w"]) -> dict[str, float]:
@@ -229,7 +239,7 @@ def _uncovered(maps: AnnotationMaps, covered: Bool[np.ndarray, "h w"]) -> Annota
     return AnnotationMaps(mask, *(np.where(kept, x, np.float32(np.nan)) for x in (maps.uv, maps.xyz, maps.normal)))
 
 
-def _sheet(film_print: FilmPrint) -> FilmMesh:
+def sheet_of(film_print: FilmPrint) -> FilmMesh:
     """The flat mesh of a print: its grid corners are vertices, subdivided as far as the simulation affords."""
     grid_u, grid_v = film_print.vertices[0, :, 0], film_print.vertices[:, 0, 1]
     intervals = max(len(grid_u), len(grid_v)) + 1

@@ -17,9 +17,17 @@ from hybrid.geometry import Clock, Report, checked, flat_itself, see, see_from_s
 from hybrid.image_io import as_photo
 from hybrid.learn.edges import edge_reader
 from hybrid.learn.inference import ready
+from hybrid.learn.light import level_reader
 from hybrid.learn.network import FilmNet, FilmNetConfig
 from hybrid.learn.upright import UprightNet, orientation_chances, upright_way
-from hybrid.learn.weights import load_weights, packaged_edge_net, packaged_film_net, packaged_upright_net
+from hybrid.learn.weights import (
+    load_weights,
+    packaged_edge_net,
+    packaged_film_net,
+    packaged_light_net,
+    packaged_upright_net,
+)
+from hybrid.levels import LevelReader
 from hybrid.pyramid import Pyramid
 from hybrid.records import CoarseMaps, RectifyResult, SliceGrid, Status, StatusCode
 from hybrid.rectify.cell_phases import CellPhases
@@ -54,6 +62,7 @@ class Rectifier:
         )
         self._edges: EdgeReader = edge_reader(ready(packaged_edge_net()))
         self._reader: UprightNet = ready(packaged_upright_net())
+        self._levels: LevelReader = level_reader(ready(packaged_light_net()))
 
     def __reduce__(self) -> tuple[Any, ...]:
         return Rectifier, (self.config,)
@@ -97,7 +106,7 @@ class Rectifier:
             return first
         results = [first, *map(self, photos[1:])]
         with one_thread():
-            return fuse(photos, results, self.config.fuse, self.config.light, self.config.resample)
+            return fuse(photos, results, self._levels, self.config.fuse, self.config.light, self.config.resample)
 
     def network_map(self, source: str | Path | np.ndarray) -> BackwardMap | None:
         """What the network alone makes of a photo, before refinement: the map of the film as it lies in the photo.
@@ -172,7 +181,7 @@ class Rectifier:
             seen_before = f"something lies before {covered.mean():.1%} of the film"
             report.reason = seen_before if report.ran else "nothing is seen before the film"
         with clock.stage("light") as report:
-            light = deilluminate(flat.image, flat.valid, grid, self.config.light, covered)
+            light = deilluminate(flat.image, flat.valid, self._levels, self.config.light, covered)
             report.ran, report.reason = light.ran, light.reason
         return RectifyResult(
             status=Status(StatusCode.OK),

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from data_gen.develop import Lens, _streak, develop, displayed, tone
+from data_gen.develop import Lens, _streak, develop, displayed, tone, vignetting
 
 PLAIN = Lens(0.18, 0.0, 0.0, "srgb", 0.0, 0.0, 0.0, 0.0, 0.0, 1e-4, 96)
 
@@ -45,13 +45,13 @@ def test_displayed_is_what_the_photo_shows_without_blur_and_noise():
     lens = replace(PLAIN, vignette=0.4, temperature=0.3, exposure=0.5)
     linear = np.full((80, 80, 3), 1.0, np.float32)
     place = (np.stack(np.meshgrid(np.arange(80), np.arange(80)), axis=-1) + 1 / 2) / 80
-    shown = displayed(linear, place, lens, 1.0)
+    shown = displayed(linear * vignetting(place, lens), lens, 1.0)
     assert np.abs(photo(linear, lens) / 255 - shown).max() < 0.03
     assert shown[0, 0].sum() < shown[40, 40].sum()
 
 
 def test_too_much_light_clips_to_white():
-    assert displayed(np.full((1, 1, 3), 50.0), np.full((1, 1, 2), 0.5), PLAIN, 1.0).min() == 1.0
+    assert displayed(np.full((1, 1, 3), 50.0), PLAIN, 1.0).min() == 1.0
 
 
 @pytest.mark.parametrize("length", [0.8, 1.0, 2.4, 5.0])

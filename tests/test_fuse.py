@@ -10,6 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from light_reader import READER, without_light
 from synthetic_film import FilmDrawing, draw_print
 
 from hybrid.backward import BackwardMap, Orientation
@@ -19,7 +20,6 @@ from hybrid.errors import FusionError
 from hybrid.metrics import psnr_after_gain_offset
 from hybrid.pipeline import Rectifier
 from hybrid.records import RectifyResult, SliceGrid, Status, StatusCode
-from hybrid.rectify.deilluminate import deilluminate
 from hybrid.rectify.fuse import FuseConfig, fuse, phase_shift, register
 from hybrid.rectify.merge import MergeConfig, merge
 from hybrid.rectify.resample import rectify_photo
@@ -56,7 +56,7 @@ def seen(
     flat = rectify_photo(photo, backward, size)
     lines = film_nodes((DRAWING.rows + 1, DRAWING.cols + 1))
     grid = SliceGrid(DRAWING.rows, DRAWING.cols, lines, lines, 1.0).turned(turn)
-    light = deilluminate(flat.image, flat.valid, grid)
+    light = without_light(flat.image, flat.valid)
     return photo, RectifyResult(
         Status(StatusCode.OK),
         film=light.film,
@@ -72,7 +72,7 @@ SPOTS = ((0.2, 0.2), (0.8, 0.4), (0.3, 0.85))
 
 
 def fused(*shown: tuple[np.ndarray, RectifyResult]) -> RectifyResult:
-    return fuse([photo for photo, _ in shown], [result for _, result in shown])
+    return fuse([photo for photo, _ in shown], [result for _, result in shown], READER)
 
 
 def psnr(film: np.ndarray | None, backward: BackwardMap | None) -> float:
@@ -103,7 +103,7 @@ def test_two_photos_do():
 
 def test_glare_that_stays_in_place_stays_marked():
     (a, first), (b, second) = seen(SPOTS[0], 0), seen(SPOTS[0], 1)
-    result = fuse([a, b], [first, second])
+    result = fuse([a, b], [first, second], READER)
     assert result.glare is not None
     assert first.glare is not None
     both = np.count_nonzero(result.glare & first.glare) / np.count_nonzero(result.glare | first.glare)
@@ -178,7 +178,7 @@ def test_the_grid_is_that_of_the_surest_photo_that_counts():
 def test_film_beyond_the_photos_edges_is_no_glare():
     first, second = seen(SPOTS[0], 0), seen(SPOTS[1], 1)
     cut = [photo[:, : SIZE[1] // 2] for photo, _ in (first, second)]
-    result = fuse(cut, [first[1], second[1]])
+    result = fuse(cut, [first[1], second[1]], READER)
     beyond = result.confidence[:, 3 * SIZE[1] // 4 :]
     assert (beyond == 0).all()
     assert not result.glare[:, 3 * SIZE[1] // 4 :].any()

@@ -10,11 +10,11 @@ from hybrid import cli
 from hybrid.errors import ConfigError
 from hybrid.learn.predict import PredictConfig
 from hybrid.learn.train import Plan, TrainConfig
+from hybrid.rectify.deilluminate import DeilluminateConfig
 from hybrid.rectify.film_size import FilmSizeConfig
 from hybrid.rectify.foreshortening import ForeshorteningConfig
 from hybrid.rectify.grid import GridConfig
 from hybrid.rectify.invert import InvertConfig
-from hybrid.rectify.light import LightConfig
 
 
 @pytest.mark.parametrize(
@@ -22,7 +22,7 @@ from hybrid.rectify.light import LightConfig
     [
         (FilmSizeConfig, {"max_side_px": 0}),
         (FilmSizeConfig, {"max_aspect": float("nan")}),
-        (LightConfig, {"gain_range": 0.0}),
+        (DeilluminateConfig, {"work_px": 8}),
         (PredictConfig, {"sides": ()}),
         (InvertConfig, {"nodes": (33, 1)}),
         (GridConfig, {"widths_px": (2, 0)}),

@@ -17,6 +17,8 @@ from torch import Tensor, nn
 from hybrid.learn.data import AugmentConfig, batch_of, training_view
 from hybrid.learn.edge_data import EdgeAugment, EdgePlace, edge_view, open_edges
 from hybrid.learn.edges import EdgeNetConfig, EdgeTargets, strips_tensor
+from hybrid.learn.light import LightTargets, film_error, light_losses
+from hybrid.learn.light_data import UNDISTURBED, LightAugment, LitPlace, light_batch, light_view, open_lit_films
 from hybrid.learn.losses import Targets, masked_mean
 from hybrid.learn.paper_data import PaperView, paper_batch
 from hybrid.learn.paper_targets import PaperTargets
@@ -231,3 +233,34 @@ def edge_feed(config: EdgeNetConfig) -> Feed:
         return {"test_percent": float(percent), "test_wrong": float(wrong), "test_shown": float(told)}
 
     return Feed(open_edges, batch, test)
+
+
+# ---------------------------------------------------------------- LightNet
+
+
+def _light_views(
+    places: Sequence[LitPlace], px: int, rngs: Sequence[np.random.Generator], augment: LightAugment
+) -> tuple[Tensor, LightTargets]:
+    return light_batch([light_view(place, px, rng, augment) for place, rng in zip(places, rngs, strict=True)])
+
+
+def _light_batch(places: Sequence[Any], px: int, rngs: Sequence[np.random.Generator]) -> tuple[Tensor, LightTargets]:
+    return _light_views(places, px, rngs, LightAugment())
+
+
+@torch.inference_mode()
+def _light_test(network: nn.Module, places: Sequence[Any], px: int, device: str) -> dict[str, float]:
+    """Terms of the loss, and dB of the recovered film after one gain and offset."""
+    rows = []
+    for part in _test_batches(places):
+        rngs = [np.random.default_rng(k) for k in range(len(part))]
+        images, truth = _light_views(part, px, rngs, UNDISTURBED)
+        output, truth = network(images.to(device)), truth.to(device)
+        terms = light_losses(output, truth)
+        error, enough = film_error(output, truth)
+        decibels = (-10 * error.clamp(min=1e-10).log10())[enough > 0].mean()
+        rows.append([float(x) for x in (terms["black"], terms["gain"], decibels)])
+    return dict(zip(("test_black", "test_gain", "test_decibels"), np.nanmean(rows, axis=0).tolist(), strict=True))
+
+
+LIGHT_FEED = Feed(open_lit_films, _light_batch, _light_test)

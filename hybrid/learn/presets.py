@@ -13,8 +13,9 @@ from hybrid.errors import ConfigError, describe
 from hybrid.learn import paper_losses
 from hybrid.learn.dewarpnet import NODES, BackwardNet, DewarpNet, DewarpNetConfig, ShapeNet, coordinate_code
 from hybrid.learn.edges import EdgeNet, EdgeNetConfig, edge_losses
-from hybrid.learn.feeds import FILM_FEED, Feed, edge_feed, paper_feed, print_feed
+from hybrid.learn.feeds import FILM_FEED, LIGHT_FEED, Feed, edge_feed, paper_feed, print_feed
 from hybrid.learn.firenet import MULTI_MAP, UV_ONLY, FiReNet, FiReNetConfig
+from hybrid.learn.light import LightNet, LightNetConfig, light_losses
 from hybrid.learn.losses import LossWeights, loss_terms
 from hybrid.learn.network import FilmNet, FilmNetConfig
 from hybrid.learn.paper_targets import PaperTargets
@@ -61,7 +62,7 @@ class Preset:
     precision, or that two cores can train, if that is less. batch, learning_rate: as published.
     """
 
-    config: FilmNetConfig | UprightNetConfig | EdgeNetConfig | PaperConfig
+    config: FilmNetConfig | UprightNetConfig | EdgeNetConfig | LightNetConfig | PaperConfig
     build: Callable[[Any], nn.Module]
     losses: Callable[[Any, Any], dict[str, Tensor]]
     weights: Mapping[str, float] = field(default_factory=dict)
@@ -149,6 +150,15 @@ PRESETS: dict[str, Preset] = {
         own_feed=edge_feed(EdgeNetConfig()),
         batch=16,
         learning_rate=2e-3,
+    ),
+    "light": Preset(
+        LightNetConfig(),
+        LightNet,
+        light_losses,
+        weights={"black": 4.0, "contrast": 4.0, "slope": 10.0, "film": 0.15},
+        own_feed=LIGHT_FEED,
+        batch=48,
+        learning_rate=2.5e-3,
     ),
     "firenet": _FIRENET,
     "firenet_multimap": replace(_FIRENET, config=MULTI_MAP, nodes=no_nodes),

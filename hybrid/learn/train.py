@@ -38,7 +38,7 @@ class TrainConfig:
     out: Path
     """Folder for checkpoint, curves and weights."""
     preset: str = "filmnet"
-    """Which network: filmnet, upright, edges, or one of the paper's (docs/training.md lists all)."""
+    """Which network: filmnet, upright, edges, light, or one of the paper's (docs/training.md lists all)."""
     width: float | None = None
     """Factor on the channels of the paper's networks."""
     input_px: int | None = None

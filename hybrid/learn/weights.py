@@ -16,6 +16,7 @@ from torch import Tensor, nn
 from hybrid.coords import CONVENTIONS_VERSION
 from hybrid.errors import DataError, describe
 from hybrid.learn.edges import EdgeNet, EdgeNetConfig
+from hybrid.learn.light import LightNet, LightNetConfig
 from hybrid.learn.network import FilmNet, FilmNetConfig
 from hybrid.learn.tensors import Network
 from hybrid.learn.upright import UprightNet, UprightNetConfig
@@ -85,6 +86,11 @@ def packaged_upright_net() -> UprightNet:
 def packaged_edge_net() -> EdgeNet:
     """The EdgeNet that the package ships."""
     return load_weights(packaged_path("edges"), EdgeNet, EdgeNetConfig)
+
+
+def packaged_light_net() -> LightNet:
+    """The LightNet that the package ships."""
+    return load_weights(packaged_path("light"), LightNet, LightNetConfig)
 
 
 def notes_of(path: Path) -> dict[str, Any]:

@@ -1,34 +1,30 @@
 """From the flat film with its light to the print: light and reflections removed, the grey scale kept.
 
-In linear light the photo shows ``a * film + b``, with a smooth gain a (light through and onto the sheet) and a veil b
-(the room reflected in it). The black between the slices pins b, the white texts and bone pin a; both are found on a
-small copy, and applied at full resolution so that every detail comes from the photo. One tone curve for all films then
-turns light into display grey. Where the photo is clipped, or veiled until nothing is left between black and white,
-nothing is known, and nothing is made up.
+In linear light the photo shows ``gain * print + black``: black is the veil, the room reflected in the sheet, and black
+and gain together what print white looks like. Both are read on a small copy by a network (``hybrid.levels``), and
+applied at full resolution so that every detail comes from the photo. One tone curve for all films then turns light into
+display grey. Where the photo is clipped, or veiled until nothing is left between black and white, nothing is known, and
+nothing is made up.
 """
 
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float, Float32, UInt8
+from jaxtyping import Bool, Float32, UInt8
 
-from hybrid.coords import linear_from_srgb, srgb_from_linear
+from hybrid.coords import srgb_from_linear
 from hybrid.errors import require_at_least
-from hybrid.records import SliceGrid
-from hybrid.rectify.light import Light, LightConfig, find_light, share_seen
-from hybrid.rectify.reflections import ReflectionConfig, find_reflections
+from hybrid.levels import CLIPPED, LEAST_CONTRAST, LevelReader, Levels, grey_table
 from hybrid.rectify.survey import survey_light
 
-CHANNEL_TRUST = np.array([0.25, 0.6, 0.15])
-"""Shares of red, green and blue in the grey: green is the sharpest and least noisy channel of a phone's picture."""
-CLIPPED = 253
-"""Channel values from here on say only "at least"."""
-LEAST_CONTRAST = 12 / 255
-"""Display levels between print black and print white below which nothing can be recovered: noise and coding eat it."""
+CLIPPED_CONTRAST = 70 / 255
+"""The same of the mean over a clipped part, which ends sharply, while levels are read on a coarse lattice."""
+LEAST_SEEN = 0.1
+"""Share of the film that must be seen for its light to be read."""
 STRIP_ROWS = 64
 """Rows worked on at a time: few enough that all steps of a strip stay in the processor's cache."""
 
@@ -38,18 +34,18 @@ class DeilluminateConfig:
     """How light and reflections are told from the print."""
 
     work_px: int = 512
-    """Longer side of the copy on which the light is estimated."""
-    light: LightConfig = field(default_factory=LightConfig)
-    """How gain and smooth veil are found."""
-    reflections: ReflectionConfig = field(default_factory=ReflectionConfig)
-    """How reflections with edges are found."""
-    even_light: float = 0.03
-    """Gain (relative) and veil that vary less are left alone."""
+    """Longer side of the copy on which black, white and the tone are found."""
+    gain_blur: float = 0.06
+    """One sigma of the blur of the gain, in parts of the film: what is finer in it is oftener print than light."""
+    even_light: float = 0.12
+    """Gain (relative) and veil that vary less are left alone: the network does not tell such light from print."""
+    least_print: float = 0.02
+    """Light of print black, in parts of print white: some grey is left of film where it is blackest."""
     print_black: float = 0.05
     """Display grey of the print's black surround."""
     print_white: float = 0.95
     """Display grey of the brightest parts."""
-    root_share: float = 0.75
+    root_share: float = 0.85
     """Tone curve: share of the square root (a print seen by reflection: the display's own gamma) against the straight
     line (a print whose transmission is proportional to its grey). Which it is, one photo does not tell."""
 
@@ -76,7 +72,7 @@ class Deillumination:
 
 
 @dataclass(frozen=True)
-class _Tone:
+class _ToneCurve:
     """Display grey of light x in [0, 1]: ``black + straight * x + root * sqrt(x)``, monotone as both are positive."""
 
     black: float
@@ -97,44 +93,42 @@ class _Tone:
 def deilluminate(
     rectified: UInt8[np.ndarray, "h w 3"],
     valid: Bool[np.ndarray, "h w"],
-    grid: SliceGrid | None = None,
+    reader: LevelReader,
     config: DeilluminateConfig | None = None,
     covered: Bool[np.ndarray, "h w"] | None = None,
 ) -> Deillumination:
     """The print in display grey from the flat film with its light.
 
-    grid: the slice grid: there are as many tiles as slices then in which white is looked for, and slices tell what is
-    black in all of them. covered: where something lies before the film: it tells nothing of the light, and stays in the
-    film, with no confidence.
+    reader: tells the levels of black and white. covered: where something lies before the film: it tells nothing of the
+    light, and stays in the film, with no confidence.
     """
     config = config or DeilluminateConfig()
     print_seen = valid if covered is None else valid & ~covered
-    small, small_valid = _small_copy(rectified, print_seen, config.work_px)
-    table = _grey_table(small)
-    grey = _linear_grey(small, table)
-    light = find_light(grey, small_valid, grid, config.light)
-    light = _with_reflections(light, grey, small_valid, grid, config.reflections)
-    decision = survey_light(light.gain, light.veil / max(_white(grey, small_valid), 1e-6), config.even_light)
+    small, small_seen = _small_copy(rectified, print_seen, config.work_px)
+    levels = read_levels(small, small_seen, reader, config.gain_blur)
+    decision = survey_light(levels.gain, levels.black / np.median(levels.gain), config.even_light)
     if decision.yes:
-        light = Light.even(light.pedestal)
-    white = _white(_corrected(grey, light), small_valid)
-    tone = _find_tone(_corrected(grey, light) / white, small_valid, config)
-    film = _apply(rectified, table, light, white, tone)
+        levels = Levels(*(np.full_like(x, np.median(x)) for x in (levels.black, levels.gain)))
+    table = grey_table()
+    even = _even(_linear_grey(small, table), levels)
+    contrast = _contrast(levels, 0.0, 1.0)
+    black, white = _print_range(even, small_seen & ~_lost(contrast, np.zeros(even.shape, bool)))
+    tone = _tone_curve(min(black / white + config.least_print, 1.0), config)
+    film = _apply(rectified, table, Levels(levels.black, levels.gain * np.float32(white)), config.least_print, tone)
     # Glare wider than a stroke shows on the small copy; most films have none.
-    glare = find_clipped(rectified) if small.max() >= CLIPPED else np.zeros(film.shape, bool)
-    clipped = np.count_nonzero(glare)
-    _add_veiled(glare, light, white - light.pedestal)
+    clipped = find_clipped(rectified) if small.max() >= CLIPPED else np.zeros(film.shape, bool)
+    glare = _lost(contrast, clipped)
+    if _contrast(levels, black, white).max() < LEAST_CONTRAST:  # nothing is told apart anywhere
+        glare[:] = True
     if not print_seen.all():
         film[~valid] = 0.0
         glare &= print_seen
-    lost = np.count_nonzero(glare)
-    note = f"{decision.reason}; {clipped / glare.size:.1%} clipped, {lost / glare.size:.1%} lost in all"
-    confidence = _confidence(light, white - light.pedestal, glare, print_seen)
-    return Deillumination(film, glare, confidence, not decision.yes, note)
+    note = f"{decision.reason}; {clipped.mean():.1%} clipped, {glare.mean():.1%} lost"
+    return Deillumination(film, glare, _confidence(levels, glare, print_seen), not decision.yes, note)
 
 
 def find_clipped(rectified: UInt8[np.ndarray, "h w 3"]) -> Bool[np.ndarray, "h w"]:
-    """Where green and another channel are clipped, over more than the width of a printed stroke.
+    """Where green and another channel are clipped on most pixels around: noise leaves holes in what is clipped.
 
     White strokes that just reach the limit are white by print, and thinner than a hundred and fiftieth of the film.
     """
@@ -143,12 +137,28 @@ def find_clipped(rectified: UInt8[np.ndarray, "h w 3"]) -> Bool[np.ndarray, "h w
     clipped = cv2.bitwise_or(warm, cold)
     if cv2.countNonZero(clipped) == 0:
         return clipped.astype(bool)
-    width = 2 * (max(rectified.shape[:2]) // 300) + 1
-    kernel = np.ones((width, width), np.uint8)
-    return cv2.morphologyEx(clipped, cv2.MORPH_OPEN, kernel).astype(bool)
+    width = 4 * (max(rectified.shape[:2]) // 300) + 1
+    return cv2.blur(clipped, (width, width)) > 127
 
 
 # ---------------------------------------------------------------- light in grey
+
+
+def read_levels(
+    film: UInt8[np.ndarray, "h w 3"], seen: Bool[np.ndarray, "h w"], reader: LevelReader, gain_blur: float
+) -> Levels:
+    """The levels of a film, the gain blurred in proportion; even light, from black to white, where too little is seen.
+
+    gain_blur: one sigma, in parts of the film.
+    """
+    size = (reader.side_px, reader.side_px)
+    square, seen_there = cv2.resize(film, size, interpolation=cv2.INTER_AREA), share_seen(seen, size) > 0.99
+    if seen_there.mean() < LEAST_SEEN:
+        return Levels(np.zeros((1, 1), np.float32), np.ones((1, 1), np.float32))
+    read = reader.read(square, seen_there)
+    sigma = gain_blur * len(read.gain)
+    logs = cv2.GaussianBlur(np.log(read.gain), (0, 0), sigma, borderType=cv2.BORDER_REFLECT)
+    return Levels(read.black, np.exp(logs))
 
 
 def _small_copy(
@@ -166,15 +176,11 @@ def _small_copy(
     return small, share_seen(valid[kept], (width, height)) > 0.999
 
 
-def _grey_table(small: UInt8[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "256 3"]:
-    """Each channel's contribution to linear grey, by its 8-bit value; channels that clip count for less.
-
-    Any fixed weights keep the form gain * film + veil, and a cast of the light only changes its gain.
-    """
-    clipped = np.array([cv2.countNonZero(cv2.inRange(x, CLIPPED, 255)) for x in cv2.split(small)]) / small[..., 0].size
-    trust = CHANNEL_TRUST * np.clip(1.0 - 4.0 * (clipped - clipped.min()), 0.1, 1.0)
-    linear = linear_from_srgb(np.arange(256) / 255.0)
-    return (linear[:, None] * (trust / trust.sum())).astype(np.float32)
+def share_seen(valid: Bool[np.ndarray, "h w"], size: tuple[int, int]) -> Float32[np.ndarray, "sh sw"]:
+    """Share of each pixel of a picture of ``size`` (width, height) that is valid; mostly all is, which is quick."""
+    if valid.all():
+        return np.ones(size[::-1], np.float32)
+    return cv2.resize(valid.astype(np.float32), size, interpolation=cv2.INTER_AREA)
 
 
 def _linear_grey(image: UInt8[np.ndarray, "h w 3"], table: Float32[np.ndarray, "256 3"]) -> Float32[np.ndarray, "h w"]:
@@ -183,60 +189,41 @@ def _linear_grey(image: UInt8[np.ndarray, "h w 3"], table: Float32[np.ndarray, "
     return cv2.add(cv2.add(red, green, dst=red), blue, dst=red)
 
 
-def _white(grey: Float[np.ndarray, "h w"], valid: Bool[np.ndarray, "h w"]) -> float:
-    """The light of the print's white: all but a few thousandths of the film are darker."""
-    seen = grey[::2, ::2][valid[::2, ::2]]
-    return max(float(np.quantile(seen, 0.997)), 1e-4) if seen.size else 1.0
-
-
-def _with_reflections(
-    light: Light,
-    grey: Float32[np.ndarray, "h w"],
-    valid: Bool[np.ndarray, "h w"],
-    grid: SliceGrid | None,
-    config: ReflectionConfig,
-) -> Light:
-    """The light with what reflections with edges add to the veil."""
-    shrink = max(grey.shape) / config.side_px
-    size = (max(round(grey.shape[1] / shrink), 1), max(round(grey.shape[0] / shrink), 1))
-    coarse = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
-    seen = share_seen(valid, size) > 0.99
-    white = _white(_corrected(coarse, light), seen)
-    found = find_reflections((_corrected(coarse, light) - light.pedestal) / white, seen, grid, config)
-    if not found.any():
-        return light
-    gain, veil = (cv2.resize(x, size, interpolation=cv2.INTER_LINEAR) for x in (light.gain, light.veil))
-    return replace(light, veil=veil + found * np.float32(white) * gain)
-
-
-def _corrected(grey: Float32[np.ndarray, "h w"], light: Light) -> Float32[np.ndarray, "h w"]:
-    """Even light of linear grey on a small copy."""
-    gain, veil = (cv2.resize(x, grey.shape[::-1], interpolation=cv2.INTER_LINEAR) for x in (light.gain, light.veil))
-    return np.maximum((grey - veil) / gain + np.float32(light.pedestal), np.float32(0))
+def _even(grey: Float32[np.ndarray, "h w"], levels: Levels) -> Float32[np.ndarray, "h w"]:
+    """Light of the print on a small copy: 0 where it is black, 1 where it is white."""
+    gain, black = (cv2.resize(x, grey.shape[::-1], interpolation=cv2.INTER_LINEAR) for x in (levels.gain, levels.black))
+    return np.maximum((grey - black) / gain, np.float32(0))
 
 
 # ---------------------------------------------------------------- tone and output
 
 
-def _find_tone(even: Float32[np.ndarray, "h w"], valid: Bool[np.ndarray, "h w"], config: DeilluminateConfig) -> _Tone:
-    """The tone curve that takes the film's black and white to those of a print."""
-    valid = valid[::2, ::2]
-    seen = np.minimum(even[::2, ::2][valid], 1.0) if valid.any() else np.array([0.0, 1.0])
-    share, black = config.root_share, float(np.quantile(seen, 0.02))
+def _print_range(even: Float32[np.ndarray, "h w"], known: Bool[np.ndarray, "h w"]) -> tuple[float, float]:
+    """The light of the print's black and of its white: all but a few hundredths of the film are brighter, and all but a
+    few thousandths darker."""
+    seen = even[::2, ::2][known[::2, ::2]]
+    if not seen.size:
+        return 0.0, 1.0
+    black, white = np.quantile(seen, (0.02, 0.997))
+    return float(black), max(float(white), 1e-4)
+
+
+def _tone_curve(black: float, config: DeilluminateConfig) -> _ToneCurve:
+    """The tone curve that takes the film's black (white: 1) and white to those of a print."""
+    share = config.root_share
     low = (1.0 - share) * black + share * np.sqrt(black)
     contrast = (config.print_white - config.print_black) / max(1.0 - low, 0.1)
-    return _Tone(config.print_black - contrast * low, contrast * (1.0 - share), contrast * share)
+    return _ToneCurve(config.print_black - contrast * low, contrast * (1.0 - share), contrast * share)
 
 
 def _apply(
-    rectified: UInt8[np.ndarray, "h w 3"], table: Float32[np.ndarray, "256 3"], light: Light, white: float,
-    tone: _Tone,
+    rectified: UInt8[np.ndarray, "h w 3"], table: Float32[np.ndarray, "256 3"], levels: Levels, least: float,
+    tone: _ToneCurve,
 ) -> Float32[np.ndarray, "h w"]:  # fmt: skip
-    """Display grey of the whole film, strip by strip."""
+    """Display grey of the whole film, strip by strip. least: light of print black."""
     height, width = rectified.shape[:2]
     film = np.empty((height, width), np.float32)
-    gain = cv2.resize(light.gain, light.veil.shape[::-1], interpolation=cv2.INTER_LINEAR)
-    fields = (1.0 / (gain * white), (light.pedestal - light.veil / gain) / white)
+    fields = (1.0 / levels.gain, least - levels.black / levels.gain)
     rows = [cv2.resize(x.astype(np.float32), (x.shape[1], height), interpolation=cv2.INTER_LINEAR) for x in fields]
 
     def strip(top: int) -> None:
@@ -253,34 +240,34 @@ def _apply(
     return film
 
 
-def _add_veiled(lost: Bool[np.ndarray, "h w"], light: Light, signal: float) -> None:
-    """Mark in ``lost`` where the photo's black and white come out less than ``LEAST_CONTRAST`` apart, as far as the
-    light is known.
+def _contrast(levels: Levels, black: float, white: float) -> Float32[np.ndarray, "h w"]:
+    """Display grey between the print's black and white. black, white: their light (0 and 1: as the levels have it)."""
+    dark, bright = (srgb_from_linear(np.clip(levels.black + x * levels.gain, 0, 1)) for x in (black, white))
+    return (bright - dark).astype(np.float32)
 
-    signal: light of the print's white less that of its black, at a gain of 1.
-    """
-    veil = np.maximum(light.veil, 0.0)
-    gain = cv2.resize(light.gain, veil.shape[::-1], interpolation=cv2.INTER_LINEAR)
-    worst = float(veil.max())  # contrast falls as the veil grows: where even this leaves enough, nothing is lost
-    if np.diff(srgb_from_linear(np.array([worst, worst + float(gain.min()) * signal])))[0] >= LEAST_CONTRAST:
-        return
-    contrast = (srgb_from_linear(veil + gain * signal) - srgb_from_linear(veil)).astype(np.float32)
-    if contrast.min() < LEAST_CONTRAST:
-        lost |= cv2.resize(contrast, lost.shape[::-1], interpolation=cv2.INTER_LINEAR) < LEAST_CONTRAST
+
+def _lost(contrast: Float32[np.ndarray, "h w"], clipped: Bool[np.ndarray, "h2 w2"]) -> Bool[np.ndarray, "h2 w2"]:
+    """Where too little is left between black and white. Clipped parts as a whole: they may be white print."""
+    left = cv2.resize(contrast, clipped.shape[::-1], interpolation=cv2.INTER_LINEAR)
+    lost = left < LEAST_CONTRAST
+    if clipped.any():
+        count, found = cv2.connectedComponents(clipped.astype(np.uint8))
+        part = np.asarray(found, np.intp)[clipped]
+        mean = np.bincount(part, left[clipped], count) / np.maximum(np.bincount(part, minlength=count), 1)
+        lost[clipped] |= (mean < CLIPPED_CONTRAST)[part]
+    return lost
 
 
 def _confidence(
-    light: Light, contrast: float, glare: Bool[np.ndarray, "h w"], valid: Bool[np.ndarray, "h w"]
+    levels: Levels, glare: Bool[np.ndarray, "h w"], seen: Bool[np.ndarray, "h w"]
 ) -> Float32[np.ndarray, "h w"]:
     """Share of the print's contrast in what the photo shows, relative to the usual light; 0 where unknown.
 
     Noise of the photo grows with its light, and is amplified as the print's share of it falls.
     """
-    gain = cv2.resize(light.gain, light.veil.shape[::-1], interpolation=cv2.INTER_LINEAR)
-    signal = gain * np.float32(contrast)
-    lit = np.minimum(gain / max(float(np.median(gain)), 1e-9), 1.0)
-    share = np.clip(signal / np.maximum(signal + np.maximum(light.veil, 0.0), 1e-9) * lit, 0.0, 1.0)
+    lit = np.minimum(levels.gain / max(float(np.median(levels.gain)), 1e-9), 1.0)
+    share = np.clip(levels.gain / np.maximum(levels.gain + np.maximum(levels.black, 0.0), 1e-9) * lit, 0.0, 1.0)
     trust = cv2.resize(share.astype(np.float32), glare.shape[::-1], interpolation=cv2.INTER_LINEAR)
-    if glare.any() or not valid.all():
-        trust[glare | ~valid] = 0.0
+    if glare.any() or not seen.all():
+        trust[glare | ~seen] = 0.0
     return trust

@@ -17,15 +17,15 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, UInt8
 
 from hybrid.backward import BackwardMap, Orientation
-from hybrid.coords import film_from_pixel, film_nodes, pixel_from_film, sample_bilinear
+from hybrid.coords import centres_1d, film_from_pixel, film_nodes, pixel_from_film, sample_bilinear
 from hybrid.errors import FusionError, describe
+from hybrid.levels import LevelReader
 from hybrid.records import RectifyResult, SliceGrid, StageReport
 from hybrid.rectify import bspline
 from hybrid.rectify.bspline import NormalEquations
 from hybrid.rectify.consensus import read_beside, to_common
 from hybrid.rectify.deilluminate import DeilluminateConfig, deilluminate
 from hybrid.rectify.merge import Film, MergeConfig, detail_of, merge, reduced
-from hybrid.rectify.reflections import seen_slices
 from hybrid.rectify.resample import ResampleConfig, rectify_photo
 
 AnyFilm = Float32[np.ndarray, "_ _"]
@@ -251,9 +251,19 @@ def _agreement(fixed: Film, moving: Film, grid: SliceGrid | None) -> float:
 
 def _own_of_slices(detail: Film, grid: SliceGrid) -> Float[np.ndarray, "slices n"]:
     """Each slice's detail less the median over all slices."""
-    slices = seen_slices(detail, grid, max(round(max(detail.shape) / max(grid.rows, grid.cols)), 16))
+    slices = _seen_slices(detail, grid, max(round(max(detail.shape) / max(grid.rows, grid.cols)), 16))
     slices = slices - np.median(slices, axis=(0, 2), keepdims=True)
     return slices.swapaxes(1, 2).reshape(grid.rows * grid.cols, -1)
+
+
+def _seen_slices(film: Film, grid: SliceGrid, samples: int) -> Float32[np.ndarray, "rows n cols n"]:
+    """A film's slices, each at ``samples`` x ``samples`` places."""
+    along_v, along_u = (
+        np.interp(centres_1d(samples * (len(lines) - 1)) / samples, np.arange(len(lines)), lines)
+        for lines in (grid.vertices[..., 1].mean(axis=1), grid.vertices[..., 0].mean(axis=0))  # straight on the film
+    )
+    points = pixel_from_film(np.stack(np.meshgrid(along_u, along_v), axis=-1), (film.shape[0], film.shape[1]))
+    return sample_bilinear(film, points).reshape(grid.rows, samples, grid.cols, samples)
 
 
 def _cover_on(
@@ -290,15 +300,17 @@ def _surest_grid(
 def fuse(
     photos: Sequence[UInt8[np.ndarray, "h w 3"]],
     results: Sequence[RectifyResult],
+    reader: LevelReader,
     config: FuseConfig | None = None,
     light: DeilluminateConfig | None = None,
     resample: ResampleConfig | None = None,
 ) -> RectifyResult:
     """One result of several photos of one film, lying as in the first of them.
 
-    results: of the photos; a film was found in the first, and photos without one are left out. film, glare and
-    confidence are made of all; rectified and backward are of the first photo, moved to where those photos together say
-    that the print lies whose maps are sure, or all if none is; status, expected error and grid are theirs.
+    results: of the photos; a film was found in the first, and photos without one are left out. reader: of their light.
+    film, glare and confidence are made of all; rectified and backward are of the first photo, moved to where those
+    photos together say that the print lies whose maps are sure, or all if none is; status, expected error and grid are
+    theirs.
 
     Raises:
         FusionError: the photos show different films.
@@ -334,7 +346,7 @@ def fuse(
     grid = _surest_grid(told, shifts, maps[0])
     covers = [_cover_on(size, *of_photo) for of_photo in zip(found_in, ways, shifts, strict=True)]
     lights = [
-        deilluminate(flat.image, flat.valid, grid, light, cover) for flat, cover in zip(flats, covers, strict=True)
+        deilluminate(flat.image, flat.valid, reader, light, cover) for flat, cover in zip(flats, covers, strict=True)
     ]
     fused = merge(
         [one.film for one in lights],

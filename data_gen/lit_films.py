@@ -1,0 +1,143 @@
+"""Flat films under many lights, for LightNet to learn from: ``python -m data_gen.lit_films --count N --out DIR``.
+
+A bent film is lit as in ``data_gen.sample``, but photographed in its own coordinates: no ray is cast, and what print
+black and print white look like there is known exactly.
+"""
+
+from __future__ import annotations
+
+import io
+import multiprocessing
+import os
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, field, replace
+from functools import lru_cache, partial
+from pathlib import Path
+
+import cv2
+import numpy as np
+import tyro
+from jaxtyping import Float, UInt8
+from threadpoolctl import threadpool_limits
+from tqdm import tqdm
+
+from data_gen.composite import print_levels
+from data_gen.develop import develop
+from data_gen.prints import make_print
+from data_gen.rooms import prefilter
+from data_gen.sample import SampleConfig, black_and_white, metered, on_sensor, scene_light, sheet_of
+from data_gen.scene import Scene, sample_scene
+from data_gen.shade import FilmLight
+from data_gen.sources import SourceConfig, draw_environment, draw_volume
+from hybrid.coords import linear_from_srgb, rgb_from_bgr, srgb_from_linear
+from hybrid.errors import HybridError
+from hybrid.image_io import write_bytes
+from hybrid.learn.light_data import LitFilm
+from hybrid.levels import CHANNEL_SHARES
+from hybrid.mesh.recipes import bend
+
+FLAT_PX, FILM_PX, LEVEL_PX = 384, 128, 64
+"""Sides of the film as it is photographed, as it is stored, and of its levels."""
+
+_PHOTO_SIZE = (384, 384)
+"""Of the photo in which the film would lie; what is behind it is drawn at this size."""
+
+
+@dataclass(frozen=True)
+class LitFilmsConfig:
+    """Write flat films under many lights, where ``hybrid train --preset light`` finds them.
+
+    count: films to make; those that are there already stay. out: their folder, one for each seed. seed: the same seed
+    gives the same films. photos: of each film, each in another light. workers: processes. sources: of CT volumes and
+    of light.
+    """
+
+    count: int
+    out: Path
+    seed: int = 0
+    photos: int = 10
+    workers: int = os.cpu_count() or 1
+    sources: tyro.conf.OmitArgPrefixes[SourceConfig] = field(default_factory=SourceConfig)
+
+
+def lit_films(config: LitFilmsConfig) -> None:
+    """Write the films that are missing."""
+    config.out.mkdir(parents=True, exist_ok=True)
+    missing = [number for number in range(config.count) if not _path(config, number).exists()]
+    with ProcessPoolExecutor(config.workers, multiprocessing.get_context("spawn")) as pool:
+        list(tqdm(pool.map(partial(_write_film, config), missing, chunksize=4), total=len(missing), unit="film"))
+
+
+def lit_film(seed: int, number: int, photos: int, sources: SourceConfig) -> LitFilm:
+    """Film ``number`` of a seed, photographed flat in several lights; no film of a data set of that seed."""
+    rng, made_of = np.random.default_rng([seed, number, 2]), SampleConfig(sources=sources)
+    film_print = make_print(draw_volume(sources, rng), rng, made_of.prints)
+    _, frames = bend(sheet_of(film_print), rng, made_of.bend)
+    room = prefilter(draw_environment(sources, rng))
+    full = print_levels(film_print.image)
+    reflectance, flat = (
+        cv2.resize(x[0], (px, px), interpolation=cv2.INTER_AREA)
+        for x, px in ((full.reflectance, FLAT_PX), (full.grey, FILM_PX))
+    )
+    lit = []
+    for _ in range(photos):
+        film = frames[int(rng.integers(len(frames)))].mesh
+        scene = sample_scene(film, _PHOTO_SIZE, rng, made_of.scene)
+        light, around = scene_light(film, scene, room, float(np.median(reflectance)))
+        light = on_sensor(light, film, scene)
+        lit.append(_photographed(light, around.behind, scene, reflectance, rng))
+    shown, black, white = (np.stack(x) for x in zip(*lit, strict=True))
+    return LitFilm(shown, _bytes(flat), black, white)
+
+
+def _photographed(
+    light: FilmLight, behind: Float[np.ndarray, "h w 3"], scene: Scene, reflectance: Float[np.ndarray, "f f"],
+    rng: np.random.Generator,
+) -> tuple[UInt8[np.ndarray, "n n 3"], UInt8[np.ndarray, "m m"], UInt8[np.ndarray, "m m"]]:  # fmt: skip
+    """The flat film as the camera shows it, and its levels. behind: what the rest of the photo shows."""
+    gain, veil = (cv2.resize(x, reflectance.shape, interpolation=cv2.INTER_LINEAR) for x in (light.gain, light.veil))
+    linear = gain * reflectance[..., None] + veil
+    white = metered(light, np.concatenate([x[::4, ::4].reshape(-1, 3) for x in (linear, behind)]))
+    even = replace(scene, lens=replace(scene.lens, vignette=0.0))  # the light has lost it already
+    code = np.frombuffer(develop(linear, even.lens, white, rng), np.uint8)
+    photo = rgb_from_bgr(np.asarray(cv2.imdecode(code, cv2.IMREAD_COLOR), np.uint8))
+    levels = (
+        cv2.resize(linear_from_srgb(x) @ np.array(CHANNEL_SHARES), (LEVEL_PX,) * 2, interpolation=cv2.INTER_AREA)
+        for x in black_and_white(FilmLight(gain, veil), even, white)
+    )
+    black, bright = (_bytes(srgb_from_linear(x)) for x in levels)
+    return cv2.resize(photo, (FILM_PX,) * 2, interpolation=cv2.INTER_AREA), black, bright
+
+
+def _bytes(display: Float[np.ndarray, "n n"]) -> UInt8[np.ndarray, "n n"]:
+    return np.rint(255 * np.clip(display, 0, 1)).astype(np.uint8)
+
+
+def _path(config: LitFilmsConfig, number: int) -> Path:
+    return config.out / f"{number:06d}.npz"
+
+
+def _write_film(config: LitFilmsConfig, number: int) -> None:
+    _one_thread()
+    film, file = lit_film(config.seed, number, config.photos, config.sources), io.BytesIO()
+    np.savez(file, photos=film.photos, flat=film.flat, black=film.black, white=film.white)
+    write_bytes(_path(config, number), file.getvalue())
+
+
+@lru_cache(maxsize=1)
+def _one_thread() -> None:
+    """In this process all is done by one thread from now on: films are the parallelism."""
+    cv2.setNumThreads(1)
+    threadpool_limits(1)
+
+
+def main() -> None:
+    """Command line."""
+    try:
+        lit_films(tyro.cli(LitFilmsConfig, prog="python -m data_gen.lit_films"))
+    except (HybridError, OSError) as error:
+        raise SystemExit(f"error: {error}") from None
+
+
+if __name__ == "__main__":
+    main()

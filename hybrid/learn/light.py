@@ -1,0 +1,188 @@
+"""LightNet: says how bright print black and print white are at each place of a flat film.
+
+A reflection is told from print by what both look like: organs end at the borders of slices and recur from slice to
+slice, windows and lamps do neither, and the brightest bone of one slice is as white as that of the next. The network
+sees the whole film at once, small: light has little detail. What it says is two smooth fields; every detail of the
+recovered film comes from the photo.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, UInt8
+from torch import Tensor, nn
+from torch.nn import functional
+
+from hybrid.learn.network import ConvNorm, Residual
+from hybrid.learn.tensors import Tensors, image_batch
+from hybrid.levels import CHANNEL_SHARES, CLIPPED, LevelReader, Levels
+
+
+@dataclass(frozen=True)
+class LightNetConfig:
+    """widths: channels at 1/2, 1/4, 1/8 and 1/16 of the film. input_px: side of the square copy that is read."""
+
+    widths: tuple[int, int, int, int] = (24, 48, 80, 112)
+    input_px: int = 128
+
+
+@dataclass(frozen=True, eq=False)
+class LightNetOutput:
+    """Linear grey, at half the input's resolution; as ``hybrid.levels.Levels``."""
+
+    black: Float[Tensor, "b h w"]
+    gain: Float[Tensor, "b h w"]
+
+
+class LightNet(nn.Module):
+    """An encoder to 1/16 of the film, and a decoder to its half; each field is a sum of three, from coarse to fine.
+
+    It sees light in units of the film's mean, so a brighter photo is read alike.
+    """
+
+    def __init__(self, config: LightNetConfig) -> None:
+        super().__init__()
+        self.config = config
+        w2, w4, w8, w16 = config.widths
+        self.down2 = nn.Sequential(ConvNorm(5, w2, 3, 2), ConvNorm(w2, w2, 3, 1))
+        self.down4 = nn.Sequential(ConvNorm(w2, w4, 3, 2), Residual(w4))
+        self.down8 = nn.Sequential(ConvNorm(w4, w8, 3, 2), Residual(w8))
+        self.down16 = nn.Sequential(ConvNorm(w8, w16, 3, 2), Residual(w16))
+        self.whole = nn.Conv2d(w16, w16, 1)
+        self.deep = Residual(w16)
+        self.lateral8, self.lateral4, self.lateral2 = nn.Conv2d(w16, w8, 1), nn.Conv2d(w8, w4, 1), nn.Conv2d(w4, w2, 1)
+        self.up8, self.up4, self.up2 = Residual(w8), Residual(w4), Residual(w2)
+        self.head16, self.head4, self.head2 = (nn.Conv2d(width, 2, 3, 1, 1) for width in (w16, w4, w2))
+
+    def forward(self, films: Float[Tensor, "b 4 n n"]) -> LightNetOutput:
+        """Levels of flat films. films: sRGB in [0, 1], and 1 where the photo shows the print (0 elsewhere)."""
+        seen, clipped = films[:, 3:], (films[:, :3].amax(dim=1, keepdim=True) >= CLIPPED / 255).float()
+        linear = linear_light(films[:, :3])
+        unit = 2 * (linear_grey(linear) * seen[:, 0]).sum(dim=(1, 2)) / seen.sum(dim=(1, 2, 3)).clamp(min=1)
+        unit = unit.clamp(min=1e-4)[:, None, None]
+        roots = (linear / unit[:, None]).clamp(max=4).sqrt()
+        x2 = self.down2(torch.cat([roots, seen, clipped], dim=1) * seen)
+        x4 = self.down4(x2)
+        x8 = self.down8(x4)
+        x16 = self.down16(x8)
+        x16 = self.deep(x16 + self.whole(x16.mean(dim=(2, 3), keepdim=True)))
+        y8 = self.up8(x8 + _larger(self.lateral8(x16), 2))
+        y4 = self.up4(x4 + _larger(self.lateral4(y8), 2))
+        y2 = self.up2(x2 + _larger(self.lateral2(y4), 2))
+        fields = _larger(self.head16(x16).float(), 8) + _larger(self.head4(y4).float(), 2) + self.head2(y2).float()
+        black, gain = functional.softplus(fields[:, 0] - 2), torch.exp(fields[:, 1].clamp(-5, 4))
+        return LightNetOutput(unit * black, unit * gain)
+
+
+def _larger(x: Tensor, times: int) -> Tensor:
+    return functional.interpolate(x, scale_factor=times, mode="bilinear")
+
+
+def linear_light(srgb: Tensor) -> Tensor:
+    """Linear light of sRGB in [0, 1]."""
+    return torch.where(srgb <= 0.04045, srgb / 12.92, ((srgb.clamp(min=0.04045) + 0.055) / 1.055) ** 2.4)
+
+
+def linear_grey(linear: Float[Tensor, "b 3 h w"]) -> Float[Tensor, "b h w"]:
+    """Linear grey of linear RGB."""
+    red, green, blue = CHANNEL_SHARES
+    return red * linear[:, 0] + green * linear[:, 1] + blue * linear[:, 2]
+
+
+# ---------------------------------------------------------------- losses
+
+
+@dataclass(frozen=True, eq=False)
+class LightTargets(Tensors):
+    """grey: linear grey of the input. black, white: the true levels (linear grey), at half its resolution. contrast:
+    display grey between them. flat: the print in display grey. counted: where grey shows the print and light has left
+    something of it."""
+
+    grey: Float[Tensor, "b n n"]
+    black: Float[Tensor, "b h w"]
+    white: Float[Tensor, "b h w"]
+    contrast: Float[Tensor, "b h w"]
+    flat: Float[Tensor, "b n n"]
+    counted: Float[Tensor, "b n n"]
+
+
+SURE_CONTRAST = 0.1
+"""Display grey between black and white from which on their ratio counts in full: below, noise and coding blur it."""
+
+LEAST_ERROR = 3e-4
+"""Mean square error of the film below which a further gain counts for little."""
+
+FEWEST_PIXELS = 800
+"""Pixels of print from which on a film is compared with it."""
+
+
+def light_losses(output: LightNetOutput, truth: LightTargets) -> dict[str, Tensor]:
+    """black: mean difference of the square roots, in units of the film's mean white. gain: mean difference of the logs.
+    contrast: mean difference of what is displayed between black and white, which is nothing where both clip. slope: of
+    the first two, that of their differences from pixel to pixel, so that no print shows in them. film: log of the mean
+    square error of the recovered film, after one gain and offset."""
+    unit = truth.white.mean(dim=(1, 2), keepdim=True).clamp(min=1e-4)
+    gain = ((truth.white - truth.black) / unit).clamp(min=1e-3)
+    roots = [(black / unit + 1e-3).sqrt() for black in (output.black, truth.black)]
+    black, off = roots[0] - roots[1], (output.gain / unit).clamp(min=1e-3).log() - gain.log()
+    sure = (truth.contrast / SURE_CONTRAST).clamp(0, 1)
+    error, enough = film_error(output, truth)
+    return {
+        "black": black.abs().clamp(max=2).mean(),
+        "gain": ((off.abs().clamp(max=3) * sure).sum(dim=(1, 2)) / sure.sum(dim=(1, 2)).clamp(min=50)).mean(),
+        "contrast": (displayed_contrast(output) - truth.contrast).abs().mean(),
+        "slope": _steps(black, torch.ones_like(sure)) + 0.3 * _steps(off, sure),
+        "film": ((error + LEAST_ERROR).log() * enough).sum() / enough.sum().clamp(min=1),
+    }
+
+
+def displayed_contrast(output: LightNetOutput) -> Float[Tensor, "b h w"]:
+    """Display grey between black and white."""
+    black, white = (_display(x.clamp(1e-6, 1)) for x in (output.black, output.black + output.gain))
+    return white - black
+
+
+def _display(linear: Tensor) -> Tensor:
+    return torch.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+
+
+def _steps(off: Float[Tensor, "b h w"], weight: Float[Tensor, "b h w"]) -> Float[Tensor, ""]:
+    """Mean absolute difference of neighbours along both axes."""
+    return torch.stack([(off.diff(dim=k).abs().clamp(max=1) * weight.narrow(k, 1, off.shape[k] - 1)).mean()
+                        for k in (1, 2)]).sum()  # fmt: skip
+
+
+def film_error(output: LightNetOutput, truth: LightTargets) -> tuple[Float[Tensor, " b"], Float[Tensor, " b"]]:
+    """Mean square error of each film against its print after the best gain and offset, and 1 where enough is seen."""
+    black, gain = (_larger(x[:, None], truth.grey.shape[-1] // x.shape[-1])[:, 0] for x in (output.black, output.gain))
+    even = ((truth.grey - black) / gain).clamp(max=1.5)
+    even = torch.where(even > 1e-3, even, 1e-3 * torch.exp((even.clamp(max=1e-3) - 1e-3) / 1e-3))  # still has a slope
+    shown, weight = (even + 1e-5).sqrt(), truth.counted
+    count = weight.sum(dim=(1, 2), keepdim=True).clamp(min=1)
+    film, flat = ((x - (x * weight).sum(dim=(1, 2), keepdim=True) / count) * weight for x in (shown, truth.flat))
+    slope = (film * flat).sum(dim=(1, 2), keepdim=True) / film.square().sum(dim=(1, 2), keepdim=True).clamp(min=1e-6)
+    error = (flat - slope * film).square().sum(dim=(1, 2)) / count[:, 0, 0]
+    return error, (weight.sum(dim=(1, 2)) > FEWEST_PIXELS).float()
+
+
+# ---------------------------------------------------------------- in use
+
+
+def films_tensor(films: UInt8[np.ndarray, "b n n 3"], seen: Bool[np.ndarray, "b n n"]) -> Float[Tensor, "b 4 n n"]:
+    """Flat films as the network reads them."""
+    shown = torch.from_numpy(seen)[:, None].float()
+    return torch.cat([image_batch(list(films)) * shown, shown], dim=1)
+
+
+def level_reader(network: LightNet) -> LevelReader:
+    """The network as what reads levels in ``hybrid.rectify.deilluminate``."""
+
+    def read(film: UInt8[np.ndarray, "n n 3"], seen: Bool[np.ndarray, "n n"]) -> Levels:
+        with torch.inference_mode():
+            output = network(films_tensor(film[None], seen[None]))
+        return Levels(output.black[0].numpy(), output.gain[0].numpy())
+
+    return LevelReader(network.config.input_px, read)

@@ -1,0 +1,315 @@
+"""Training views of LightNet: flat films under some light, with what print black and print white look like in it.
+
+A film of ``python -m data_gen.lit_films`` is a print, and photos of it that are flat already. In half of the views its
+light falls on another print, a test pattern among them, which its gain and veil tell exactly: so the network cannot
+know prints by heart.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Float32, UInt8
+from torch import Tensor
+from torch.nn import functional
+
+from hybrid.backward import Orientation
+from hybrid.coords import film_centres, linear_from_srgb, srgb_from_linear
+from hybrid.errors import DataError, describe
+from hybrid.learn.light import LightTargets, films_tensor, linear_grey
+from hybrid.levels import CHANNEL_SHARES, LEAST_CONTRAST
+
+_FINE = 2
+"""Pixels, along both axes, of which each pixel of a test pattern is the mean."""
+
+_LINEAR = linear_from_srgb(np.arange(256) / 255).astype(np.float32)
+
+
+@dataclass(frozen=True, eq=False)
+class LitFilm:
+    """A print and flat photos of it. Levels, in linear grey, are stored as their sRGB.
+
+    photos: (k, n, n, 3) sRGB. flat: (n, n) display grey. black, white: (k, m, m) what they look like in each photo.
+    """
+
+    photos: UInt8[np.ndarray, "k n n 3"]
+    flat: UInt8[np.ndarray, "n n"]
+    black: UInt8[np.ndarray, "k m m"]
+    white: UInt8[np.ndarray, "k m m"]
+
+
+@dataclass(frozen=True)
+class LitPlace:
+    """One photo of a file, and the files of all films of its folder, whose prints may be put in its light."""
+
+    path: Path
+    number: int
+    films: tuple[Path, ...]
+
+
+@dataclass(frozen=True)
+class LightAugment:
+    """How light and print are varied further.
+
+    other_print: share of views in which the print is another one. Of these alone: patterns, cropped, milder, shares in
+    which it is a test pattern, in which it is cut out of a film, and in which the light is evened out by some part;
+    print_gamma, one sigma of the log of a power of the print's light; tint, one sigma of the log of the channels of
+    veil and gain.
+    uneven, reflected: shares of views with a further smooth factor, and a further smooth veil; most of the log of the
+    one, and of the other in parts of white.
+    spots: share of views with a small bright reflection, sharp or soft, that mostly clips.
+    exposure, cast: one sigma of the logs of all light and of its channels. noise: most of one sigma (linear).
+    covered: share of views in which something lies before the film; told: how often the network is told so.
+    cut: share of views in which the film leaves the photo.
+    """
+
+    other_print: float = 0.5
+    patterns: float = 0.25
+    cropped: float = 0.4
+    milder: float = 0.6
+    print_gamma: float = 0.2
+    tint: float = 0.2
+    uneven: tuple[float, float] = (0.4, 0.5)
+    reflected: tuple[float, float] = (0.35, 0.5)
+    spots: float = 0.25
+    exposure: float = 0.25
+    cast: float = 0.08
+    noise: float = 0.006
+    covered: float = 0.3
+    told: float = 0.5
+    cut: float = 0.1
+
+
+UNDISTURBED = LightAugment(
+    0.0,
+    0.0,
+    0.0,
+    0.0,
+    0.0,
+    0.0,
+    (0.0, 0.0),
+    (0.0, 0.0),
+    exposure=0.0,
+    cast=0.0,
+    noise=0.0,
+    covered=0.0,
+    told=0.0,
+    cut=0.0,
+)
+
+
+@dataclass(frozen=True, eq=False)
+class LightView:
+    """What the network sees of a film (sRGB), where it sees the film, and the truth (as ``LightTargets``)."""
+
+    image: UInt8[np.ndarray, "n n 3"]
+    seen: Bool[np.ndarray, "n n"]
+    black: Float32[np.ndarray, "n n"]
+    white: Float32[np.ndarray, "n n"]
+    flat: Float32[np.ndarray, "n n"]
+    shows_print: Bool[np.ndarray, "n n"]
+
+
+def open_lit_films(folders: Sequence[Path]) -> list[LitPlace]:
+    """All photos of the films of some folders, in order.
+
+    Raises:
+        DataError: a folder without any.
+    """
+    return [place for folder in folders for place in _open_folder(folder)]
+
+
+def _open_folder(folder: Path) -> list[LitPlace]:
+    paths = tuple(sorted(folder.glob("*.npz")))
+    if not paths:
+        do = "Make some: python -m data_gen.lit_films."
+        raise DataError(describe(what="Flat films", where=folder, got="no .npz", do=do))
+    count = len(read_lit_film(paths[0]).photos)
+    return [LitPlace(path, number, paths) for path in paths for number in range(count)]
+
+
+def read_lit_film(path: Path) -> LitFilm:
+    """A film with its photos.
+
+    Raises:
+        DataError: not such a file.
+    """
+    try:
+        with np.load(path) as file:
+            return LitFilm(**{name: file[name] for name in ("photos", "flat", "black", "white")})
+    except (OSError, ValueError, KeyError, EOFError) as error:
+        raise DataError(describe(what="Flat film", where=path, got=error, do="Make it again.")) from error
+
+
+def light_view(place: LitPlace, px: int, rng: np.random.Generator, augment: LightAugment) -> LightView:
+    """A view of a photo, or of the print of another film in its light."""
+    film, size = read_lit_film(place.path), (px, px)
+    black, white = (
+        cv2.resize(_LINEAR[x[place.number]], size, interpolation=cv2.INTER_LINEAR) for x in (film.black, film.white)
+    )
+    if rng.random() < augment.other_print:
+        black, white = _evened(black, white, rng, augment)
+        other = place.films[int(rng.integers(len(place.films)))]
+        drawn = rng.random() < augment.patterns
+        flat = drawn_pattern(px, rng) if drawn else read_lit_film(other).flat
+        flat, light = _in_light(flat, black, white, rng, augment)
+    else:
+        flat = _resized(film.flat, size).astype(np.float32) / 255
+        light = _LINEAR[_resized(film.photos[place.number], size)]
+    light, black, white = _lit_anew(light, black, white, rng, augment)
+    light, shows_print, seen = _hidden(light, float(white.max()), rng, augment)
+    way = Orientation(int(rng.integers(4)), bool(rng.random() < 0.5))
+    image = np.rint(255 * srgb_from_linear(light)).astype(np.uint8)
+    return LightView(*(way.moved(x) for x in (image, seen, black, white, flat, shows_print)))
+
+
+def _resized(image: UInt8[np.ndarray, "h w *c"], size: tuple[int, int]) -> UInt8[np.ndarray, "n n *c"]:
+    return image if image.shape[:2] == size else cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+
+
+def _evened(
+    black: Float32[np.ndarray, "n n"], white: Float32[np.ndarray, "n n"], rng: np.random.Generator,
+    augment: LightAugment,
+) -> tuple[Float32[np.ndarray, "n n"], Float32[np.ndarray, "n n"]]:  # fmt: skip
+    """The levels nearer to their middle, on some views: most photos are lit more evenly than those of a data set."""
+    left = np.float32(rng.random() if rng.random() < augment.milder else 1.0)
+    gain = np.maximum(white - black, 1e-4)
+    gain = np.median(gain) * (gain / np.median(gain)) ** left
+    black = black.mean() + left * (black - black.mean())
+    return black, black + gain
+
+
+def _in_light(
+    flat: UInt8[np.ndarray, "h w"], black: Float32[np.ndarray, "n n"], white: Float32[np.ndarray, "n n"],
+    rng: np.random.Generator, augment: LightAugment,
+) -> tuple[Float32[np.ndarray, "n n"], Float32[np.ndarray, "n n 3"]]:  # fmt: skip
+    """A print (display grey), and its linear light between black and white; some printers are darker than others."""
+    if rng.random() < augment.cropped:
+        sides = [round(n * rng.uniform(0.5, 1)) for n in flat.shape]
+        top, left = (int(rng.integers(n - side + 1)) for n, side in zip(flat.shape, sides, strict=True))
+        flat = cv2.resize(flat[top : top + sides[0], left : left + sides[1]], black.shape, interpolation=cv2.INTER_AREA)
+    grey = _resized(flat, black.shape)
+    power = np.float32(np.exp(rng.normal(0, augment.print_gamma)))
+    tints = np.exp(rng.normal(0, augment.tint, (2, 3))).astype(np.float32)
+    veil, gain = tints / (tints @ np.array(CHANNEL_SHARES, np.float32))[:, None]
+    light = black[..., None] * veil + ((white - black) * _LINEAR[grey] ** power)[..., None] * gain
+    return (grey.astype(np.float32) / 255) ** power, light
+
+
+def drawn_pattern(px: int, rng: np.random.Generator) -> UInt8[np.ndarray, "n n"]:
+    """A print that no scan gives: cells of discs, ramps, steps and spots, all alike or each different, some empty."""
+    rows, cols = (int(n) for n in rng.integers(1, 8, 2))
+    side = max(_FINE * px // max(rows, cols), 8)
+    ground, alike, empty = int(rng.integers(0, 30)), rng.random() < 0.5, rng.uniform(0, 0.3)
+    kinds = rng.permutation(4)[: int(rng.integers(1, 4))]
+    one = _pattern_cell(side, kinds, ground, rng)
+    film = np.full((rows * side, cols * side), ground, np.uint8)
+    for row in range(rows):
+        for col in range(cols):
+            if rng.random() >= empty:
+                cell = one if alike else _pattern_cell(side, kinds, ground, rng)
+                film[row * side : (row + 1) * side, col * side : (col + 1) * side] = cell
+    return cv2.resize(film, (px, px), interpolation=cv2.INTER_AREA)
+
+
+def _pattern_cell(side: int, kinds: np.ndarray, ground: int, rng: np.random.Generator) -> UInt8[np.ndarray, "s s"]:
+    """One cell with a pattern of these kinds on it, and strokes as of writing in a corner."""
+    kind, v, u = int(rng.choice(kinds)), *np.meshgrid(*(2 * [np.linspace(-1, 1, side)]), indexing="ij")
+    half, low, high = rng.uniform(0.4, 0.9, 2), *np.sort(rng.uniform(0.1, 1, 2))
+    radius = np.hypot(u / half[0], v / half[1])
+    ramp = (u * np.cos(turn := rng.uniform(0, 2 * np.pi)) + v * np.sin(turn) + 1.4) / 2.8
+    if kind == 0:  # a disc within a bright ring
+        grey, inside = np.where(radius > rng.uniform(0.8, 0.97), 1.0, low + (high - low) * ramp), radius < 1
+    elif kind == 1:  # a ramp over a rectangle
+        grey, inside = low + (high - low) * ramp, np.maximum(abs(u) / half[0], abs(v) / half[1]) < 1
+    elif kind == 2:  # steps
+        steps = int(rng.integers(3, 25))
+        grey, inside = np.floor(ramp * steps) / steps, np.maximum(abs(u) / half[0], abs(v) / half[1]) < 1
+    else:  # spots
+        spots = cv2.resize(rng.random((6, 6)), (side, side), interpolation=cv2.INTER_CUBIC)
+        grey, inside = np.clip(spots, 0, 1) * high, radius < 1
+    cell = np.where(inside, 255 * np.clip(grey, 0, 1), ground).astype(np.uint8)
+    for line in range(int(rng.integers(0, 4))):
+        at, length = 2 + line * max(side // 14, 2), int(side * rng.uniform(0.1, 0.35))
+        cell[at : at + max(side // 40, 1), 2 : 2 + length : 2] = 255
+    return cell
+
+
+def _lit_anew(
+    light: Float32[np.ndarray, "n n 3"], black: Float32[np.ndarray, "n n"], white: Float32[np.ndarray, "n n"],
+    rng: np.random.Generator, augment: LightAugment,
+) -> tuple[Float32[np.ndarray, "n n 3"], Float32[np.ndarray, "n n"], Float32[np.ndarray, "n n"]]:  # fmt: skip
+    """A further gain and veil, other exposure, colours and noise; then the sensor clips."""
+    px = len(black)
+    share, most = augment.uneven
+    factor = np.exp(rng.normal(0, augment.exposure)) * np.ones((px, px), np.float32)
+    if rng.random() < share:
+        factor *= np.exp(rng.uniform(0, most) * _smooth(px, 4, rng))
+    added = np.zeros((px, px), np.float32)
+    share, most = augment.reflected
+    if rng.random() < share:
+        added = np.maximum(rng.uniform(0, most) * _smooth(px, 5, rng), 0) * (white * factor).mean()
+    if rng.random() < augment.spots:
+        spot = _ellipse(px, rng.random(2), rng.uniform(0.02, 0.15, 2), rng).astype(np.float32)
+        spot = cv2.GaussianBlur(spot, (0, 0), rng.uniform(0.3, 3))
+        added = added + spot * np.float32(np.exp(rng.uniform(np.log(0.3), np.log(4))) * (white * factor).mean())
+    cast = np.exp(rng.normal(0, augment.cast, 3)).astype(np.float32)
+    noise = rng.standard_normal(light.shape, dtype=np.float32) * np.float32(augment.noise * rng.random())
+    lit = (light * factor[..., None] + added[..., None]) * cast + noise
+    return tuple(np.clip(x, 0, 1).astype(np.float32) for x in (lit, black * factor + added, white * factor + added))  # type: ignore[return-value]
+
+
+def _smooth(px: int, nodes: int, rng: np.random.Generator) -> Float32[np.ndarray, "n n"]:
+    """A smooth random field of unit variance at its nodes."""
+    return cv2.resize(rng.standard_normal((nodes, nodes), dtype=np.float32), (px, px), interpolation=cv2.INTER_CUBIC)
+
+
+def _hidden(
+    light: Float32[np.ndarray, "n n 3"], white: float, rng: np.random.Generator, augment: LightAugment
+) -> tuple[Float32[np.ndarray, "n n 3"], Bool[np.ndarray, "n n"], Bool[np.ndarray, "n n"]]:
+    """The film with something before it, or cut off; where print is seen, and where the network is told so."""
+    shown = seen = np.ones(light.shape[:2], bool)
+    if rng.random() < augment.covered:
+        inside = _blob(len(light), rng)
+        colour = white * rng.random(3) * (0.8, 0.5, 0.4) * (1 + 0.1 * rng.standard_normal((*inside.shape, 1)))
+        light = np.where(inside[..., None], np.clip(colour, 0, 1), light).astype(np.float32)
+        shown = ~inside
+        seen = shown if rng.random() < augment.told else seen
+    if rng.random() < augment.cut:
+        within = film_centres((len(shown), len(shown)))[..., 0] < rng.uniform(0.7, 1)
+        shown, seen = shown & within, seen & within
+    return light, shown, seen
+
+
+def _blob(px: int, rng: np.random.Generator) -> Bool[np.ndarray, "n n"]:
+    """A long blob that reaches in from an edge, as fingers do."""
+    centre, side = rng.random(2), int(rng.integers(4))
+    centre[side % 2] = side // 2
+    return _ellipse(px, centre, np.array([rng.uniform(0.06, 0.3), rng.uniform(0.02, 0.1)]), rng)
+
+
+def _ellipse(
+    px: int, centre: Float[np.ndarray, "2"], half: Float[np.ndarray, "2"], rng: np.random.Generator
+) -> Bool[np.ndarray, "n n"]:
+    """An ellipse with these half axes, turned by any angle."""
+    angle = rng.uniform(0, np.pi)
+    axes = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+    return (((film_centres((px, px)) - centre) @ axes.T / half) ** 2).sum(axis=-1) < 1
+
+
+def light_batch(views: Sequence[LightView]) -> tuple[Tensor, LightTargets]:
+    """Images and targets of some views."""
+    stacked = {name: np.stack([getattr(view, name) for view in views]) for name in LightView.__dataclass_fields__}
+    images = films_tensor(stacked["image"], stacked["seen"])
+    black, white, flat = (torch.from_numpy(stacked[name]) for name in ("black", "white", "flat"))
+    contrast = torch.from_numpy(srgb_from_linear(stacked["white"]) - srgb_from_linear(stacked["black"])).float()
+    counted = torch.from_numpy(stacked["shows_print"] & stacked["seen"]) & (contrast > LEAST_CONTRAST)
+    grey = linear_grey(torch.from_numpy(_LINEAR[stacked["image"]]).permute(0, 3, 1, 2))
+    black, white, contrast = (functional.avg_pool2d(x[:, None], 2)[:, 0] for x in (black, white, contrast))
+    rim = functional.max_pool2d(1 - counted[:, None].float(), 3, 1, 1)[:, 0]
+    return images, LightTargets(grey, black, white, contrast, flat, 1 - rim)

@@ -1,0 +1,47 @@
+"""What print black and print white look like at each place of a flat film, and what tells it from a small copy."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float32, UInt8
+
+from hybrid.coords import linear_from_srgb
+
+CHANNEL_SHARES = (0.25, 0.6, 0.15)
+"""Shares of red, green and blue in linear grey: green is the sharpest and least noisy channel of a phone's picture. Any
+fixed shares keep the form gain * print + veil, and a cast of the light only changes its gain."""
+
+CLIPPED = 253
+"""Channel values from here on say only "at least"."""
+
+LEAST_CONTRAST = 12 / 255
+"""Display grey between print black and print white below which nothing can be recovered: noise and coding eat it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Levels:
+    """Linear grey of the photo (``CHANNEL_SHARES``) where the print is black and where it is white.
+
+    black: the veil, what the film reflects of the room whatever is printed. gain: white less black, positive. Both on
+    the pixel centres of a small lattice over the film.
+    """
+
+    black: Float32[np.ndarray, "h w"]
+    gain: Float32[np.ndarray, "h w"]
+
+
+@dataclass(frozen=True)
+class LevelReader:
+    """side_px: side of the square copy of the film that is read. read: levels of a copy (sRGB), and where it is seen
+    and print."""
+
+    side_px: int
+    read: Callable[[UInt8[np.ndarray, "n n 3"], Bool[np.ndarray, "n n"]], Levels]
+
+
+def grey_table() -> Float32[np.ndarray, "256 3"]:
+    """Each channel's contribution to linear grey, by its 8-bit sRGB value."""
+    return (linear_from_srgb(np.arange(256) / 255.0)[:, None] * np.array(CHANNEL_SHARES)).astype(np.float32)

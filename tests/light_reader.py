@@ -1,0 +1,19 @@
+"""The packaged LightNet, read once for all tests."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hybrid.learn.inference import ready
+from hybrid.learn.light import level_reader
+from hybrid.learn.weights import packaged_light_net
+from hybrid.rectify.deilluminate import DeilluminateConfig, Deillumination, deilluminate
+
+READER = level_reader(ready(packaged_light_net()))
+
+
+def without_light(
+    photo: np.ndarray, valid: np.ndarray, covered: np.ndarray | None = None, config: DeilluminateConfig | None = None
+) -> Deillumination:
+    """The print of a flat film, by the packaged network."""
+    return deilluminate(photo, valid, READER, config, covered)

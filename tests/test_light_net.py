@@ -1,0 +1,211 @@
+"""LightNet: what it is taught, in units and on truth that hold, and what it says of light that is known."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from light_reader import READER
+
+from data_gen.lit_films import LitFilmsConfig, lit_film, lit_films
+from data_gen.sources import SourceConfig
+from hybrid.coords import linear_from_srgb, srgb_from_linear
+from hybrid.errors import DataError
+from hybrid.learn.light import (
+    LightNet,
+    LightNetConfig,
+    LightNetOutput,
+    LightTargets,
+    film_error,
+    films_tensor,
+    light_losses,
+    linear_light,
+)
+from hybrid.learn.light_data import (
+    UNDISTURBED,
+    LightAugment,
+    LitPlace,
+    drawn_pattern,
+    light_batch,
+    light_view,
+    open_lit_films,
+    read_lit_film,
+)
+from hybrid.learn.weights import packaged_light_net, parameter_count
+from hybrid.levels import grey_table
+
+PX = 128
+
+
+@pytest.fixture(scope="module")
+def places(tmp_path_factory: pytest.TempPathFactory) -> list[LitPlace]:
+    """Two films with two photos each."""
+    out = tmp_path_factory.mktemp("lit")
+    lit_films(LitFilmsConfig(2, out, photos=2, workers=1))
+    return open_lit_films([out])
+
+
+def targets(px: int = PX) -> LightTargets:
+    """A film in even light, of random grey, seen as it is."""
+    flat = torch.rand(1, px, px, generator=torch.Generator().manual_seed(0))
+    black, white = (torch.full((1, px // 2, px // 2), level) for level in (0.1, 0.5))
+    contrast = torch.full_like(black, float(np.diff(srgb_from_linear(np.array([0.1, 0.5])))[0]))
+    return LightTargets(0.1 + 0.4 * flat**2, black, white, contrast, flat, torch.ones(1, px, px))
+
+
+# ---------------------------------------------------------------- losses
+
+
+def test_a_perfect_prediction_costs_nothing() -> None:
+    truth = targets()
+    terms = light_losses(LightNetOutput(truth.black, truth.white - truth.black), truth)
+    for name in ("black", "gain", "contrast", "slope"):
+        assert float(terms[name]) == pytest.approx(0, abs=1e-5)
+    assert float(film_error(LightNetOutput(truth.black, truth.white - truth.black), truth)[0]) < 1e-5
+
+
+def test_losses_by_hand() -> None:
+    truth = targets()
+    terms = light_losses(LightNetOutput(truth.black, 2 * (truth.white - truth.black)), truth)
+    assert float(terms["gain"]) == pytest.approx(np.log(2), abs=1e-4)
+    assert float(terms["slope"]) == pytest.approx(0, abs=1e-5)
+    black = np.sqrt(0.3 / 0.5 + 1e-3) - np.sqrt(0.1 / 0.5 + 1e-3)
+    terms = light_losses(LightNetOutput(truth.black + 0.2, truth.white - truth.black), truth)
+    assert float(terms["black"]) == pytest.approx(black, abs=1e-4)
+    shown = np.diff(srgb_from_linear(np.array([[0.3, 0.7], [0.1, 0.5]])), axis=1)
+    assert float(terms["contrast"]) == pytest.approx(abs(shown[0, 0] - shown[1, 0]), abs=1e-4)
+
+
+def test_print_in_the_levels_costs_more_than_light_that_is_off_by_as_much() -> None:
+    truth = targets()
+    gain = truth.white - truth.black
+    checks = 1 + 0.2 * (torch.arange(gain.shape[1])[:, None] + torch.arange(gain.shape[2]) & 1)
+    broad = 1 + 0.1 * torch.ones_like(gain)
+    slope = [float(light_losses(LightNetOutput(truth.black, gain * x), truth)["slope"]) for x in (checks, broad)]
+    assert slope[0] > 0.05
+    assert slope[1] == pytest.approx(0, abs=1e-5)
+
+
+def test_pixels_that_do_not_count_do_not_count() -> None:
+    truth = targets()
+    spoilt = truth.grey.clone()
+    spoilt[:, :20] = 1.0
+    counted = truth.counted.clone()
+    counted[:, :20] = 0.0
+    output = LightNetOutput(truth.black, truth.white - truth.black)
+    assert float(film_error(output, replace(truth, grey=spoilt, counted=counted))[0]) < 1e-5
+    assert float(film_error(output, replace(truth, grey=spoilt))[0]) > 1e-3
+    assert float(film_error(output, replace(truth, counted=torch.zeros_like(counted)))[1]) == 0
+
+
+# ---------------------------------------------------------------- data
+
+
+def test_the_levels_of_a_film_explain_its_photos(places: list[LitPlace]) -> None:
+    """Photo = black + (white - black) * print in linear light, but for tone curve, blur, noise and coding."""
+    for place in places:
+        view = light_view(place, PX, np.random.default_rng(0), UNDISTURBED)
+        table = grey_table()
+        grey = sum(table[view.image[..., k], k] for k in range(3))
+        told = view.black + (view.white - view.black) * linear_from_srgb(view.flat)
+        free = view.white < 0.9
+        assert np.abs(srgb_from_linear(grey) - srgb_from_linear(told))[free].mean() < 0.04
+
+
+def test_another_print_lies_in_the_same_light_exactly(places: list[LitPlace]) -> None:
+    augment = replace(UNDISTURBED, other_print=1.0)
+    for seed in range(4):
+        view = light_view(places[0], PX, np.random.default_rng(seed), augment)
+        grey = sum(grey_table()[view.image[..., k], k] for k in range(3))
+        told = view.black + (view.white - view.black) * linear_from_srgb(view.flat)
+        assert np.abs(srgb_from_linear(grey) - srgb_from_linear(told)).max() < 0.01
+
+
+def test_a_view_depends_on_its_numbers_alone(places: list[LitPlace]) -> None:
+    one, again, other = (light_view(places[1], PX, np.random.default_rng(k), LightAugment()) for k in (3, 3, 4))
+    np.testing.assert_array_equal(one.image, again.image)
+    np.testing.assert_array_equal(one.black, again.black)
+    assert not np.array_equal(one.image, other.image)
+
+
+def test_what_lies_before_the_film_is_not_print(places: list[LitPlace]) -> None:
+    augment = replace(UNDISTURBED, covered=1.0, told=0.0)
+    view = light_view(places[0], PX, np.random.default_rng(1), augment)
+    assert view.seen.all()
+    assert 0 < (~view.shows_print).mean() < 0.2
+    told = light_view(places[0], PX, np.random.default_rng(1), replace(augment, told=1.0))
+    np.testing.assert_array_equal(told.seen, told.shows_print)
+    images, truth = light_batch([view, told])
+    assert images.shape == (2, 4, PX, PX)
+    assert float(truth.counted.sum()) > 0
+    assert not truth.counted.numpy()[:, ~view.shows_print].any()
+
+
+def test_a_seed_gives_the_same_films_and_patterns() -> None:
+    one, again = (lit_film(5, 0, 1, SourceConfig()) for _ in range(2))
+    for name in ("photos", "flat", "black", "white"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(again, name))
+    pattern, other = (drawn_pattern(PX, np.random.default_rng(k)) for k in (1, 2))
+    np.testing.assert_array_equal(pattern, drawn_pattern(PX, np.random.default_rng(1)))
+    assert not np.array_equal(pattern, other)
+
+
+def test_folders_and_files_of_something_else_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(DataError, match="lit_films"):
+        open_lit_films([tmp_path])
+    path = tmp_path / "000000.npz"
+    np.savez(path, photos=np.zeros(1))
+    with pytest.raises(DataError, match="Make it again"):
+        read_lit_film(path)
+
+
+# ---------------------------------------------------------------- the network
+
+
+def test_the_shipped_network_is_small() -> None:
+    assert parameter_count(packaged_light_net()) < 1_000_000
+
+
+def test_light_is_read_in_units_of_the_film(places: list[LitPlace]) -> None:
+    view = light_view(places[0], PX, np.random.default_rng(0), UNDISTURBED)
+    network = packaged_light_net().eval()
+    film = films_tensor(np.ascontiguousarray(view.image)[None], np.ascontiguousarray(view.seen)[None])
+    dim = film.clone()
+    dim[:, :3] = torch.from_numpy(srgb_from_linear(0.5 * linear_light(film[:, :3]).numpy()))
+    with torch.inference_mode():
+        bright, dark = network(film), network(dim)
+    if float(film[:, :3].max()) < 0.98:  # what clips is marked, and no longer clips in half the light
+        torch.testing.assert_close(dark.black, 0.5 * bright.black, rtol=1e-3, atol=1e-5)
+        torch.testing.assert_close(dark.gain, 0.5 * bright.gain, rtol=1e-3, atol=1e-5)
+
+
+def test_levels_that_are_known_are_read() -> None:
+    """Test patterns in even light: their black, and white to a half, which not all of them show."""
+    for seed in range(3):
+        rng = np.random.default_rng(40 + seed)
+        flat = linear_from_srgb(drawn_pattern(PX, rng) / 255)
+        image = np.rint(255 * srgb_from_linear(0.05 + 0.4 * flat)[..., None].repeat(3, axis=2)).astype(np.uint8)
+        levels = READER.read(image, np.ones((PX, PX), bool))
+        assert abs(float(np.median(levels.black)) - 0.05) < 0.03
+        assert 0.2 < float(np.median(levels.gain)) < 0.6
+
+
+def test_what_is_not_seen_changes_nothing() -> None:
+    flat = linear_from_srgb(drawn_pattern(PX, np.random.default_rng(7)) / 255)
+    image = np.rint(255 * srgb_from_linear(0.05 + 0.4 * flat)[..., None].repeat(3, axis=2)).astype(np.uint8)
+    seen = np.ones((PX, PX), bool)
+    seen[:, 100:] = False
+    spoilt = image.copy()
+    spoilt[:, 100:] = 200
+    one, other = READER.read(image, seen), READER.read(spoilt, seen)
+    np.testing.assert_array_equal(one.black, other.black)
+    np.testing.assert_array_equal(one.gain, other.gain)
+
+
+def test_fields_are_half_as_large_as_the_film() -> None:
+    with torch.inference_mode():
+        output = LightNet(LightNetConfig()).eval()(torch.rand(2, 4, 64, 64))
+    assert output.black.shape == output.gain.shape == (2, 32, 32)
+    assert float(output.black.min()) >= 0
+    assert float(output.gain.min()) > 0
