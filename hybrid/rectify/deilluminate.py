@@ -22,7 +22,8 @@ from hybrid.levels import CLIPPED, LEAST_CONTRAST, LevelReader, Levels, grey_tab
 from hybrid.rectify.survey import survey_light
 
 CLIPPED_CONTRAST = 70 / 255
-"""The same of the mean over a clipped part, which ends sharply, while levels are read on a coarse lattice."""
+"""Display grey between black and white, at the mean of a clipped part, below which it is lost. More than elsewhere: it
+ends sharply, and levels are read on a coarse lattice."""
 LEAST_SEEN = 0.1
 """Share of the film that must be seen for its light to be read."""
 STRIP_ROWS = 64
@@ -248,9 +249,12 @@ def _contrast(levels: Levels, black: float, white: float) -> Float32[np.ndarray,
 
 def _lost(contrast: Float32[np.ndarray, "h w"], clipped: Bool[np.ndarray, "h2 w2"]) -> Bool[np.ndarray, "h2 w2"]:
     """Where too little is left between black and white. Clipped parts as a whole: they may be white print."""
+    some = bool(clipped.any())
+    if not some and contrast.min() >= LEAST_CONTRAST:
+        return np.zeros(clipped.shape, bool)
     left = cv2.resize(contrast, clipped.shape[::-1], interpolation=cv2.INTER_LINEAR)
     lost = left < LEAST_CONTRAST
-    if clipped.any():
+    if some:
         count, found = cv2.connectedComponents(clipped.astype(np.uint8))
         part = np.asarray(found, np.intp)[clipped]
         mean = np.bincount(part, left[clipped], count) / np.maximum(np.bincount(part, minlength=count), 1)
