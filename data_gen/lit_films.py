@@ -11,14 +11,13 @@ import multiprocessing
 import os
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field, replace
-from functools import lru_cache, partial
+from functools import partial
 from pathlib import Path
 
 import cv2
 import numpy as np
 import tyro
 from jaxtyping import Float, UInt8
-from threadpoolctl import threadpool_limits
 from tqdm import tqdm
 
 from data_gen.composite import print_levels
@@ -29,6 +28,7 @@ from data_gen.sample import SampleConfig, black_and_white, metered, on_sensor, s
 from data_gen.scene import Scene, sample_scene
 from data_gen.shade import FilmLight
 from data_gen.sources import SourceConfig, draw_environment, draw_volume
+from data_gen.work import start_worker
 from hybrid.coords import linear_from_srgb, rgb_from_bgr, srgb_from_linear
 from hybrid.errors import HybridError
 from hybrid.image_io import write_bytes
@@ -118,17 +118,10 @@ def _path(config: LitFilmsConfig, number: int) -> Path:
 
 
 def _write_film(config: LitFilmsConfig, number: int) -> None:
-    _one_thread()
+    start_worker()
     film, file = lit_film(config.seed, number, config.photos, config.sources), io.BytesIO()
     np.savez(file, photos=film.photos, flat=film.flat, black=film.black, white=film.white)
     write_bytes(_path(config, number), file.getvalue())
-
-
-@lru_cache(maxsize=1)
-def _one_thread() -> None:
-    """In this process all is done by one thread from now on: films are the parallelism."""
-    cv2.setNumThreads(1)
-    threadpool_limits(1)
 
 
 def main() -> None:

@@ -53,7 +53,7 @@ def film_bytes(seed: int, number: int, config: SampleConfig) -> list[bytes]:
     Raises:
         DataError: a source that cannot be read.
     """
-    _start()
+    start_worker()
     first = number * config.photos_per_film
     return [sample_bytes(sample, first + k) for k, sample in enumerate(film_samples(seed, number, config))]
 
@@ -65,7 +65,7 @@ def source_names(config: SourceConfig) -> dict[str, list[str]]:
 
 
 @lru_cache(maxsize=1)
-def _start() -> None:
+def start_worker() -> None:
     """One thread in this process from now on: the tasks are the parallelism, and sums keep their order.
 
     Pictures of things are drawn at once, in a quarter of a second: memory would grow with them for hundreds of samples.
@@ -137,7 +137,7 @@ def _processes(count: int) -> Iterator[Workers]:
     executor = ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), initializer=_leave_with_parent)
     try:
         with _starting_processes():
-            executor.submit(_start)  # the first task starts them all
+            executor.submit(start_worker)  # the first task starts them all
         yield Workers(executor.submit, lambda: 2 * count + 1)
     except BrokenProcessPool as error:
         do = f"Take fewer --workers if memory is short. {_AGAIN}"

@@ -147,6 +147,21 @@ def srgb_from_linear(linear: np.ndarray) -> np.ndarray:
     return np.where(low, clipped * 12.92, 1.055 * np.maximum(clipped, 0.0031308) ** (1 / 2.4) - 0.055)
 
 
+def linear_from_srgb_tensor(srgb: torch.Tensor) -> torch.Tensor:
+    """``linear_from_srgb`` with gradients."""
+    import torch
+
+    return torch.where(srgb <= 0.04045, srgb / 12.92, ((srgb.clamp(min=0.04045) + 0.055) / 1.055) ** 2.4)
+
+
+def srgb_from_linear_tensor(linear: torch.Tensor) -> torch.Tensor:
+    """``srgb_from_linear`` with gradients, which vanish where light is clipped."""
+    import torch
+
+    clipped = linear.clamp(1e-6, 1)  # the power's gradient is infinite at 0
+    return torch.where(clipped <= 0.0031308, 12.92 * clipped, 1.055 * clipped ** (1 / 2.4) - 0.055)
+
+
 def rgb_from_bgr(image: np.ndarray) -> np.ndarray:
     """RGB (H, W, 3) of OpenCV's BGR, and the other way round."""
     return np.ascontiguousarray(image[..., ::-1])

@@ -10,7 +10,7 @@ from light_reader import READER
 
 from data_gen.lit_films import LitFilmsConfig, lit_film, lit_films
 from data_gen.sources import SourceConfig
-from hybrid.coords import linear_from_srgb, srgb_from_linear
+from hybrid.coords import linear_from_srgb, linear_from_srgb_tensor, srgb_from_linear
 from hybrid.errors import DataError
 from hybrid.learn.light import (
     LightNet,
@@ -20,7 +20,6 @@ from hybrid.learn.light import (
     film_error,
     films_tensor,
     light_losses,
-    linear_light,
 )
 from hybrid.learn.light_data import (
     UNDISTURBED,
@@ -172,7 +171,7 @@ def test_light_is_read_in_units_of_the_film(places: list[LitPlace]) -> None:
     network = packaged_light_net().eval()
     film = films_tensor(np.ascontiguousarray(view.image)[None], np.ascontiguousarray(view.seen)[None])
     dim = film.clone()
-    dim[:, :3] = torch.from_numpy(srgb_from_linear(0.5 * linear_light(film[:, :3]).numpy()))
+    dim[:, :3] = torch.from_numpy(srgb_from_linear(0.5 * linear_from_srgb_tensor(film[:, :3]).numpy()))
     with torch.inference_mode():
         bright, dark = network(film), network(dim)
     if float(film[:, :3].max()) < 0.98:  # what clips is marked, and no longer clips in half the light

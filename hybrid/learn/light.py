@@ -16,6 +16,7 @@ from jaxtyping import Bool, Float, UInt8
 from torch import Tensor, nn
 from torch.nn import functional
 
+from hybrid.coords import linear_from_srgb_tensor, srgb_from_linear_tensor
 from hybrid.learn.network import ConvNorm, Residual
 from hybrid.learn.tensors import Tensors, image_batch
 from hybrid.levels import CHANNEL_SHARES, CLIPPED, LevelReader, Levels
@@ -60,7 +61,7 @@ class LightNet(nn.Module):
     def forward(self, films: Float[Tensor, "b 4 n n"]) -> LightNetOutput:
         """Levels of flat films. films: sRGB in [0, 1], and 1 where the photo shows the print (0 elsewhere)."""
         seen, clipped = films[:, 3:], (films[:, :3].amax(dim=1, keepdim=True) >= CLIPPED / 255).float()
-        linear = linear_light(films[:, :3])
+        linear = linear_from_srgb_tensor(films[:, :3])
         unit = 2 * (linear_grey(linear) * seen[:, 0]).sum(dim=(1, 2)) / seen.sum(dim=(1, 2, 3)).clamp(min=1)
         unit = unit.clamp(min=1e-4)[:, None, None]
         roots = (linear / unit[:, None]).clamp(max=4).sqrt()
@@ -79,11 +80,6 @@ class LightNet(nn.Module):
 
 def _larger(x: Tensor, times: int) -> Tensor:
     return functional.interpolate(x, scale_factor=times, mode="bilinear")
-
-
-def linear_light(srgb: Tensor) -> Tensor:
-    """Linear light of sRGB in [0, 1]."""
-    return torch.where(srgb <= 0.04045, srgb / 12.92, ((srgb.clamp(min=0.04045) + 0.055) / 1.055) ** 2.4)
 
 
 def linear_grey(linear: Float[Tensor, "b 3 h w"]) -> Float[Tensor, "b h w"]:
@@ -141,12 +137,8 @@ def light_losses(output: LightNetOutput, truth: LightTargets) -> dict[str, Tenso
 
 def displayed_contrast(output: LightNetOutput) -> Float[Tensor, "b h w"]:
     """Display grey between black and white."""
-    black, white = (_display(x.clamp(1e-6, 1)) for x in (output.black, output.black + output.gain))
+    black, white = (srgb_from_linear_tensor(x) for x in (output.black, output.black + output.gain))
     return white - black
-
-
-def _display(linear: Tensor) -> Tensor:
-    return torch.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
 
 
 def _steps(off: Float[Tensor, "b h w"], weight: Float[Tensor, "b h w"]) -> Float[Tensor, ""]:

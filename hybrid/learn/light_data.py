@@ -139,9 +139,14 @@ def read_lit_film(path: Path) -> LitFilm:
     Raises:
         DataError: not such a file.
     """
+    return LitFilm(**_arrays(path, ("photos", "flat", "black", "white")))
+
+
+def _arrays(path: Path, names: Sequence[str]) -> dict[str, np.ndarray]:
+    """Some of a film's arrays; photos are nearly all of a file, and a print alone needs none of them."""
     try:
         with np.load(path) as file:
-            return LitFilm(**{name: file[name] for name in ("photos", "flat", "black", "white")})
+            return {name: file[name] for name in names}
     except (OSError, ValueError, KeyError, EOFError) as error:
         raise DataError(describe(what="Flat film", where=path, got=error, do="Make it again.")) from error
 
@@ -156,7 +161,7 @@ def light_view(place: LitPlace, px: int, rng: np.random.Generator, augment: Ligh
         black, white = _evened(black, white, rng, augment)
         other = place.films[int(rng.integers(len(place.films)))]
         drawn = rng.random() < augment.patterns
-        flat = drawn_pattern(px, rng) if drawn else read_lit_film(other).flat
+        flat = drawn_pattern(px, rng) if drawn else _arrays(other, ("flat",))["flat"]
         flat, light = _in_light(flat, black, white, rng, augment)
     else:
         flat = _resized(film.flat, size).astype(np.float32) / 255
