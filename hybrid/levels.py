@@ -21,16 +21,23 @@ LEAST_CONTRAST = 12 / 255
 """Display grey between print black and print white below which nothing can be recovered: noise and coding eat it."""
 
 
+USUAL_ROOT_SHARE = 0.85
+"""``Levels.root_share`` of films of which nothing better is known."""
+
+
 @dataclass(frozen=True, eq=False)
 class Levels:
     """Linear grey of the photo (``CHANNEL_SHARES``) where the print is black and where it is white.
 
     black: the veil, what the film reflects of the room whatever is printed. gain: white less black, positive. Both on
-    the pixel centres of a small lattice over the film.
+    the pixel centres of a small lattice over the film. root_share: of the print's tone, from black to white the share
+    of the square root (as of a print seen by reflection: the display's own gamma) against the straight line (of one
+    whose transmission is proportional to its grey, or of a camera that raises middle greys).
     """
 
     black: Float32[np.ndarray, "h w"]
     gain: Float32[np.ndarray, "h w"]
+    root_share: float = USUAL_ROOT_SHARE
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from data_gen.sources import SourceConfig
 from hybrid.coords import linear_from_srgb, linear_from_srgb_tensor, srgb_from_linear
 from hybrid.errors import DataError
 from hybrid.learn.light import (
+    Attention,
     LightNet,
     LightNetConfig,
     LightNetOutput,
@@ -30,9 +31,10 @@ from hybrid.learn.light_data import (
     light_view,
     open_lit_films,
     read_lit_film,
+    toned,
 )
 from hybrid.learn.weights import packaged_light_net, parameter_count
-from hybrid.levels import grey_table
+from hybrid.levels import USUAL_ROOT_SHARE, grey_table
 
 PX = 128
 
@@ -43,6 +45,11 @@ def places(tmp_path_factory: pytest.TempPathFactory) -> list[LitPlace]:
     out = tmp_path_factory.mktemp("lit")
     lit_films(LitFilmsConfig(2, out, photos=2, workers=1))
     return open_lit_films([out])
+
+
+def output_of(black: torch.Tensor, gain: torch.Tensor, root_share: float = 1.0) -> LightNetOutput:
+    """An output with these levels; a root share of 1 makes of light what ``targets`` made of the print."""
+    return LightNetOutput(black, gain, torch.full((len(black),), root_share))
 
 
 def targets(px: int = PX) -> LightTargets:
@@ -58,22 +65,28 @@ def targets(px: int = PX) -> LightTargets:
 
 def test_a_perfect_prediction_costs_nothing() -> None:
     truth = targets()
-    terms = light_losses(LightNetOutput(truth.black, truth.white - truth.black), truth)
+    terms = light_losses(output_of(truth.black, truth.white - truth.black), truth)
     for name in ("black", "gain", "contrast", "slope"):
         assert float(terms[name]) == pytest.approx(0, abs=1e-5)
-    assert float(film_error(LightNetOutput(truth.black, truth.white - truth.black), truth)[0]) < 1e-5
+    assert float(film_error(output_of(truth.black, truth.white - truth.black), truth)[0]) < 1e-5
 
 
 def test_losses_by_hand() -> None:
     truth = targets()
-    terms = light_losses(LightNetOutput(truth.black, 2 * (truth.white - truth.black)), truth)
+    terms = light_losses(output_of(truth.black, 2 * (truth.white - truth.black)), truth)
     assert float(terms["gain"]) == pytest.approx(np.log(2), abs=1e-4)
     assert float(terms["slope"]) == pytest.approx(0, abs=1e-5)
     black = np.sqrt(0.3 / 0.5 + 1e-3) - np.sqrt(0.1 / 0.5 + 1e-3)
-    terms = light_losses(LightNetOutput(truth.black + 0.2, truth.white - truth.black), truth)
+    terms = light_losses(output_of(truth.black + 0.2, truth.white - truth.black), truth)
     assert float(terms["black"]) == pytest.approx(black, abs=1e-4)
     shown = np.diff(srgb_from_linear(np.array([[0.3, 0.7], [0.1, 0.5]])), axis=1)
     assert float(terms["contrast"]) == pytest.approx(abs(shown[0, 0] - shown[1, 0]), abs=1e-4)
+
+
+def test_a_wrong_tone_costs_film_and_a_right_one_nothing() -> None:
+    truth = targets()
+    right, wrong = (output_of(truth.black, truth.white - truth.black, share) for share in (1.0, 0.3))
+    assert float(film_error(right, truth)[0]) < 1e-5 < float(film_error(wrong, truth)[0])
 
 
 def test_print_in_the_levels_costs_more_than_light_that_is_off_by_as_much() -> None:
@@ -81,7 +94,7 @@ def test_print_in_the_levels_costs_more_than_light_that_is_off_by_as_much() -> N
     gain = truth.white - truth.black
     checks = 1 + 0.2 * (torch.arange(gain.shape[1])[:, None] + torch.arange(gain.shape[2]) & 1)
     broad = 1 + 0.1 * torch.ones_like(gain)
-    slope = [float(light_losses(LightNetOutput(truth.black, gain * x), truth)["slope"]) for x in (checks, broad)]
+    slope = [float(light_losses(output_of(truth.black, gain * x), truth)["slope"]) for x in (checks, broad)]
     assert slope[0] > 0.05
     assert slope[1] == pytest.approx(0, abs=1e-5)
 
@@ -92,7 +105,7 @@ def test_pixels_that_do_not_count_do_not_count() -> None:
     spoilt[:, :20] = 1.0
     counted = truth.counted.clone()
     counted[:, :20] = 0.0
-    output = LightNetOutput(truth.black, truth.white - truth.black)
+    output = output_of(truth.black, truth.white - truth.black)
     assert float(film_error(output, replace(truth, grey=spoilt, counted=counted))[0]) < 1e-5
     assert float(film_error(output, replace(truth, grey=spoilt))[0]) > 1e-3
     assert float(film_error(output, replace(truth, counted=torch.zeros_like(counted)))[1]) == 0
@@ -119,6 +132,37 @@ def test_another_print_lies_in_the_same_light_exactly(places: list[LitPlace]) ->
         grey = sum(grey_table()[view.image[..., k], k] for k in range(3))
         told = view.black + (view.white - view.black) * linear_from_srgb(view.flat)
         assert np.abs(srgb_from_linear(grey) - srgb_from_linear(told)).max() < 0.01
+
+
+def test_parts_of_prints_lie_in_the_same_light_exactly(places: list[LitPlace]) -> None:
+    augment = replace(UNDISTURBED, other_print=1.0, joined=1.0, windowed=1.0)
+    prints = [read_lit_film(path).flat for path in places[0].films]
+    for seed in range(4):
+        view = light_view(places[0], PX, np.random.default_rng(seed), augment)
+        grey = sum(grey_table()[view.image[..., k], k] for k in range(3))
+        told = view.black + (view.white - view.black) * linear_from_srgb(view.flat)
+        assert np.abs(srgb_from_linear(grey) - srgb_from_linear(told)).max() < 0.01
+        assert view.flat.max() > 0.5
+        assert all(np.abs(np.sort(view.flat.ravel()) - np.sort(flat.ravel()) / 255).max() > 0.02 for flat in prints)
+
+
+def test_a_further_tone_curve_moves_levels_and_film_alike(places: list[LitPlace]) -> None:
+    for strength in (-0.5, 2.0):
+        augment = replace(UNDISTURBED, toned=1.0, tones=(strength, strength))
+        plain, view = (light_view(places[0], PX, np.random.default_rng(1), a) for a in (UNDISTURBED, augment))
+        np.testing.assert_allclose(view.black, toned(plain.black, strength), atol=1e-5)
+        np.testing.assert_allclose(view.white, toned(plain.white, strength), atol=1e-5)
+        np.testing.assert_array_equal(view.flat, plain.flat)
+        grey, before = (sum(grey_table()[x.image[..., k], k] for k in range(3)) for x in (view, plain))
+        free = plain.image.max(axis=2) < 200  # bright colours may clip
+        assert np.abs(grey - toned(before, strength))[free].max() < 0.02
+
+
+def test_tone_curves_by_hand() -> None:
+    light = np.array([0.0, 0.25, 1.0], np.float32)
+    np.testing.assert_allclose(toned(light, 1.0), [0, 0.4, 1], atol=1e-6)
+    np.testing.assert_allclose(toned(light, -1.0), [0, 1 / 7, 1], atol=1e-6)
+    np.testing.assert_allclose(toned(light, 0.0), light)
 
 
 def test_a_view_depends_on_its_numbers_alone(places: list[LitPlace]) -> None:
@@ -163,7 +207,37 @@ def test_folders_and_files_of_something_else_are_refused(tmp_path: Path) -> None
 
 
 def test_the_shipped_network_is_small() -> None:
-    assert parameter_count(packaged_light_net()) < 1_000_000
+    assert parameter_count(packaged_light_net()) < 2_000_000
+
+
+def test_attention_changes_nothing_before_it_has_learnt() -> None:
+    features = torch.rand(2, 16, 8, 8)
+    torch.testing.assert_close(Attention(16, 4)(features), features)
+
+
+def test_attention_finds_what_is_alike_wherever_it_lies() -> None:
+    """Each place is given the mean of what looks like it: of two kinds of places in any order, its own kind's."""
+    layer = Attention(2, 1)
+    with torch.no_grad():
+        layer.asked.weight.zero_()
+        layer.asked.bias.zero_()
+        for part, gain in ((0, 20.0), (1, 20.0), (2, 1.0)):  # asked for, asked, and given
+            layer.asked.weight[2 * part : 2 * part + 2, :2, 0, 0] = gain * torch.eye(2)
+        layer.said.weight[:, :, 0, 0] = torch.eye(2)
+        kind = torch.rand(1, 1, 6, 6) > 0.5
+        features = torch.cat([kind, ~kind], dim=1).float()
+        torch.testing.assert_close(layer(features), 2 * features, atol=1e-3, rtol=0)
+
+
+def test_the_tone_that_is_told_is_a_tone_curve(places: list[LitPlace]) -> None:
+    network = LightNet(LightNetConfig()).eval()
+    films = torch.rand(2, 4, PX, PX)
+    with torch.inference_mode():
+        assert network(films).root_share.tolist() == pytest.approx([USUAL_ROOT_SHARE] * 2)
+        network.tone.bias.fill_(100.0)
+        assert network(films).root_share.max() <= 2.0  # beyond, the curve would fall before white
+        network.tone.bias.fill_(-100.0)
+        assert network(films).root_share.min() >= 0.0  # below, it would fall after black
 
 
 def test_light_is_read_in_units_of_the_film(places: list[LitPlace]) -> None:

@@ -17,25 +17,49 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from hybrid.coords import linear_from_srgb_tensor, srgb_from_linear_tensor
-from hybrid.learn.network import ConvNorm, Residual
+from hybrid.learn.network import ConvNorm, Residual, view_coordinates
 from hybrid.learn.tensors import Tensors, image_batch
-from hybrid.levels import CHANNEL_SHARES, CLIPPED, LevelReader, Levels
+from hybrid.levels import CHANNEL_SHARES, CLIPPED, USUAL_ROOT_SHARE, LevelReader, Levels
 
 
 @dataclass(frozen=True)
 class LightNetConfig:
-    """widths: channels at 1/2, 1/4, 1/8 and 1/16 of the film. input_px: side of the square copy that is read."""
+    """widths: channels at 1/2, 1/4, 1/8 and 1/16 of the film. blocks: residual blocks at 1/4, 1/8 and 1/16 on the way
+    down. heads: of the attention at 1/8 and 1/16. input_px: side of the square copy that is read."""
 
     widths: tuple[int, int, int, int] = (24, 48, 80, 112)
+    blocks: tuple[int, int, int] = (1, 3, 4)
+    heads: int = 4
     input_px: int = 128
 
 
 @dataclass(frozen=True, eq=False)
 class LightNetOutput:
-    """Linear grey, at half the input's resolution; as ``hybrid.levels.Levels``."""
+    """As ``hybrid.levels.Levels``: linear grey, at half the input's resolution, and the tone of each film."""
 
     black: Float[Tensor, "b h w"]
     gain: Float[Tensor, "b h w"]
+    root_share: Float[Tensor, " b"]
+
+
+class Attention(nn.Module):
+    """Each place looks at all others (Vaswani et al. 2017), beside an identity: what recurs from slice to slice is
+    print. Before any training it changes nothing."""
+
+    def __init__(self, channels: int, heads: int) -> None:
+        super().__init__()
+        self.heads = heads
+        self.asked = nn.Conv2d(channels + 2, 3 * channels, 1)
+        self.said = nn.Conv2d(channels, channels, 1)
+        nn.init.zeros_(self.said.weight)
+        nn.init.zeros_(self.said.bias)
+
+    def forward(self, x: Float[Tensor, "b c h w"]) -> Float[Tensor, "b c h w"]:
+        size = x.shape[2:]
+        asked = self.asked(torch.cat([x, view_coordinates(x)], dim=1)).flatten(2).unflatten(1, (3, self.heads, -1))
+        query, key, value = asked.transpose(3, 4).unbind(dim=1)
+        found = functional.scaled_dot_product_attention(query, key, value)
+        return x + self.said(found.transpose(2, 3).flatten(1, 2).unflatten(2, size))
 
 
 class LightNet(nn.Module):
@@ -49,13 +73,18 @@ class LightNet(nn.Module):
         self.config = config
         w2, w4, w8, w16 = config.widths
         self.down2 = nn.Sequential(ConvNorm(5, w2, 3, 2), ConvNorm(w2, w2, 3, 1))
-        self.down4 = nn.Sequential(ConvNorm(w2, w4, 3, 2), Residual(w4))
-        self.down8 = nn.Sequential(ConvNorm(w4, w8, 3, 2), Residual(w8))
-        self.down16 = nn.Sequential(ConvNorm(w8, w16, 3, 2), Residual(w16))
+        self.down4 = _halved(w2, w4, config.blocks[0])
+        self.down8 = _halved(w4, w8, config.blocks[1])
+        self.alike8 = Attention(w8, config.heads)
+        self.down16 = _halved(w8, w16, config.blocks[2])
+        self.alike16 = Attention(w16, config.heads)
         self.whole = nn.Conv2d(w16, w16, 1)
         self.deep = Residual(w16)
         self.lateral8, self.lateral4, self.lateral2 = nn.Conv2d(w16, w8, 1), nn.Conv2d(w8, w4, 1), nn.Conv2d(w4, w2, 1)
         self.up8, self.up4, self.up2 = Residual(w8), Residual(w4), Residual(w2)
+        self.tone = nn.Conv2d(w16, 1, 1)
+        nn.init.zeros_(self.tone.weight)
+        nn.init.zeros_(self.tone.bias)
         self.head16, self.head4, self.head2 = (nn.Conv2d(width, 2, 3, 1, 1) for width in (w16, w4, w2))
 
     def forward(self, films: Float[Tensor, "b 4 n n"]) -> LightNetOutput:
@@ -67,15 +96,21 @@ class LightNet(nn.Module):
         roots = (linear / unit[:, None]).clamp(max=4).sqrt()
         x2 = self.down2(torch.cat([roots, seen, clipped], dim=1) * seen)
         x4 = self.down4(x2)
-        x8 = self.down8(x4)
-        x16 = self.down16(x8)
+        x8 = self.alike8(self.down8(x4))
+        x16 = self.alike16(self.down16(x8))
         x16 = self.deep(x16 + self.whole(x16.mean(dim=(2, 3), keepdim=True)))
         y8 = self.up8(x8 + _larger(self.lateral8(x16), 2))
         y4 = self.up4(x4 + _larger(self.lateral4(y8), 2))
         y2 = self.up2(x2 + _larger(self.lateral2(y4), 2))
         fields = _larger(self.head16(x16).float(), 8) + _larger(self.head4(y4).float(), 2) + self.head2(y2).float()
         black, gain = functional.softplus(fields[:, 0] - 2), torch.exp(fields[:, 1].clamp(-5, 4))
-        return LightNetOutput(unit * black, unit * gain)
+        tone = self.tone(x16.mean(dim=(2, 3), keepdim=True)).float().flatten()
+        return LightNetOutput(unit * black, unit * gain, (USUAL_ROOT_SHARE + tone).clamp(0, 1.5))
+
+
+def _halved(inputs: int, outputs: int, blocks: int) -> nn.Sequential:
+    """Half the resolution, and residual blocks at it."""
+    return nn.Sequential(ConvNorm(inputs, outputs, 3, 2), *(Residual(outputs) for _ in range(blocks)))
 
 
 def _larger(x: Tensor, times: int) -> Tensor:
@@ -152,7 +187,8 @@ def film_error(output: LightNetOutput, truth: LightTargets) -> tuple[Float[Tenso
     black, gain = (_larger(x[:, None], truth.grey.shape[-1] // x.shape[-1])[:, 0] for x in (output.black, output.gain))
     even = ((truth.grey - black) / gain).clamp(max=1.5)
     even = torch.where(even > 1e-3, even, 1e-3 * torch.exp((even.clamp(max=1e-3) - 1e-3) / 1e-3))  # still has a slope
-    shown, weight = (even + 1e-5).sqrt(), truth.counted
+    share, weight = output.root_share[:, None, None], truth.counted
+    shown = share * (even + 1e-5).sqrt() + (1 - share) * even
     count = weight.sum(dim=(1, 2), keepdim=True).clamp(min=1)
     film, flat = ((x - (x * weight).sum(dim=(1, 2), keepdim=True) / count) * weight for x in (shown, truth.flat))
     slope = (film * flat).sum(dim=(1, 2), keepdim=True) / film.square().sum(dim=(1, 2), keepdim=True).clamp(min=1e-6)
@@ -175,6 +211,6 @@ def level_reader(network: LightNet) -> LevelReader:
     def read(film: UInt8[np.ndarray, "n n 3"], seen: Bool[np.ndarray, "n n"]) -> Levels:
         with torch.inference_mode():
             output = network(films_tensor(film[None], seen[None]))
-        return Levels(output.black[0].numpy(), output.gain[0].numpy())
+        return Levels(output.black[0].numpy(), output.gain[0].numpy(), float(output.root_share[0]))
 
     return LevelReader(network.config.input_px, read)

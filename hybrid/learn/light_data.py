@@ -56,13 +56,17 @@ class LitPlace:
 class LightAugment:
     """How light and print are varied further.
 
-    other_print: share of views in which the print is another one. Of these alone: patterns, cropped, milder, shares in
-    which it is a test pattern, in which it is cut out of a film, and in which the light is evened out by some part;
+    other_print: share of views in which the print is another one. Of these alone: patterns, cropped, joined, windowed,
+    milder, shares in which it is a test pattern, in which it is cut out of a film, in which a side of it is a third
+    film's, in which its darkest and brightest greys are cut off, and in which the light is evened out by some part;
     print_gamma, one sigma of the log of a power of the print's light; tint, one sigma of the log of the channels of
     veil and gain.
     uneven, reflected: shares of views with a further smooth factor, and a further smooth veil; most of the log of the
     one, and of the other in parts of white.
-    spots: share of views with a small bright reflection, sharp or soft, that mostly clips.
+    toned: share of views that a further tone curve is applied to; tones, least and most of its strength, above 0 where
+    it makes middle greys brighter, as cameras do that expose for the dark of a film. The most is rare.
+    spots, bars: shares of views with a small bright reflection, sharp or soft, that mostly clips, and with parallel
+    bars, as of lamps, windows and blinds, that may be faint.
     exposure, cast: one sigma of the logs of all light and of its channels. noise: most of one sigma (linear).
     covered: share of views in which something lies before the film; told: how often the network is told so.
     cut: share of views in which the film leaves the photo.
@@ -71,12 +75,17 @@ class LightAugment:
     other_print: float = 0.5
     patterns: float = 0.25
     cropped: float = 0.4
+    joined: float = 0.3
+    windowed: float = 0.4
     milder: float = 0.6
     print_gamma: float = 0.2
     tint: float = 0.2
     uneven: tuple[float, float] = (0.4, 0.5)
     reflected: tuple[float, float] = (0.35, 0.5)
+    toned: float = 0.6
+    tones: tuple[float, float] = (-0.5, 6.0)
     spots: float = 0.25
+    bars: float = 0.25
     exposure: float = 0.25
     cast: float = 0.08
     noise: float = 0.006
@@ -92,8 +101,12 @@ UNDISTURBED = LightAugment(
     0.0,
     0.0,
     0.0,
+    0.0,
+    0.0,
     (0.0, 0.0),
     (0.0, 0.0),
+    toned=0.0,
+    bars=0.0,
     exposure=0.0,
     cast=0.0,
     noise=0.0,
@@ -159,9 +172,8 @@ def light_view(place: LitPlace, px: int, rng: np.random.Generator, augment: Ligh
     )
     if rng.random() < augment.other_print:
         black, white = _evened(black, white, rng, augment)
-        other = place.films[int(rng.integers(len(place.films)))]
         drawn = rng.random() < augment.patterns
-        flat = drawn_pattern(px, rng) if drawn else _arrays(other, ("flat",))["flat"]
+        flat = drawn_pattern(px, rng) if drawn else _other_print(place.films, rng, augment)
         flat, light = _in_light(flat, black, white, rng, augment)
     else:
         flat = _resized(film.flat, size).astype(np.float32) / 255
@@ -175,6 +187,21 @@ def light_view(place: LitPlace, px: int, rng: np.random.Generator, augment: Ligh
 
 def _resized(image: UInt8[np.ndarray, "h w *c"], size: tuple[int, int]) -> UInt8[np.ndarray, "n n *c"]:
     return image if image.shape[:2] == size else cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+
+
+def _other_print(films: Sequence[Path], rng: np.random.Generator, augment: LightAugment) -> UInt8[np.ndarray, "h w"]:
+    """The print of one of these films, or of two of them side by side, as it is or with greys cut off at both ends."""
+    flat, other = (_arrays(films[int(k)], ("flat",))["flat"] for k in rng.integers(len(films), size=2))
+    if rng.random() < augment.joined:
+        way = Orientation(int(rng.integers(4)), False)
+        turned, part = way.moved(flat).copy(), way.moved(other)
+        count = int(len(turned) * rng.uniform(0.2, 0.8))
+        turned[:count] = _resized(part, turned.shape[::-1])[:count]
+        flat = way.inverse.moved(turned)
+    if rng.random() < augment.windowed:
+        low, high = 255 * rng.uniform(0, 0.3), 255 * rng.uniform(0.7, 1)
+        flat = np.clip((flat - low) * (255 / (high - low)), 0, 255).astype(np.uint8)
+    return np.ascontiguousarray(flat)
 
 
 def _evened(
@@ -259,19 +286,50 @@ def _lit_anew(
     share, most = augment.reflected
     if rng.random() < share:
         added = np.maximum(rng.uniform(0, most) * _smooth(px, 5, rng), 0) * (white * factor).mean()
-    if rng.random() < augment.spots:
-        spot = _ellipse(px, rng.random(2), rng.uniform(0.02, 0.15, 2), rng).astype(np.float32)
-        spot = cv2.GaussianBlur(spot, (0, 0), rng.uniform(0.3, 3))
-        added = added + spot * np.float32(np.exp(rng.uniform(np.log(0.3), np.log(4))) * (white * factor).mean())
+    for share, seen, least in (
+        (augment.spots, lambda: _ellipse(px, rng.random(2), rng.uniform(0.02, 0.15, 2), rng), 0.3),
+        (augment.bars, lambda: _bars(px, rng), 0.05),
+    ):
+        if rng.random() < share:
+            lamp = cv2.GaussianBlur(seen().astype(np.float32), (0, 0), rng.uniform(0.3, 3))
+            added = added + lamp * np.float32(np.exp(rng.uniform(np.log(least), np.log(4))) * (white * factor).mean())
     cast = np.exp(rng.normal(0, augment.cast, 3)).astype(np.float32)
     noise = rng.standard_normal(light.shape, dtype=np.float32) * np.float32(augment.noise * rng.random())
-    lit = (light * factor[..., None] + added[..., None]) * cast + noise
-    return tuple(np.clip(x, 0, 1).astype(np.float32) for x in (lit, black * factor + added, white * factor + added))  # type: ignore[return-value]
+    lit = (light * factor[..., None] + added[..., None]) * cast
+    lit, black, white = (np.clip(x, 0, 1) for x in (lit, black * factor + added, white * factor + added))
+    if rng.random() < augment.toned:
+        least, most = augment.tones
+        strength = least + (most - least) * rng.random() ** 2
+        grey = np.maximum(lit @ np.array(CHANNEL_SHARES, np.float32), 1e-6)
+        lit, (black, white) = (
+            lit * (toned(grey, strength) / grey)[..., None],
+            (toned(x, strength) for x in (black, white)),
+        )
+    return tuple(np.clip(x, 0, 1).astype(np.float32) for x in (lit + noise, black, white))  # type: ignore[return-value]
+
+
+def toned(light: Float[np.ndarray, "*n"], strength: float) -> Float[np.ndarray, "*n"]:
+    """Light in [0, 1] after a tone curve that leaves 0 and 1: of strength 1 a quarter becomes two fifths, of -1 a
+    seventh."""
+    if strength < 0:
+        return light / (1 - strength * (1 - light))
+    return light * (1 + strength) / (1 + strength * light)
 
 
 def _smooth(px: int, nodes: int, rng: np.random.Generator) -> Float32[np.ndarray, "n n"]:
     """A smooth random field of unit variance at its nodes."""
     return cv2.resize(rng.standard_normal((nodes, nodes), dtype=np.float32), (px, px), interpolation=cv2.INTER_CUBIC)
+
+
+def _bars(px: int, rng: np.random.Generator) -> Bool[np.ndarray, "n n"]:
+    """One to four parallel bars, turned by any angle, and bent a little as in a sheet that is."""
+    bent = rng.uniform(0, 0.06) * np.stack([_smooth(px, 4, rng) for _ in range(2)], axis=-1)
+    angle, (half, length) = rng.uniform(0, np.pi), np.exp(rng.uniform(np.log([0.008, 0.04]), np.log([0.12, 0.6])))
+    at = film_centres((px, px)) + bent - rng.random(2)
+    along, across = at @ np.array([np.cos(angle), np.sin(angle)]), at @ np.array([-np.sin(angle), np.cos(angle)])
+    step = half * rng.uniform(2.2, 6)
+    bar = np.clip(np.rint(across / step), 0, int(rng.integers(0, 4)))
+    return (np.abs(along) < length) & (np.abs(across - step * bar) < half)
 
 
 def _hidden(

@@ -10,7 +10,7 @@ nothing is made up.
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -46,9 +46,6 @@ class DeilluminateConfig:
     """Display grey of the print's black surround."""
     print_white: float = 0.95
     """Display grey of the brightest parts."""
-    root_share: float = 0.85
-    """Tone curve: share of the square root (a print seen by reflection: the display's own gamma) against the straight
-    line (a print whose transmission is proportional to its grey). Which it is, one photo does not tell."""
 
     def __post_init__(self) -> None:
         require_at_least(self, 16, "work_px")
@@ -109,13 +106,14 @@ def deilluminate(
     levels = read_levels(small, small_seen, reader, config.gain_blur)
     decision = survey_light(levels.gain, levels.black / np.median(levels.gain), config.even_light)
     if decision.yes:
-        levels = Levels(*(np.full_like(x, np.median(x)) for x in (levels.black, levels.gain)))
+        flat = (np.full_like(x, np.median(x)) for x in (levels.black, levels.gain))
+        levels = Levels(*flat, levels.root_share)
     table = grey_table()
     even = _even(_linear_grey(small, table), levels)
     contrast = _contrast(levels, 0.0, 1.0)
     black, white = _print_range(even, small_seen & ~_lost(contrast, np.zeros(even.shape, bool)))
-    tone = _tone_curve(min(black / white + config.least_print, 1.0), config)
-    film = _apply(rectified, table, Levels(levels.black, levels.gain * np.float32(white)), config.least_print, tone)
+    tone = _tone_curve(min(black / white + config.least_print, 1.0), levels.root_share, config)
+    film = _apply(rectified, table, replace(levels, gain=levels.gain * np.float32(white)), config.least_print, tone)
     # Glare wider than a stroke shows on the small copy; most films have none.
     clipped = find_clipped(rectified) if small.max() >= CLIPPED else np.zeros(film.shape, bool)
     glare = _lost(contrast, clipped)
@@ -159,7 +157,7 @@ def read_levels(
     read = reader.read(square, seen_there)
     sigma = gain_blur * len(read.gain)
     logs = cv2.GaussianBlur(np.log(read.gain), (0, 0), sigma, borderType=cv2.BORDER_REFLECT)
-    return Levels(read.black, np.exp(logs))
+    return replace(read, gain=np.exp(logs))
 
 
 def _small_copy(
@@ -209,9 +207,8 @@ def _print_range(even: Float32[np.ndarray, "h w"], known: Bool[np.ndarray, "h w"
     return float(black), max(float(white), 1e-4)
 
 
-def _tone_curve(black: float, config: DeilluminateConfig) -> _ToneCurve:
-    """The tone curve that takes the film's black (white: 1) and white to those of a print."""
-    share = config.root_share
+def _tone_curve(black: float, share: float, config: DeilluminateConfig) -> _ToneCurve:
+    """The tone curve of a root share that takes the film's black (white: 1) and white to those of a print."""
     low = (1.0 - share) * black + share * np.sqrt(black)
     contrast = (config.print_white - config.print_black) / max(1.0 - low, 0.1)
     return _ToneCurve(config.print_black - contrast * low, contrast * (1.0 - share), contrast * share)
