@@ -2,9 +2,9 @@
 
 In linear light the photo shows ``gain * print + black``: black is the veil, the room reflected in the sheet, and black
 and gain together what print white looks like. Both are read on a small copy by a network (``hybrid.levels``), and
-applied at full resolution so that every detail comes from the photo. One tone curve for all films then turns light into
-display grey. Where the photo is clipped, or veiled until nothing is left between black and white, nothing is known, and
-nothing is made up.
+applied at full resolution so that every detail comes from the photo. A tone curve, which the network tells, too, then
+turns light into display grey. Where the photo is clipped, or veiled until nothing is left between black and white,
+nothing is known, and nothing is made up.
 """
 
 from __future__ import annotations
