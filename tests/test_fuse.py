@@ -17,6 +17,7 @@ from hybrid.backward import BackwardMap, Orientation
 from hybrid.cli import main
 from hybrid.coords import film_centres, film_nodes, pixel_from_film, sample_bilinear, srgb_from_linear
 from hybrid.errors import FusionError
+from hybrid.levels import LevelReader
 from hybrid.metrics import psnr_after_gain_offset
 from hybrid.pipeline import Rectifier
 from hybrid.records import RectifyResult, SliceGrid, Status, StatusCode
@@ -208,6 +209,20 @@ def test_a_film_that_was_read_another_way_round_is_turned(way: int):
     (_, first), (_, second) = seen(SPOTS[0], 0), seen(SPOTS[1], 1, way=way)
     found = register(first, second, FuseConfig())
     assert found.way.index == Orientation.from_index(way).inverse.index
+
+
+def test_photos_of_one_film_are_given_one_tone():
+    """However differently the network takes their tones: else what one lends to the other would be of another grey."""
+    photos, results = zip(*(seen(spot, k) for k, spot in enumerate(SPOTS[:2])), strict=True)
+    shares: list[float] = []
+
+    def told(film: np.ndarray, seen: np.ndarray) -> Levels:
+        shares.append(0.5 + 0.2 * len(shares))
+        return replace(READER.read(film, seen), root_share=shares[-1])
+
+    result = fuse(photos, results, LevelReader(READER.side_px, told))
+    middle = fuse(photos, results, READER.of_tone(float(np.mean(shares[:2]))))
+    np.testing.assert_array_equal(result.film, middle.film)
 
 
 def test_different_films_are_refused_with_a_reason():

@@ -286,12 +286,12 @@ def _lit_anew(
     share, most = augment.reflected
     if rng.random() < share:
         added = np.maximum(rng.uniform(0, most) * _smooth(px, 5, rng), 0) * (white * factor).mean()
-    for share, seen, least in (
+    for share, shape, least in (
         (augment.spots, lambda: _ellipse(px, rng.random(2), rng.uniform(0.02, 0.15, 2), rng), 0.3),
         (augment.bars, lambda: _bars(px, rng), 0.05),
     ):
         if rng.random() < share:
-            lamp = cv2.GaussianBlur(seen().astype(np.float32), (0, 0), rng.uniform(0.3, 3))
+            lamp = cv2.GaussianBlur(shape().astype(np.float32), (0, 0), rng.uniform(0.3, 3))
             added = added + lamp * np.float32(np.exp(rng.uniform(np.log(least), np.log(4))) * (white * factor).mean())
     cast = np.exp(rng.normal(0, augment.cast, 3)).astype(np.float32)
     noise = rng.standard_normal(light.shape, dtype=np.float32) * np.float32(augment.noise * rng.random())
@@ -301,10 +301,8 @@ def _lit_anew(
         least, most = augment.tones
         strength = least + (most - least) * rng.random() ** 2
         grey = np.maximum(lit @ np.array(CHANNEL_SHARES, np.float32), 1e-6)
-        lit, (black, white) = (
-            lit * (toned(grey, strength) / grey)[..., None],
-            (toned(x, strength) for x in (black, white)),
-        )
+        lit = lit * (toned(grey, strength) / grey)[..., None]
+        black, white = toned(black, strength), toned(white, strength)
     return tuple(np.clip(x, 0, 1).astype(np.float32) for x in (lit + noise, black, white))  # type: ignore[return-value]
 
 

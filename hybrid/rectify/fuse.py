@@ -24,9 +24,9 @@ from hybrid.records import RectifyResult, SliceGrid, StageReport
 from hybrid.rectify import bspline
 from hybrid.rectify.bspline import NormalEquations
 from hybrid.rectify.consensus import read_beside, to_common
-from hybrid.rectify.deilluminate import DeilluminateConfig, deilluminate
+from hybrid.rectify.deilluminate import DeilluminateConfig, deilluminate, read_levels
 from hybrid.rectify.merge import Film, MergeConfig, detail_of, merge, reduced
-from hybrid.rectify.resample import ResampleConfig, rectify_photo
+from hybrid.rectify.resample import Rectified, ResampleConfig, rectify_photo
 
 AnyFilm = Float32[np.ndarray, "_ _"]
 """One of several of different sizes."""
@@ -294,6 +294,14 @@ def _surest_grid(
     return replace(grid, vertices=vertices, vertices_photo=first.photo_from_film(vertices))
 
 
+def _of_one_tone(
+    reader: LevelReader, flats: Sequence[Rectified], seen: Sequence[Bool[np.ndarray, "h w"]], gain_blur: float
+) -> LevelReader:
+    """The reader, which takes all photos for ones of their middle tone: it is one print, and mostly one camera."""
+    levels = [read_levels(flat.image, where, reader, gain_blur) for flat, where in zip(flats, seen, strict=True)]
+    return reader.of_tone(float(np.median([one.root_share for one in levels])))
+
+
 # ---------------------------------------------------------------- all together
 
 
@@ -345,12 +353,15 @@ def fuse(
     told = [one if counted else None for one, counted in zip(grids, counts, strict=True)]
     grid = _surest_grid(told, shifts, maps[0])
     covers = [_cover_on(size, *of_photo) for of_photo in zip(found_in, ways, shifts, strict=True)]
+    print_seen = [flat.valid & ~cover for flat, cover in zip(flats, covers, strict=True)]
+    light = light or DeilluminateConfig()
+    one_tone = _of_one_tone(reader, flats, print_seen, light.gain_blur)
     lights = [
-        deilluminate(flat.image, flat.valid, reader, light, cover) for flat, cover in zip(flats, covers, strict=True)
+        deilluminate(flat.image, flat.valid, one_tone, light, cover) for flat, cover in zip(flats, covers, strict=True)
     ]
     fused = merge(
         [one.film for one in lights],
-        [one.glare | ~flat.valid | cover for one, flat, cover in zip(lights, flats, covers, strict=True)],
+        [one.glare | ~seen for one, seen in zip(lights, print_seen, strict=True)],
         [one.confidence for one in lights],
         config.merge,
     )
