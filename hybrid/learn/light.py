@@ -50,9 +50,7 @@ class Attention(nn.Module):
         super().__init__()
         self.heads = heads
         self.asked = nn.Conv2d(channels + 2, 3 * channels, 1)
-        self.said = nn.Conv2d(channels, channels, 1)
-        nn.init.zeros_(self.said.weight)
-        nn.init.zeros_(self.said.bias)
+        self.said = _silent(nn.Conv2d(channels, channels, 1))
 
     def forward(self, x: Float[Tensor, "b c h w"]) -> Float[Tensor, "b c h w"]:
         size = x.shape[2:]
@@ -82,9 +80,7 @@ class LightNet(nn.Module):
         self.deep = Residual(w16)
         self.lateral8, self.lateral4, self.lateral2 = nn.Conv2d(w16, w8, 1), nn.Conv2d(w8, w4, 1), nn.Conv2d(w4, w2, 1)
         self.up8, self.up4, self.up2 = Residual(w8), Residual(w4), Residual(w2)
-        self.tone = nn.Conv2d(w16, 1, 1)
-        nn.init.zeros_(self.tone.weight)
-        nn.init.zeros_(self.tone.bias)
+        self.tone = _silent(nn.Conv2d(w16, 1, 1))
         self.head16, self.head4, self.head2 = (nn.Conv2d(width, 2, 3, 1, 1) for width in (w16, w4, w2))
 
     def forward(self, films: Float[Tensor, "b 4 n n"]) -> LightNetOutput:
@@ -106,6 +102,13 @@ class LightNet(nn.Module):
         black, gain = functional.softplus(fields[:, 0] - 2), torch.exp(fields[:, 1].clamp(-5, 4))
         tone = self.tone(x16.mean(dim=(2, 3), keepdim=True)).float().flatten()
         return LightNetOutput(unit * black, unit * gain, (USUAL_ROOT_SHARE + tone).clamp(0, 1.5))
+
+
+def _silent(conv: nn.Conv2d) -> nn.Conv2d:
+    """The convolution, which says nothing until it has learnt."""
+    for values in conv.parameters():
+        nn.init.zeros_(values)
+    return conv
 
 
 def _halved(inputs: int, outputs: int, blocks: int) -> nn.Sequential:

@@ -106,8 +106,8 @@ def deilluminate(
     levels = read_levels(small, small_seen, reader, config.gain_blur)
     decision = survey_light(levels.gain, levels.black / np.median(levels.gain), config.even_light)
     if decision.yes:
-        flat = (np.full_like(x, np.median(x)) for x in (levels.black, levels.gain))
-        levels = Levels(*flat, levels.root_share)
+        even_black, even_gain = (np.full_like(x, np.median(x)) for x in (levels.black, levels.gain))
+        levels = replace(levels, black=even_black, gain=even_gain)
     table = grey_table()
     even = _even(_linear_grey(small, table), levels)
     contrast = _contrast(levels, 0.0, 1.0)
