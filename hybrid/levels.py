@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float32, UInt8
@@ -47,10 +47,6 @@ class LevelReader:
 
     side_px: int
     read: Callable[[UInt8[np.ndarray, "n n 3"], Bool[np.ndarray, "n n"]], Levels]
-
-    def of_tone(self, root_share: float) -> LevelReader:
-        """The same, which takes every film for one of this tone."""
-        return LevelReader(self.side_px, lambda film, seen: replace(self.read(film, seen), root_share=root_share))
 
 
 def grey_table() -> Float32[np.ndarray, "256 3"]:

@@ -229,7 +229,7 @@ def test_attention_finds_what_is_alike_wherever_it_lies() -> None:
         torch.testing.assert_close(layer(features), 2 * features, atol=1e-3, rtol=0)
 
 
-def test_the_tone_that_is_told_is_a_tone_curve(places: list[LitPlace]) -> None:
+def test_the_tone_that_is_told_is_a_tone_curve() -> None:
     network = LightNet(LightNetConfig()).eval()
     films = torch.rand(2, 4, PX, PX)
     with torch.inference_mode():

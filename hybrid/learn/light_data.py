@@ -95,25 +95,10 @@ class LightAugment:
 
 
 UNDISTURBED = LightAugment(
-    0.0,
-    0.0,
-    0.0,
-    0.0,
-    0.0,
-    0.0,
-    0.0,
-    0.0,
-    (0.0, 0.0),
-    (0.0, 0.0),
-    toned=0.0,
-    bars=0.0,
-    exposure=0.0,
-    cast=0.0,
-    noise=0.0,
-    covered=0.0,
-    told=0.0,
-    cut=0.0,
-)
+    other_print=0.0, patterns=0.0, cropped=0.0, joined=0.0, windowed=0.0, milder=0.0, print_gamma=0.0, tint=0.0,
+    uneven=(0.0, 0.0), reflected=(0.0, 0.0), toned=0.0, spots=0.0, bars=0.0, exposure=0.0, cast=0.0, noise=0.0,
+    covered=0.0, told=0.0, cut=0.0,
+)  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,10 +176,11 @@ def _resized(image: UInt8[np.ndarray, "h w *c"], size: tuple[int, int]) -> UInt8
 
 def _other_print(films: Sequence[Path], rng: np.random.Generator, augment: LightAugment) -> UInt8[np.ndarray, "h w"]:
     """The print of one of these films, or of two of them side by side, as it is or with greys cut off at both ends."""
-    flat, other = (_arrays(films[int(k)], ("flat",))["flat"] for k in rng.integers(len(films), size=2))
+    one, other = (films[int(k)] for k in rng.integers(len(films), size=2))
+    flat = _arrays(one, ("flat",))["flat"]
     if rng.random() < augment.joined:
         way = Orientation(int(rng.integers(4)), False)
-        turned, part = way.moved(flat).copy(), way.moved(other)
+        turned, part = way.moved(flat).copy(), way.moved(_arrays(other, ("flat",))["flat"])
         count = int(len(turned) * rng.uniform(0.2, 0.8))
         turned[:count] = _resized(part, turned.shape[::-1])[:count]
         flat = way.inverse.moved(turned)
@@ -286,13 +272,11 @@ def _lit_anew(
     share, most = augment.reflected
     if rng.random() < share:
         added = np.maximum(rng.uniform(0, most) * _smooth(px, 5, rng), 0) * (white * factor).mean()
-    for share, shape, least in (
-        (augment.spots, lambda: _ellipse(px, rng.random(2), rng.uniform(0.02, 0.15, 2), rng), 0.3),
-        (augment.bars, lambda: _bars(px, rng), 0.05),
-    ):
-        if rng.random() < share:
-            lamp = cv2.GaussianBlur(shape().astype(np.float32), (0, 0), rng.uniform(0.3, 3))
-            added = added + lamp * np.float32(np.exp(rng.uniform(np.log(least), np.log(4))) * (white * factor).mean())
+    if rng.random() < augment.spots:
+        spot = _ellipse(px, rng.random(2), rng.uniform(0.02, 0.15, 2), rng)
+        added = added + _lamp(spot, 0.3, rng) * (white * factor).mean()
+    if rng.random() < augment.bars:
+        added = added + _lamp(_bars(px, rng), 0.05, rng) * (white * factor).mean()
     cast = np.exp(rng.normal(0, augment.cast, 3)).astype(np.float32)
     noise = rng.standard_normal(light.shape, dtype=np.float32) * np.float32(augment.noise * rng.random())
     lit = (light * factor[..., None] + added[..., None]) * cast
@@ -317,6 +301,12 @@ def toned(light: Float[np.ndarray, "*n"], strength: float) -> Float[np.ndarray, 
 def _smooth(px: int, nodes: int, rng: np.random.Generator) -> Float32[np.ndarray, "n n"]:
     """A smooth random field of unit variance at its nodes."""
     return cv2.resize(rng.standard_normal((nodes, nodes), dtype=np.float32), (px, px), interpolation=cv2.INTER_CUBIC)
+
+
+def _lamp(shape: Bool[np.ndarray, "n n"], least: float, rng: np.random.Generator) -> Float32[np.ndarray, "n n"]:
+    """A reflection of this shape, sharp or soft, from ``least`` to four times as bright as white."""
+    soft = cv2.GaussianBlur(shape.astype(np.float32), (0, 0), rng.uniform(0.3, 3))
+    return soft * np.float32(np.exp(rng.uniform(np.log(least), np.log(4))))
 
 
 def _bars(px: int, rng: np.random.Generator) -> Bool[np.ndarray, "n n"]:

@@ -52,6 +52,19 @@ class DeilluminateConfig:
 
 
 @dataclass(frozen=True, eq=False)
+class LightRead:
+    """A small copy of a flat film, where it shows the print, and the levels that were read of it."""
+
+    small: UInt8[np.ndarray, "sh sw 3"]
+    small_seen: Bool[np.ndarray, "sh sw"]
+    levels: Levels
+
+    def of_tone(self, root_share: float) -> LightRead:
+        """The same, with another tone."""
+        return replace(self, levels=replace(self.levels, root_share=root_share))
+
+
+@dataclass(frozen=True, eq=False)
 class Deillumination:
     """The recovered print.
 
@@ -71,7 +84,8 @@ class Deillumination:
 
 @dataclass(frozen=True)
 class _ToneCurve:
-    """Display grey of light x in [0, 1]: ``black + straight * x + root * sqrt(x)``, monotone as both are positive."""
+    """Display grey of light x in [0, 1]: ``black + straight * x + root * sqrt(x)``, monotone as root is positive, and
+    straight, if it is not, no further from 0 than half of it."""
 
     black: float
     straight: float
@@ -102,8 +116,24 @@ def deilluminate(
     """
     config = config or DeilluminateConfig()
     print_seen = valid if covered is None else valid & ~covered
+    return recovered(rectified, valid, print_seen, read_light(rectified, print_seen, reader, config), config)
+
+
+def read_light(
+    rectified: UInt8[np.ndarray, "h w 3"], print_seen: Bool[np.ndarray, "h w"], reader: LevelReader,
+    config: DeilluminateConfig,
+) -> LightRead:  # fmt: skip
+    """The light of a flat film, read where the photo shows the print."""
     small, small_seen = _small_copy(rectified, print_seen, config.work_px)
-    levels = read_levels(small, small_seen, reader, config.gain_blur)
+    return LightRead(small, small_seen, read_levels(small, small_seen, reader, config.gain_blur))
+
+
+def recovered(
+    rectified: UInt8[np.ndarray, "h w 3"], valid: Bool[np.ndarray, "h w"], print_seen: Bool[np.ndarray, "h w"],
+    light: LightRead, config: DeilluminateConfig,
+) -> Deillumination:  # fmt: skip
+    """The print of a flat film whose light was read."""
+    small, small_seen, levels = light.small, light.small_seen, light.levels
     decision = survey_light(levels.gain, levels.black / np.median(levels.gain), config.even_light)
     if decision.yes:
         even_black, even_gain = (np.full_like(x, np.median(x)) for x in (levels.black, levels.gain))

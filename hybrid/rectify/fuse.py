@@ -24,9 +24,9 @@ from hybrid.records import RectifyResult, SliceGrid, StageReport
 from hybrid.rectify import bspline
 from hybrid.rectify.bspline import NormalEquations
 from hybrid.rectify.consensus import read_beside, to_common
-from hybrid.rectify.deilluminate import DeilluminateConfig, deilluminate, read_levels
+from hybrid.rectify.deilluminate import DeilluminateConfig, read_light, recovered
 from hybrid.rectify.merge import Film, MergeConfig, detail_of, merge, reduced
-from hybrid.rectify.resample import Rectified, ResampleConfig, rectify_photo
+from hybrid.rectify.resample import ResampleConfig, rectify_photo
 
 AnyFilm = Float32[np.ndarray, "_ _"]
 """One of several of different sizes."""
@@ -294,14 +294,6 @@ def _surest_grid(
     return replace(grid, vertices=vertices, vertices_photo=first.photo_from_film(vertices))
 
 
-def _of_one_tone(
-    reader: LevelReader, flats: Sequence[Rectified], seen: Sequence[Bool[np.ndarray, "h w"]], gain_blur: float
-) -> LevelReader:
-    """The reader, which takes all photos for ones of their middle tone: it is one print, and mostly one camera."""
-    levels = [read_levels(flat.image, where, reader, gain_blur) for flat, where in zip(flats, seen, strict=True)]
-    return reader.of_tone(float(np.median([one.root_share for one in levels])))
-
-
 # ---------------------------------------------------------------- all together
 
 
@@ -355,9 +347,11 @@ def fuse(
     covers = [_cover_on(size, *of_photo) for of_photo in zip(found_in, ways, shifts, strict=True)]
     print_seen = [flat.valid & ~cover for flat, cover in zip(flats, covers, strict=True)]
     light = light or DeilluminateConfig()
-    one_tone = _of_one_tone(reader, flats, print_seen, light.gain_blur)
+    reads = [read_light(flat.image, seen, reader, light) for flat, seen in zip(flats, print_seen, strict=True)]
+    tone = float(np.median([one.levels.root_share for one in reads]))  # it is one print, and mostly one camera
     lights = [
-        deilluminate(flat.image, flat.valid, one_tone, light, cover) for flat, cover in zip(flats, covers, strict=True)
+        recovered(flat.image, flat.valid, seen, one.of_tone(tone), light)
+        for flat, seen, one in zip(flats, print_seen, reads, strict=True)
     ]
     fused = merge(
         [one.film for one in lights],
