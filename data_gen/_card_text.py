@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import json
 import shlex
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 
+from data_gen.sample import SampleConfig
 from data_gen.sources import PHANTOMS
 from hybrid.learn import coding
 from hybrid.learn.shards import ShardEntry
+
+_SAID = ("size", "map_size")
+"""Options of a sample that the command has words for."""
 
 _TEMPLATE = """\
 # Photos of bent CT films, with the truth
@@ -26,8 +32,8 @@ Everything is simulated: printed CT slices, bent sheets, light, camera.
 {command}
 ```
 
-hybrid {version}. The same command gives the same bytes; a larger count adds to them. `dataset.json` holds every option,
-`manifest.json` the size and sha256 of each shard.
+hybrid {version}. {same}; a larger count adds to them. `dataset.json` holds every option, `manifest.json` the size and
+sha256 of each shard.
 
 - Scans: {volumes}.
 - Rooms: {environments}.
@@ -90,6 +96,7 @@ def card_text(
         shown=min(count, 64),
         command=command(description),
         version=description["hybrid"],
+        same=_same(description),
         volumes=_share_of(sources["volumes"], "embedded phantoms", sources["real_share"]),
         environments=_share_of(sources["environments"], "embedded procedural rooms", sources["real_share"]),
         coding=_coding_table(),
@@ -112,6 +119,18 @@ def command(description: Mapping[str, Any]) -> str:
     words += [f"--leave-out {shlex.join(sources['leave_out'])}"] if sources["leave_out"] else []
     words += ["--phantoms {} {}".format(*sources["phantoms"])] if sources["phantoms"] != [0, PHANTOMS] else []
     return " \\\n    ".join(words)
+
+
+def _same(description: Mapping[str, Any]) -> str:
+    """What gives the same bytes: the command, and options that it has no words for."""
+    usual = json.loads(json.dumps(asdict(SampleConfig())))
+    other = [name for name, value in description["sample"].items() if name not in _SAID and value != usual[name]]
+    if not other:
+        return "The same command gives the same bytes"
+    return (
+        f"Made in Python, as other samples than the command's own: `{'`, `'.join(other)}`. The same command with "
+        "`GenerateConfig.sample` as in `dataset.json` gives the same bytes"
+    )
 
 
 def _share_of(names: Sequence[str], embedded: str, real_share: float) -> str:

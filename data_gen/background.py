@@ -122,7 +122,9 @@ def _panel(
     frame = outline_share(ground, camera, -half - rim, half + rim)
     plastic = 10 ** rng.uniform(-1.9, -0.2)
     around += (np.float32(plastic) - around) * frame[..., None]
-    light = cv2.resize(received.all(), camera.size[::-1], interpolation=cv2.INTER_LINEAR)
+    light, gloss = (
+        cv2.resize(x, camera.size[::-1], interpolation=cv2.INTER_LINEAR) for x in (received.matt(), received.gloss)
+    )
     spill = cv2.resize(frame, (64, 64), interpolation=cv2.INTER_AREA)
     spill = cv2.resize(cv2.GaussianBlur(spill, (0, 0), 5.0), camera.size[::-1], interpolation=cv2.INTER_LINEAR)
     light += spill[..., None] * np.array(box.radiance, np.float32) * np.float32(0.05)
@@ -131,7 +133,8 @@ def _panel(
     shone = np.ones_like(around)
     place_things(shone, ground, camera, scene.backdrop, rng)
     shone *= bright[..., None] * np.array(box.radiance, np.float32)
-    return around * light * (1 - panel[..., None]) + shone * panel[..., None]
+    gloss *= 1 - frame[..., None]  # the wall's, not the frame's
+    return (around * light + gloss) * (1 - panel[..., None]) + shone * panel[..., None]
 
 
 def outline_share(

@@ -10,8 +10,10 @@ import numpy as np
 import tyro
 from tqdm import tqdm
 
+from data_gen.manifest import deciding, describe_dataset, described_sources, sole_writer
 from data_gen.prints import make_print
 from data_gen.sources import SourceConfig, draw_volume
+from data_gen.work import source_names
 from hybrid.errors import HybridError
 from hybrid.image_io import write_bytes
 
@@ -31,19 +33,29 @@ class FlatPrintsConfig:
 
 
 def flat_prints(config: FlatPrintsConfig) -> None:
-    """Write the prints that are missing, those with texts only: a film without any may be read either way up."""
-    config.out.mkdir(parents=True, exist_ok=True)
-    sources = config.sources
-    for k in tqdm(range(config.count), unit="print"):
-        path = config.out / f"{k:06d}.jpg"
-        if path.exists():
-            continue
-        rng = np.random.default_rng([config.seed, k, 1])  # no film of a data set of that seed
-        film_print = make_print(draw_volume(sources, rng), rng)
-        while not film_print.parameters["text"]:
-            film_print = make_print(draw_volume(sources, rng), rng)
-        pixels = np.rint(film_print.image * 255).astype(np.uint8)
-        write_bytes(path, cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_QUALITY, 92])[1].tobytes())
+    """Write the prints that are missing, those with texts only: a film without any may be read either way up.
+
+    Raises:
+        ConfigError: ``out`` holds prints made with other options, or another run writes there.
+    """
+    with sole_writer(config.out):
+        sources = described_sources(config.sources, source_names(config.sources))
+        options = deciding(sources=sources, seed=config.seed)
+        describe_dataset(config.out, options, max(config.count, sum(1 for _ in config.out.glob("*.jpg"))))
+        for k in tqdm(range(config.count), unit="print"):
+            path = config.out / f"{k:06d}.jpg"
+            if not path.exists():
+                write_bytes(path, _print_bytes(config, k))
+
+
+def _print_bytes(config: FlatPrintsConfig, number: int) -> bytes:
+    """The JPEG file of a print; no film of a data set of that seed."""
+    rng = np.random.default_rng([config.seed, number, 1])
+    film_print = make_print(draw_volume(config.sources, rng), rng)
+    while not film_print.parameters["text"]:
+        film_print = make_print(draw_volume(config.sources, rng), rng)
+    pixels = np.rint(film_print.image * 255).astype(np.uint8)
+    return cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_QUALITY, 92])[1].tobytes()
 
 
 def main() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import sys
 from collections.abc import Iterator
@@ -16,14 +15,20 @@ import tyro
 from tqdm import tqdm
 
 from data_gen.card import write_card
-from data_gen.manifest import describe_dataset, finished_shards, shard_name, sole_writer, write_manifest, write_shard
+from data_gen.manifest import (
+    deciding,
+    describe_dataset,
+    described_sources,
+    finished_shards,
+    shard_name,
+    sole_writer,
+    write_manifest,
+    write_shard,
+)
 from data_gen.sample import SampleConfig
 from data_gen.sources import SourceConfig
 from data_gen.work import film_bytes, source_names, workers
-from hybrid import __version__
-from hybrid.coords import CONVENTIONS_VERSION
 from hybrid.errors import ConfigError, DataError, HybridError, describe
-from hybrid.learn.shards import FORMAT
 
 MAX_MAP_SIZE = 448
 """Maps are stored at the photo's size up to this (the published data set's)."""
@@ -134,17 +139,9 @@ def _photos(films: Iterator[list[bytes]], count: int, bar: Any) -> Iterator[byte
 def _options(config: GenerateConfig, names: dict[str, list[str]]) -> dict[str, Any]:
     """What dataset.json says besides the count: all that decides the bytes, and no path of this machine."""
     sample = asdict(config.sample_config())
-    sources = sample.pop("sources")
-    options = {
-        "format": FORMAT,
-        "conventions": CONVENTIONS_VERSION,
-        "hybrid": __version__,
-        "seed": config.seed,
-        "shard_size": config.shard_size,
-        "sources": {name: value for name, value in sources.items() if name not in ("ct", "hdri")} | names,
-        "sample": sample,
-    }
-    return json.loads(json.dumps(options))  # tuples as lists, as they come back from the file
+    sources = described_sources(config.sample_config().sources, names)
+    del sample["sources"]
+    return deciding(seed=config.seed, shard_size=config.shard_size, sources=sources, sample=sample)
 
 
 def main() -> None:

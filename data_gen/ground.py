@@ -129,9 +129,9 @@ class GroundLight:
     lamps: tuple[Float[np.ndarray, "a b 3"], ...]
     gloss: Float[np.ndarray, "a b 3"]
 
-    def all(self) -> Float[np.ndarray, "a b 3"]:
-        """Their sum."""
-        return sum(self.lamps, self.room + self.gloss)
+    def matt(self) -> Float[np.ndarray, "a b 3"]:
+        """All that white matt ground scatters; what the gloss mirrors is not coloured by the ground."""
+        return sum(self.lamps, self.room)
 
 
 def ground_light(

@@ -22,13 +22,14 @@ from tqdm import tqdm
 
 from data_gen.composite import print_levels
 from data_gen.develop import develop
+from data_gen.manifest import deciding, describe_dataset, described_sources, sole_writer
 from data_gen.prints import make_print
 from data_gen.rooms import prefilter
 from data_gen.sample import SampleConfig, black_and_white, metered, on_sensor, scene_light, sheet_of
 from data_gen.scene import Scene, sample_scene
 from data_gen.shade import FilmLight
 from data_gen.sources import SourceConfig, draw_environment, draw_volume
-from data_gen.work import start_worker
+from data_gen.work import source_names, start_worker
 from hybrid.coords import linear_from_srgb, rgb_from_bgr, srgb_from_linear
 from hybrid.errors import HybridError
 from hybrid.image_io import write_bytes
@@ -61,11 +62,18 @@ class LitFilmsConfig:
 
 
 def lit_films(config: LitFilmsConfig) -> None:
-    """Write the films that are missing."""
-    config.out.mkdir(parents=True, exist_ok=True)
-    missing = [number for number in range(config.count) if not _path(config, number).exists()]
-    with ProcessPoolExecutor(config.workers, multiprocessing.get_context("spawn")) as pool:
-        list(tqdm(pool.map(partial(_write_film, config), missing, chunksize=4), total=len(missing), unit="film"))
+    """Write the films that are missing.
+
+    Raises:
+        ConfigError: ``out`` holds films made with other options, or another run writes there.
+    """
+    with sole_writer(config.out):
+        sources = described_sources(config.sources, source_names(config.sources))
+        options = deciding(sources=sources, seed=config.seed, photos=config.photos)
+        describe_dataset(config.out, options, max(config.count, sum(1 for _ in config.out.glob("*.npz"))))
+        missing = [number for number in range(config.count) if not _path(config, number).exists()]
+        with ProcessPoolExecutor(config.workers, multiprocessing.get_context("spawn")) as pool:
+            list(tqdm(pool.map(partial(_write_film, config), missing, chunksize=4), total=len(missing), unit="film"))
 
 
 def lit_film(seed: int, number: int, photos: int, sources: SourceConfig) -> LitFilm:

@@ -13,8 +13,11 @@ from pathlib import Path
 from typing import Any
 
 from data_gen.shards import END_OF_TAR
+from data_gen.sources import SourceConfig
+from hybrid import __version__
+from hybrid.coords import CONVENTIONS_VERSION
 from hybrid.errors import ConfigError, DataError, describe
-from hybrid.learn.shards import ShardEntry, read_description, read_index, read_manifest, sha256_of
+from hybrid.learn.shards import FORMAT, ShardEntry, read_description, read_index, read_manifest, sha256_of
 
 PART = ".part"
 
@@ -146,6 +149,17 @@ def _differing(a: dict[str, Any], b: dict[str, Any]) -> list[str]:
         elif x != y:
             names.append(name)
     return names
+
+
+def deciding(**options: Any) -> dict[str, Any]:
+    """What dataset.json says besides the count: all that decides the bytes, as it comes back from the file."""
+    versions = {"format": FORMAT, "conventions": CONVENTIONS_VERSION, "hybrid": __version__}
+    return json.loads(json.dumps(versions | options))  # tuples as lists
+
+
+def described_sources(config: SourceConfig, names: dict[str, list[str]]) -> dict[str, Any]:
+    """Sources as dataset.json has them: by the names of what was found, without this machine's paths."""
+    return {name: value for name, value in asdict(config).items() if name not in ("ct", "hdri")} | names
 
 
 def describe_dataset(folder: Path, options: dict[str, Any], count: int) -> None:

@@ -24,16 +24,14 @@ from jaxtyping import Float, UInt8
 from tqdm import tqdm
 
 from data_gen.generate import MAX_MAP_SIZE
-from data_gen.manifest import describe_dataset, shard_name, sole_writer, write_manifest, write_shard
+from data_gen.manifest import deciding, describe_dataset, shard_name, sole_writer, write_manifest, write_shard
 from data_gen.shards import npy_bytes, packed
-from hybrid import __version__
 from hybrid.backward import MIN_NODES, BackwardMap
-from hybrid.coords import CONVENTIONS_VERSION, opencv_from_photo, pixel_centres, rescale_points, rgb_from_bgr
+from hybrid.coords import opencv_from_photo, pixel_centres, rescale_points, rgb_from_bgr
 from hybrid.draw import outline_curve, resized
 from hybrid.errors import ConfigError, DataError, HybridError, describe
 from hybrid.image_io import read_photo
 from hybrid.learn.coding import encode_uv
-from hybrid.learn.shards import FORMAT
 
 SUFFIXES = (".jpg", ".jpeg", ".png")
 """Of photos, in small letters or in capitals."""
@@ -176,14 +174,8 @@ def make_dataset(config: OwnPhotosConfig) -> int:
         for number, (photo, truth) in enumerate(tqdm(paths, unit="photo")):
             yield packed(pair_members(read_pair(photo, truth, config.size)), number)
 
-    options = {
-        "format": FORMAT,
-        "conventions": CONVENTIONS_VERSION,
-        "hybrid": __version__,
-        "sources": "own photos",
-        "size": config.size,
-        "pairs": hashlib.sha256("\n".join(photo.name for photo, _ in paths).encode()).hexdigest(),
-    }
+    names = hashlib.sha256("\n".join(photo.name for photo, _ in paths).encode()).hexdigest()
+    options = deciding(sources="own photos", size=config.size, pairs=names)
     with sole_writer(config.out):
         describe_dataset(config.out, options, len(paths))
         write_manifest(config.out, [write_shard(config.out / shard_name(0), 0, samples())])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -57,6 +57,7 @@ def make_print(volume: CtVolume, rng: np.random.Generator, config: PrintConfig =
     labels: Labels | None = None
     if rng.random() < config.text_share:
         labels = random_labels(rng, volume, layout.cell_px, px_per_mm, config.marks_share)
+        labels = replace(labels, letters=_letters_as_drawn(labels.letters, look))
         for k, (position, number) in enumerate(zip(deal.positions.tolist(), deal.windows, strict=True)):
             numbers = labels.numbers(k, position * volume.spacing_mm[0], look.windows[number])
             draw_labels(image, layout.cell(k + look.scout), labels, numbers)
@@ -82,6 +83,16 @@ def _look_parameters(look: Look, deal: Deal, labels: Labels | None) -> dict[str,
         "labels": labels.parameters() if labels is not None else {},
         "anatomy_upright": not look.upside_down,
     }
+
+
+def _letters_as_drawn(letters: tuple[str, ...], look: Look) -> tuple[str, ...]:
+    """The letters of the patient's sides (top, right, bottom, left) where the slices have these sides."""
+    top, right, bottom, left = letters
+    if look.mirrored:
+        right, left = left, right
+    if look.upside_down:
+        top, bottom = bottom, top
+    return top, right, bottom, left
 
 
 def _px_per_mm(layout: Layout, extent_mm: tuple[float, float], fill: float) -> float:

@@ -22,8 +22,7 @@ def reflection(seen: SeenFilm, light: Light, room: FilteredEnvironment, surface:
     if surface.alpha >= WIDE_ALPHA:
         stride = max(1, -(-n // int(np.clip(3.0 / surface.alpha, 10, 16))))
         every = slice(stride // 2, None, stride)
-        around = wide_reflection(seen.part(every, every), room, turn, surface)
-        around = cv2.resize(around, (n, n), interpolation=cv2.INTER_CUBIC)
+        around = _between(wide_reflection(seen.part(every, every), room, turn, surface), n, stride, cv2.INTER_CUBIC)
     else:
         round_lobe = surface.alpha * float(np.sqrt(seen.cosine.mean()))  # the solid angle of a lobe falls with c_o
         around = sample_filtered(room, turned(seen.mirror, turn), float(np.sqrt(round_lobe)))
@@ -57,6 +56,18 @@ def wide_reflection(
     return (total / np.maximum(weight.sum(axis=1, keepdims=True), 1e-12)).reshape(seen.points.shape)
 
 
+def _between(
+    coarse: Float[np.ndarray, "m m *c"], n: int, stride: int, interpolation: int
+) -> Float[np.ndarray, "n n *c"]:
+    """All n values along each side, from every ``stride``-th of them: those of ``slice(stride // 2, None, stride)``.
+
+    ``cv2.resize`` would take them for the middles of equal parts of the side, which they are not where the last part
+    is shorter or a part has no middle.
+    """
+    at = ((np.arange(n) - stride // 2) / stride).astype(np.float32)
+    return cv2.remap(coarse, *np.meshgrid(at, at), interpolation, borderMode=cv2.BORDER_REPLICATE)
+
+
 def lamp_highlight(lamp: Lamp, seen: SeenFilm, surface: Gloss) -> Float[np.ndarray, "n n"]:
     """Reflection of a lamp of radiance 1, on a coarse lattice and, where that cannot hold it, finer near its middle."""
     n = len(seen.points)
@@ -67,7 +78,7 @@ def lamp_highlight(lamp: Lamp, seen: SeenFilm, surface: Gloss) -> Float[np.ndarr
     rough = highlight(lamp, coarse.points, coarse.normals, coarse.view, surface, wide)
     if stride == 1:
         return rough
-    values = cv2.resize(rough, (n, n), interpolation=cv2.INTER_LINEAR)
+    values = _between(rough, n, stride, cv2.INTER_LINEAR)
     if rough.max() > 0 and surface.alpha < 2.0 / len(rough):
         rows, cols = (np.flatnonzero((rough > 0.02 * rough.max()).any(axis=axis)) for axis in (1, 0))
         block = tuple(slice(max(int(k[0]) - 1, 0) * stride, (int(k[-1]) + 2) * stride) for k in (rows, cols))

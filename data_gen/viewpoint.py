@@ -19,6 +19,9 @@ LEAST_COSINE = 0.35
 _TRIES = 12
 """Views drawn until one keeps to LEAST_COSINE; the last one looks along the normal."""
 
+_MARGIN = 0.012
+"""Least distance of a film that does not leave the frame from the photo's sides, in units of these."""
+
 _NEAREST = 0.3
 """Least depth of any film point, as a share of the distance to the film's centre."""
 
@@ -28,9 +31,9 @@ class ViewConfig:
     """Ranges from which viewpoints are drawn.
 
     fov_deg: across the photo's side. fill: longer side of the film's bounding box over the photo's side.
-    leave_share: films that leave the frame. tilt_deg: spread (one sigma) of the view direction about the film's normal.
-    roll_deg: likewise, about the axis. any_roll_share: photos rolled by any angle instead. behind_share: films seen
-    from behind, as a mirror image.
+    leave_share: films that may leave the frame. tilt_deg: spread (one sigma) of the view direction about the film's
+    normal. roll_deg: likewise, about the axis. any_roll_share: photos rolled by any angle instead. behind_share: films
+    seen from behind, as a mirror image.
     """
 
     fov_deg: tuple[float, float] = (16.0, 68.0)
@@ -66,9 +69,10 @@ def sample_camera(film: FilmMesh, size: tuple[int, int], rng: np.random.Generato
         if mean_cosine(camera, points, normals) * side >= LEAST_COSINE:
             break
     low, high = _bounding_box(camera, points)
-    slack = 1 / 2 - (high - low) / 2 + (0.25 if leave else -0.012)
+    slack = 1 / 2 - (high - low) / 2 + (0.25 if leave else -_MARGIN)
     wanted = np.clip(rng.normal(0, 0.5, 2), -1, 1) * np.maximum(slack, 0.0)
-    return _panned(camera, wanted - ((high + low) / 2 - 1 / 2))
+    camera = _panned(camera, wanted - ((high + low) / 2 - 1 / 2))
+    return camera if leave else _within(camera, points)
 
 
 def view_parameters(film: FilmMesh, camera: Camera, backward: BackwardMap) -> dict[str, Any]:
@@ -141,6 +145,17 @@ def _panned(camera: Camera, shift: np.ndarray) -> Camera:
     pose = np.eye(4)
     pose[:3, :3] = yaw @ pitch
     return Camera(camera.intrinsics, pose @ camera.camera_from_world, camera.distortion, camera.size)
+
+
+def _within(camera: Camera, points: np.ndarray) -> Camera:
+    """The camera turned back until its picture holds the points, which grow as they come near its corners."""
+    for _ in range(4):
+        low, high = _bounding_box(camera, points)
+        beyond = np.maximum(_MARGIN - low, 0.0) - np.maximum(high - (1 - _MARGIN), 0.0)
+        if not beyond.any():
+            break
+        camera = _panned(camera, beyond)
+    return camera
 
 
 def _tilted(normal: np.ndarray, angle: float, rng: np.random.Generator) -> Float[np.ndarray, "3"]:

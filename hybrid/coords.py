@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import cv2
 import numpy as np
 from jaxtyping import Bool, Float
 
@@ -164,4 +165,4 @@ def srgb_from_linear_tensor(linear: torch.Tensor) -> torch.Tensor:
 
 def rgb_from_bgr(image: np.ndarray) -> np.ndarray:
     """RGB (H, W, 3) of OpenCV's BGR, and the other way round."""
-    return np.ascontiguousarray(image[..., ::-1])
+    return cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_BGR2RGB)

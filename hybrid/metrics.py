@@ -170,8 +170,9 @@ def local_distortion(predicted: BackwardMap, true: BackwardMap, lattice: tuple[i
     """How far what the flat film shows lies from where it belongs: mean distance in pixels of a film of 598,400.
 
     The distance that DocUNet's benchmark calls local distortion and estimates by SIFT flow; here it comes from the
-    maps, without a matcher's own errors, so it is not to be compared with published figures. Photo points that the
-    prediction reads beyond the sheet's edges are placed to first order.
+    maps, without a matcher's own errors, so it is not to be compared with published figures. The flat film's sides are
+    in the ratio of their mean lengths in the photo. Photo points that the prediction reads beyond the sheet's edges are
+    placed to first order.
     """
     uv = film_nodes(lattice)
     read = predicted.photo_from_film(uv)

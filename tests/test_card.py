@@ -2,6 +2,7 @@
 
 import json
 import shlex
+from dataclasses import asdict
 
 import cv2
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 import tyro
 from simple_samples import SIZE_MM, cylinder
 
-from data_gen._card_text import command
+from data_gen._card_text import _same, command
 from data_gen._charts import ticks
 from data_gen.card import LABELS, bend_of, label_values, write_card
 from data_gen.generate import GenerateConfig, generate
@@ -92,6 +93,17 @@ def test_the_command_makes_the_same_options(folder):
         ct=config.sources.ct, only=("scan a", "b*"), leave_out=("c",), phantoms=(3, 5), real_share=0.6
     )
     assert str(config.sources.ct) == "CT_FOLDER"
+
+
+def test_options_that_the_command_has_no_words_for_are_named(folder):
+    """The set is of one photo a film, the command's own are of eight."""
+    described = read_description(folder)
+    text = _same(described)
+    assert "`photos_per_film`" in text
+    assert "`size`" not in text
+    usual = json.loads(json.dumps(asdict(SampleConfig(size=48, map_size=32))))
+    described["sample"] = {name: value for name, value in usual.items() if name != "sources"}
+    assert _same(described) == "The same command gives the same bytes"
 
 
 def test_dataset_json_names_no_path_of_this_machine(folder):

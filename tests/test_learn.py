@@ -1,11 +1,15 @@
 """The network, its losses, its views and its weights files."""
 
+import pickle
+import re
+import signal
 from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+from safetensors.torch import load_file
 
 from data_gen.generate import GenerateConfig, generate
 from data_gen.sample import SampleConfig
@@ -369,28 +373,49 @@ def quick_run(dataset, out, passes, **options) -> TrainConfig:
 
 @pytest.mark.usefixtures("tiny")
 def test_training_resumes_exactly(dataset, tmp_path, monkeypatch):
+    """Ctrl-C comes amid the fifth step, where the network has seen its images and has not learnt of them."""
     train(quick_run(dataset, tmp_path / "whole", 32))
-    original, calls = train_module._State.update, []
+    original, calls = train_module.weighted_sum, []
 
-    def interrupted(self, images, targets):
-        if len(calls) == 4:
-            raise InterruptedError
+    def interrupted(terms, weights):
         calls.append(1)
-        return original(self, images, targets)
+        if len(calls) == 5:
+            signal.raise_signal(signal.SIGINT)
+        return original(terms, weights)
 
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
     with monkeypatch.context() as patch:
-        patch.setattr(train_module._State, "update", interrupted)
-        with pytest.raises(InterruptedError):
-            train(quick_run(dataset, tmp_path / "parts", 32))
+        patch.setattr(train_module, "weighted_sum", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            train(replace(quick_run(dataset, tmp_path / "parts", 32), minutes_per_save=60.0))
+    signal.signal(signal.SIGINT, before)
+    assert len(calls) == 5
     train(quick_run(dataset, tmp_path / "parts", 32))
-    whole_run, parts = (
-        load_weights(tmp_path / name / "filmnet.safetensors", FilmNet, FilmNetConfig).state_dict()
-        for name in ("whole", "parts")
-    )
-    for name, value in whole_run.items():
-        torch.testing.assert_close(parts[name], value, atol=0, rtol=0)
+    whole, parts = (load_file(tmp_path / name / "filmnet.safetensors") for name in ("whole", "parts"))
+    assert whole.keys() == parts.keys()
+    assert all(torch.equal(value, parts[name]) for name, value in whole.items())
     curves = (tmp_path / "whole/curves.csv").read_text().splitlines()
     assert curves[0].startswith("passes,train_uv")
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        ({"learning_rate": 0.0}, "--learning-rate: got 0.0"),
+        ({"coarse_share": 7.0}, "--coarse-share: got 7.0"),
+        ({"coarse_share": 0.5, "coarse_px": 100}, "--coarse-px: got 100; allowed: multiples of 32"),
+        ({"input_px": 100}, "--input-px: got 100; allowed: multiples of 32"),
+        ({"input_px": 192, "preset": "dewarpnet"}, "--input-px: got 192; allowed: multiples of 128"),
+    ],
+)
+def test_options_that_cannot_be_are_refused_before_any_data_is_read(options, told, tmp_path):
+    with pytest.raises(ConfigError, match=re.escape(told)):
+        train(TrainConfig(data=(tmp_path / "nothing",), out=tmp_path / "out", **options))
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_presets_reach_processes_that_share_no_memory(name):
+    assert pickle.loads(pickle.dumps(PRESETS[name])).config == PRESETS[name].config
 
 
 @pytest.mark.usefixtures("tiny")

@@ -11,7 +11,7 @@ from light_reader import READER
 from data_gen.lit_films import LitFilmsConfig, lit_film, lit_films
 from data_gen.sources import SourceConfig
 from hybrid.coords import linear_from_srgb, linear_from_srgb_tensor, srgb_from_linear
-from hybrid.errors import DataError
+from hybrid.errors import ConfigError, DataError
 from hybrid.learn.light import (
     Attention,
     LightNet,
@@ -31,6 +31,7 @@ from hybrid.learn.light_data import (
     light_view,
     open_lit_films,
     read_lit_film,
+    split_films,
     toned,
 )
 from hybrid.learn.weights import packaged_light_net, parameter_count
@@ -192,6 +193,35 @@ def test_a_seed_gives_the_same_films_and_patterns() -> None:
     pattern, other = (drawn_pattern(PX, np.random.default_rng(k)) for k in (1, 2))
     np.testing.assert_array_equal(pattern, drawn_pattern(PX, np.random.default_rng(1)))
     assert not np.array_equal(pattern, other)
+
+
+def test_prints_that_are_held_out_are_in_no_view_that_is_trained_on(places: list[LitPlace]) -> None:
+    """Of a film all photos are held out, however few were asked for."""
+    held_out, trained_on = split_films(places, 1)
+    assert [place.number for place in held_out] == [0, 1]
+    assert len(trained_on) == 2
+    for place in trained_on:
+        assert place.films == (places[-1].path,)
+    assert split_films(places, 0) == ([], list(places))
+
+
+def test_a_cast_of_the_light_changes_no_grey(places: list[LitPlace]) -> None:
+    """The levels are told in linear grey: a cast that changed it would make them wrong."""
+    views = [light_view(places[0], PX, np.random.default_rng(3), replace(UNDISTURBED, cast=x)) for x in (0.0, 0.3)]
+    plain, cast = (grey_table()[view.image, np.arange(3)].sum(axis=-1) for view in views)
+    assert np.abs(views[1].image.astype(int) - views[0].image).max() > 10
+    bright = (plain > 0.05) & (views[1].image.max(axis=-1) < 255)
+    assert np.abs(np.log(cast[bright] / plain[bright])).mean() < 0.01
+
+
+def test_films_made_with_other_options_are_not_gone_on_with(tmp_path: Path) -> None:
+    lit_films(LitFilmsConfig(1, tmp_path, photos=1, workers=1))
+    with pytest.raises(ConfigError, match="photos, seed"):
+        lit_films(LitFilmsConfig(1, tmp_path, seed=9, photos=3, workers=1))
+    kept = (tmp_path / "000000.npz").read_bytes()
+    lit_films(LitFilmsConfig(2, tmp_path, photos=1, workers=1))
+    assert (tmp_path / "000000.npz").read_bytes() == kept
+    assert len(open_lit_films([tmp_path])) == 2
 
 
 def test_folders_and_files_of_something_else_are_refused(tmp_path: Path) -> None:

@@ -327,3 +327,20 @@ def test_nothing_of_the_patient_is_printed_or_recorded(tmp_path: Path, monkeypat
     assert len(written) > 500
     for marker in ("ZQXJ", *MARKERS.values()):
         assert not any(marker in text for text in (*said, *written))
+
+
+def test_letters_of_the_sides_stand_on_the_sides_that_slices_have(head):
+    """A film whose slices are mirrored or turned over has the patient's left and right, or front and back, swapped."""
+    found = set()
+    for seed in range(160):
+        said = make_print(head, np.random.default_rng(seed), PrintConfig(longer_px=128)).parameters
+        letters = said["labels"].get("letters", [""] * 4)
+        top, right, bottom, left = letters
+        if left == "R" or right == "R":
+            assert (left == "R") != said["mirrored"]
+            assert (right == "L") <= (not said["mirrored"])
+            found.add(("mirrored", said["mirrored"]))
+        if "A" in letters:
+            assert (top, bottom) == (("P", "A") if said["upside_down"] else ("A", "P"))
+            found.add(("upside down", said["upside_down"]))
+    assert len(found) >= 3

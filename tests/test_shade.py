@@ -20,6 +20,7 @@ from data_gen.lighting import (
     sample_light,
     sample_material,
 )
+from data_gen.reflections import reflection, wide_reflection
 from data_gen.rooms import Environment, directions, prefilter, procedural_room
 from data_gen.scene import Scene, SceneConfig, sample_scene
 from data_gen.seen_film import seen_film
@@ -120,6 +121,19 @@ def test_entry_weights_keep_the_light():
     for roughness in (0.05, 0.3, 0.95):
         a, b = gloss(roughness, 1.5).entry
         assert a + b * GRAZING_MEAN == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("roughness", [0.4, 0.6, 0.8])
+@pytest.mark.parametrize("n", [48, 160])
+def test_wide_reflections_lie_where_they_are(roughness: float, n: int):
+    """Few points of the film are summed; between them the room's reflection is that of the points in between."""
+    room = prefilter(procedural_room(np.random.default_rng(5), (64, 128)))
+    seen, surface = seen_film(bent(), camera().centre_world, n), gloss(roughness, 1.5)
+    some = slice(1, None, max(n // 24, 1))
+    expected = wide_reflection(seen.part(some, some), room, room_from_film(LIGHT), surface)
+    expected *= surface.reflected(seen.part(some, some).cosine) * np.float32(LIGHT.front)
+    found = reflection(seen, LIGHT, room, surface)[some, some]
+    assert np.abs(found / expected - 1).mean() < 0.02
 
 
 # ---------------------------------------------------------------- linearity, turning

@@ -41,6 +41,21 @@ def test_views_show_the_film(depth):
         assert (low < SIZE).all()
 
 
+@pytest.mark.parametrize("depth", [40.0, 120.0])
+def test_films_leave_the_frame_only_where_they_may(depth):
+    """Turning the phone moves the picture, and what nears a corner grows: that may not put a film out of the frame."""
+    film, size = bent(depth), np.array(SIZE[::-1])
+    points = film.surface(T, T).reshape(-1, 3)
+
+    def share_leaving(config):
+        photos = [camera.photo_from_world(points) / size for camera in views(80, config, film)[0]]
+        return np.mean([(photo.min() < 0) | (photo.max() > 1) for photo in photos])
+
+    wide = ViewConfig(fov_deg=(50.0, 68.0))
+    assert share_leaving(replace(wide, leave_share=0.0)) == 0
+    assert share_leaving(replace(wide, leave_share=1.0)) > 0.4
+
+
 def test_shares_are_kept():
     _, labels = views(400, ViewConfig(behind_share=0.25, any_roll_share=0.5))
     assert np.mean([v["behind"] for v in labels]) == pytest.approx(0.25, abs=0.07)

@@ -220,7 +220,7 @@ def turned_axes(vectors: np.ndarray, axes: Float[np.ndarray, "2 2"]) -> np.ndarr
 
 
 def disturbed(image: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Gain per channel, gamma, grey, blur, noise and holes, each on a share of the views."""
+    """Gain per channel, gamma, grey, blur and noise, each on a share of the views."""
     x = np.arange(256, dtype=np.float32) / 255
     gain = np.exp2(rng.normal(0, 0.25) + rng.normal(0, 0.06, 3))
     table = np.stack([np.clip(x ** np.exp2(rng.normal(0, 0.2)) * g, 0, 1) for g in gain], axis=-1)
@@ -231,9 +231,5 @@ def disturbed(image: np.ndarray, rng: np.random.Generator) -> np.ndarray:
         image = cv2.GaussianBlur(image, (0, 0), rng.uniform(0.4, 1.2))
     if rng.random() < 0.3:
         noise = rng.standard_normal(image.shape, dtype=np.float32) * np.float32(rng.uniform(1, 10))
-        image = np.clip(image + noise, 0, 255).astype(np.uint8)
-    if rng.random() < 0.1:
-        y0, x0 = rng.integers(0, image.shape[:2])
-        w, h = rng.integers(4, min(image.shape[:2]) // 5, 2)
-        image[y0 : y0 + h, x0 : x0 + w] = rng.integers(0, 256, 3)
+        image = np.rint(np.clip(image + noise, 0, 255)).astype(np.uint8)
     return image

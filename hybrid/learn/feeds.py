@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,15 @@ from hybrid.learn.data import AugmentConfig, batch_of, training_view
 from hybrid.learn.edge_data import EdgeAugment, EdgePlace, edge_view, open_edges
 from hybrid.learn.edges import EdgeNetConfig, EdgeTargets, strips_tensor
 from hybrid.learn.light import LightTargets, film_error, light_losses
-from hybrid.learn.light_data import UNDISTURBED, LightAugment, LitPlace, light_batch, light_view, open_lit_films
+from hybrid.learn.light_data import (
+    UNDISTURBED,
+    LightAugment,
+    LitPlace,
+    light_batch,
+    light_view,
+    open_lit_films,
+    split_films,
+)
 from hybrid.learn.losses import Targets, masked_mean
 from hybrid.learn.paper_data import PaperView, paper_batch
 from hybrid.learn.paper_targets import PaperTargets
@@ -31,11 +40,16 @@ TEST_BATCH = 32
 _UNDISTURBED = replace(AugmentConfig(), empty_share=0.0, colours=False)
 
 
+def _first_of(places: Sequence[Any], held_out: int) -> tuple[list[Any], list[Any]]:
+    return list(places[:held_out]), list(places[held_out:])
+
+
 @dataclass(frozen=True)
 class Feed:
     """Data for one kind of network.
 
-    open: the places (samples, or prints) of some folders. batch: images and targets of some places for an input of so
+    open: the places (samples, or prints) of some folders. split: those to be tested on, at least so many, and those to
+    be trained on, which share nothing with them. batch: images and targets of some places for an input of so
     many pixels, each disturbed by its own random numbers. test: figures of a network on places that it was not trained
     on, by name. picture: the network on some of these places, drawn; None where there is nothing to draw.
     """
@@ -44,6 +58,7 @@ class Feed:
     batch: Callable[[Sequence[Any], int, Sequence[np.random.Generator]], tuple[Tensor, Any]]
     test: Callable[[nn.Module, Sequence[Any], int, str], dict[str, float]]
     picture: Callable[[nn.Module, Sequence[Any], int, str], Picture] | None = None
+    split: Callable[[Sequence[Any], int], tuple[list[Any], list[Any]]] = _first_of
 
 
 def _test_batches(places: Sequence[Any]) -> list[Sequence[Any]]:
@@ -130,7 +145,8 @@ def paper_feed(nodes: Callable[[int], int], inputs: Callable[[Tensor, Any], Tens
             images, targets = paper_batch(part, PaperView(px, nodes(px)), [rng] * len(part), _UNDISTURBED)
             output = network(inputs(images.to(device), targets.to(device)))
             rows.append(_paper_scores(output, targets))
-        return {name: float(np.mean([row[name] for row in rows])) for name in rows[0]}
+        sizes = [len(part) for part in _test_batches(places)]
+        return {name: float(np.average([row[name] for row in rows], weights=sizes)) for name in rows[0]}
 
     @torch.inference_mode()
     def picture(network: nn.Module, places: Sequence[Any], px: int, device: str) -> Picture:
@@ -178,25 +194,31 @@ def _open_prints(folders: Sequence[Path]) -> list[Path]:
 
 def print_feed(config: UprightNetConfig) -> Feed:
     """Patches of flat prints, for a network of that configuration."""
+    batch = partial(_print_batch, config)
+    return Feed(_open_prints, batch, partial(_print_test, batch))
 
-    def batch(paths: Sequence[Path], px: int, rngs: Sequence[np.random.Generator]) -> tuple[Tensor, Tensor]:
-        cut, pairs = replace(config, input_px=px), zip(paths, rngs, strict=True)
-        views = [upright_view(read_print(path), cut, rng, PrintAugment()) for path, rng in pairs]
-        return torch.from_numpy(np.stack(views)), torch.zeros(len(views), dtype=torch.int64)
 
-    @torch.inference_mode()
-    def test(network: nn.Module, paths: Sequence[Path], px: int, device: str) -> dict[str, float]:
-        """Shares of films and of patches that are read right, and the mean -log2 of the films' probabilities."""
-        rng, rows = np.random.default_rng(0), []
-        for part in _test_batches(paths):
-            output = network(batch(part, px, [rng] * len(part))[0].to(device))
-            right = [(scores.argmax(dim=-1) == 0).float() for scores in (output.films, output.votes)]
-            bits = -output.films.log_softmax(dim=1)[:, 0] / np.log(2)
-            rows.append(torch.stack([right[0], right[1].mean(dim=1), bits], dim=1).cpu().numpy())
-        film, patch, bits = np.concatenate(rows).mean(axis=0)
-        return {"test_upright": float(film), "test_patch": float(patch), "test_bits": float(bits)}
+def _print_batch(
+    config: UprightNetConfig, paths: Sequence[Path], px: int, rngs: Sequence[np.random.Generator]
+) -> tuple[Tensor, Tensor]:
+    cut, pairs = replace(config, input_px=px), zip(paths, rngs, strict=True)
+    views = [upright_view(read_print(path), cut, rng, PrintAugment()) for path, rng in pairs]
+    return torch.from_numpy(np.stack(views)), torch.zeros(len(views), dtype=torch.int64)
 
-    return Feed(_open_prints, batch, test)
+
+@torch.inference_mode()
+def _print_test(
+    batch: Callable[..., tuple[Tensor, Tensor]], network: nn.Module, paths: Sequence[Path], px: int, device: str
+) -> dict[str, float]:
+    """Shares of films and of patches that are read right, and the mean -log2 of the films' probabilities."""
+    rng, rows = np.random.default_rng(0), []
+    for part in _test_batches(paths):
+        output = network(batch(part, px, [rng] * len(part))[0].to(device))
+        right = [(scores.argmax(dim=-1) == 0).float() for scores in (output.films, output.votes)]
+        bits = -output.films.log_softmax(dim=1)[:, 0] / np.log(2)
+        rows.append(torch.stack([right[0], right[1].mean(dim=1), bits], dim=1).cpu().numpy())
+    film, patch, bits = np.concatenate(rows).mean(axis=0)
+    return {"test_upright": float(film), "test_patch": float(patch), "test_bits": float(bits)}
 
 
 # ---------------------------------------------------------------- EdgeNet
@@ -204,35 +226,38 @@ def print_feed(config: UprightNetConfig) -> Feed:
 
 def edge_feed(config: EdgeNetConfig) -> Feed:
     """Strips across the edges of films, for a network of that configuration; four of each sample."""
+    return Feed(open_edges, partial(_edge_batch, config, EdgeAugment()), partial(_edge_test, config))
 
-    def views(
-        places: Sequence[EdgePlace], px: int, rngs: Sequence[np.random.Generator], augment: EdgeAugment
-    ) -> tuple[Tensor, EdgeTargets]:
-        strip, pairs = replace(config, input_px=px).strip, zip(places, rngs, strict=True)
-        images, inside, rows = zip(*(edge_view(place, strip, rng, augment) for place, rng in pairs), strict=True)
-        truth = torch.from_numpy(np.concatenate(rows)).float()
-        return strips_tensor(np.concatenate(images), np.concatenate(inside)), EdgeTargets(truth)
 
-    def batch(places: Sequence[Any], px: int, rngs: Sequence[np.random.Generator]) -> tuple[Tensor, EdgeTargets]:
-        return views(places, px, rngs, EdgeAugment())
+def _edge_batch(
+    config: EdgeNetConfig, augment: EdgeAugment, places: Sequence[EdgePlace], px: int,
+    rngs: Sequence[np.random.Generator],
+) -> tuple[Tensor, EdgeTargets]:  # fmt: skip
+    strip, pairs = replace(config, input_px=px).strip, zip(places, rngs, strict=True)
+    images, inside, rows = zip(*(edge_view(place, strip, rng, augment) for place, rng in pairs), strict=True)
+    truth = torch.from_numpy(np.concatenate(rows)).float()
+    return strips_tensor(np.concatenate(images), np.concatenate(inside)), EdgeTargets(truth)
 
-    @torch.inference_mode()
-    def test(network: nn.Module, places: Sequence[Any], px: int, device: str) -> dict[str, float]:
-        """Of the columns that show the edge: mean of the distance of the likeliest row, in % of the film, and the share
-        that is further off than three rows; of all, the share that is rightly said to show it or not."""
-        rng, rows = np.random.default_rng(0), []
-        per_row = 100 * 2 * config.strip.reach / px
-        for part in _test_batches(places):
-            strips, truth = views(part, px, [rng] * len(part), EdgeAugment(colours=False))
-            logits = network(strips.to(device)).float().cpu()
-            shown = ~truth.row.isnan()
-            off = (logits[:, :-1].argmax(dim=1) - truth.row).abs()[shown]
-            said = logits.softmax(dim=1)[:, -1] < 0.5
-            rows.append([per_row * off.mean(), (off > 3).float().mean(), (said == shown).float().mean()])
-        percent, wrong, told = np.mean(rows, axis=0)
-        return {"test_percent": float(percent), "test_wrong": float(wrong), "test_shown": float(told)}
 
-    return Feed(open_edges, batch, test)
+@torch.inference_mode()
+def _edge_test(
+    config: EdgeNetConfig, network: nn.Module, places: Sequence[Any], px: int, device: str
+) -> dict[str, float]:
+    """Of the columns that show the edge: mean of the distance of the likeliest row, in % of the film, and the share
+    that is further off than three rows; of all, the share that is rightly said to show it or not."""
+    rng, off, right = np.random.default_rng(0), [], []
+    for part in _test_batches(places):
+        strips, truth = _edge_batch(config, EdgeAugment(colours=False), part, px, [rng] * len(part))
+        logits = network(strips.to(device)).float().cpu()
+        shown = ~truth.row.isnan()
+        off.append((logits[:, :-1].argmax(dim=1) - truth.row).abs()[shown])
+        right.append(((logits.softmax(dim=1)[:, -1] < 0.5) == shown).flatten())
+    rows, per_row = torch.cat(off), 100 * 2 * config.strip.reach / px
+    return {
+        "test_percent": per_row * float(rows.mean()),
+        "test_wrong": float((rows > 3).float().mean()),
+        "test_shown": float(torch.cat(right).float().mean()),
+    }
 
 
 # ---------------------------------------------------------------- LightNet
@@ -250,17 +275,19 @@ def _light_batch(places: Sequence[Any], px: int, rngs: Sequence[np.random.Genera
 
 @torch.inference_mode()
 def _light_test(network: nn.Module, places: Sequence[Any], px: int, device: str) -> dict[str, float]:
-    """Terms of the loss, and dB of the recovered film after one gain and offset."""
-    rows = []
+    """Terms of the loss, and mean dB of the recovered films after one gain and offset."""
+    rows, sizes, decibels = [], [], []
     for part in _test_batches(places):
         rngs = [np.random.default_rng(k) for k in range(len(part))]
         images, truth = _light_views(part, px, rngs, UNDISTURBED)
         output, truth = network(images.to(device)), truth.to(device)
         terms = light_losses(output, truth)
         error, enough = film_error(output, truth)
-        decibels = (-10 * error.clamp(min=1e-10).log10())[enough > 0].mean()
-        rows.append([float(x) for x in (terms["black"], terms["gain"], decibels)])
-    return dict(zip(("test_black", "test_gain", "test_decibels"), np.nanmean(rows, axis=0).tolist(), strict=True))
+        decibels.append((-10 * error.clamp(min=1e-10).log10())[enough > 0].cpu())
+        rows.append([float(terms["black"]), float(terms["gain"])])
+        sizes.append(len(part))
+    black, gain = np.average(rows, axis=0, weights=sizes).tolist()
+    return {"test_black": black, "test_gain": gain, "test_decibels": float(torch.cat(decibels).mean())}
 
 
-LIGHT_FEED = Feed(open_lit_films, _light_batch, _light_test)
+LIGHT_FEED = Feed(open_lit_films, _light_batch, _light_test, split=split_films)

@@ -8,7 +8,7 @@ know prints by heart.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -120,6 +120,19 @@ def open_lit_films(folders: Sequence[Path]) -> list[LitPlace]:
         DataError: a folder without any.
     """
     return [place for folder in folders for place in _open_folder(folder)]
+
+
+def split_films(places: Sequence[LitPlace], held_out: int) -> tuple[list[LitPlace], list[LitPlace]]:
+    """The photos of the first films, at least ``held_out`` of them, and all others, which know nothing of those prints
+    either."""
+    held = {place.path for place in places[:held_out]}
+    first, rest = [], []
+    for place in places:
+        if place.path in held:
+            first.append(place)
+        else:
+            rest.append(replace(place, films=tuple(path for path in place.films if path not in held)))
+    return first, rest
 
 
 def _open_folder(folder: Path) -> list[LitPlace]:
@@ -278,6 +291,7 @@ def _lit_anew(
     if rng.random() < augment.bars:
         added = added + _lamp(_bars(px, rng), 0.05, rng) * (white * factor).mean()
     cast = np.exp(rng.normal(0, augment.cast, 3)).astype(np.float32)
+    cast /= cast @ np.array(CHANNEL_SHARES, np.float32)  # grey, which the levels are told in, stays
     noise = rng.standard_normal(light.shape, dtype=np.float32) * np.float32(augment.noise * rng.random())
     lit = (light * factor[..., None] + added[..., None]) * cast
     lit, black, white = (np.clip(x, 0, 1) for x in (lit, black * factor + added, white * factor + added))

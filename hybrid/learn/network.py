@@ -110,6 +110,7 @@ class FilmNet(nn.Module):
         y16 = self.up16(x16 + functional.interpolate(self.lateral16(x32), scale_factor=2, mode="nearest"))
         y8 = self.up8(x8 + functional.interpolate(self.lateral8(y16), scale_factor=2, mode="nearest"))
         maps = functional.pixel_shuffle(self.head(torch.cat([y8, view_coordinates(y8)], dim=1)), 2)
+        maps = maps.float()  # bfloat16 would tell uv to a 256th of the film
         return FilmNetOutput(
             mask_logit=maps[:, 0],
             uv=maps[:, 1:3] + view_coordinates(maps) + 0.5,

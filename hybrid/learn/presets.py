@@ -72,6 +72,7 @@ class Preset:
     ship_width: float = 1.0
     batch: int = 16
     learning_rate: float = 1e-3
+    px_multiple: int = 32
 
     @property
     def feed(self) -> Feed:
@@ -105,6 +106,7 @@ _FIRENET = Preset(
     paper_losses.firenet_losses,
     nodes=node_per_pixel,
     ship_width=0.23,
+    px_multiple=64,
 )
 _DEWARPNET = Preset(
     DewarpNetConfig(layers="read"),
@@ -115,6 +117,7 @@ _DEWARPNET = Preset(
     ship_width=0.25,
     batch=50,
     learning_rate=1e-4,
+    px_multiple=128,
 )
 _NET_BW = Preset(
     UvBwConfig(),
@@ -142,6 +145,7 @@ PRESETS: dict[str, Preset] = {
         own_feed=print_feed(UprightNetConfig()),
         batch=8,
         learning_rate=3e-3,
+        px_multiple=8,
     ),
     "edges": Preset(
         EdgeNetConfig(),
@@ -150,6 +154,7 @@ PRESETS: dict[str, Preset] = {
         own_feed=edge_feed(EdgeNetConfig()),
         batch=16,
         learning_rate=2e-3,
+        px_multiple=8,
     ),
     "light": Preset(
         LightNetConfig(),
@@ -159,6 +164,7 @@ PRESETS: dict[str, Preset] = {
         own_feed=LIGHT_FEED,
         batch=48,
         learning_rate=2.5e-3,
+        px_multiple=16,
     ),
     "firenet": _FIRENET,
     "firenet_multimap": replace(_FIRENET, config=MULTI_MAP, nodes=no_nodes),

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
 from hybrid.backward import BackwardMap
-from hybrid.coords import inside_outline, opencv_from_photo, rescale_points, rgb_from_bgr
+from hybrid.coords import inside_outline, opencv_from_photo, rescale_points
 from hybrid.errors import DataError, describe
 from hybrid.learn.coding import ALBEDO_LEVELS, UV_LEVELS, decode_normal, xyz_from_stored
 from hybrid.learn.shards import Shard, open_dataset
@@ -61,10 +61,10 @@ def photo_of(place: Place) -> UInt8[np.ndarray, "h w 3"]:
         DataError: it cannot be decoded.
     """
     shard, index = place
-    photo = cv2.imdecode(shard.member("photo.jpg", index), cv2.IMREAD_COLOR)
+    photo = cv2.imdecode(shard.member("photo.jpg", index), cv2.IMREAD_COLOR_RGB)
     if photo is None:
         raise DataError(describe(what="shard", where=shard.path, got=f"photo {index} unreadable", do="Make it again."))
-    return rgb_from_bgr(photo)
+    return photo
 
 
 def film_of(place: Place) -> BackwardMap:

@@ -6,9 +6,12 @@ writes and shows progress.
 
 from __future__ import annotations
 
+import copy
 import csv
 import math
 import os
+import signal
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -17,8 +20,10 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import torch
+from threadpoolctl import threadpool_limits
 from torch import Tensor, nn
 from torch.utils.data import DataLoader, Dataset
 from tqdm import tqdm
@@ -53,7 +58,7 @@ class TrainConfig:
     coarse_px: int = 128
     """Side of the input of that share."""
     held_out: int = 512
-    """The first samples of the data, only tested on; 0 for no tests."""
+    """The first samples of the data, only tested on; 0 for no tests. Of flat films all photos of one are held out."""
     batch: int | None = None
     """Images of a step, if not the preset's."""
     learning_rate: float | None = None
@@ -100,9 +105,16 @@ class Plan:
         ):
             if value is not None and value < least:
                 allowed, do = f">= {least}", "Choose another."
-                raise ConfigError(describe(what=f"--{name.replace('_', '-')}", got=value, allowed=allowed, do=do))
-        if not 0 <= config.ema < 1:
-            raise ConfigError(describe(what="--ema", got=config.ema, allowed="0 <= ema < 1", do="Choose another."))
+                raise ConfigError(describe(what=_flag(name), got=value, allowed=allowed, do=do))
+        for name, share in (("ema", config.ema), ("coarse_share", config.coarse_share)):
+            if not 0 <= share < 1:
+                raise ConfigError(
+                    describe(what=_flag(name), got=share, allowed="from 0 to below 1", do="Choose another.")
+                )
+        if config.learning_rate is not None and not config.learning_rate > 0:
+            raise ConfigError(
+                describe(what="--learning-rate", got=config.learning_rate, allowed="> 0", do="Choose another.")
+            )
         if config.device == "cuda" and not torch.cuda.is_available():
             do = "Train on the processor (--device cpu), or install a PyTorch that was built for CUDA."
             raise ConfigError(describe(what="--device", got="cuda, of which PyTorch finds none", do=do))
@@ -111,6 +123,11 @@ class Plan:
             chosen = chosen.at_width(config.width)
         if config.input_px is not None:
             chosen = chosen.at_input(config.input_px)
+        sides = (("input_px", chosen.config.input_px), ("coarse_px", config.coarse_px if config.coarse_share else 0))
+        for name, px in sides:
+            if px % chosen.px_multiple:
+                allowed, do = f"multiples of {chosen.px_multiple}", "Choose another."
+                raise ConfigError(describe(what=_flag(name), got=px, allowed=allowed, do=do))
         return Plan(config, chosen, config.batch or chosen.batch, config.learning_rate or chosen.learning_rate)
 
     @property
@@ -128,6 +145,11 @@ class Plan:
         if step < warm:
             return self.learning_rate * (step + 1) / warm
         return 0.5 * self.learning_rate * (1 + math.cos(math.pi * (step - warm) / max(1, self.steps - warm)))
+
+
+def _flag(name: str) -> str:
+    """An option's name on the command line."""
+    return f"--{name.replace('_', '-')}"
 
 
 @dataclass(frozen=True)
@@ -181,7 +203,8 @@ def train(config: TrainConfig) -> None:
     """
     plan = Plan.of(config)
     places = plan.preset.feed.open(config.data)
-    if len(places) <= config.held_out:
+    held_out, trained_on = plan.preset.feed.split(places, config.held_out)
+    if not trained_on:
         got, allowed = f"{len(places)} samples", f"> {config.held_out} held out"
         raise ConfigError(describe(what="train", got=got, allowed=allowed, do="Make more data, or hold out fewer."))
     config.out.mkdir(parents=True, exist_ok=True)
@@ -191,13 +214,20 @@ def train(config: TrainConfig) -> None:
             raise ConfigError(describe(what="batch", got=got, allowed=allowed, do="Choose another --batch."))
         state = _State(plan, rank, len(places))
         loader = DataLoader(
-            _Batches(plan, places[config.held_out :], rank),
+            _Batches(plan, trained_on, rank),
             batch_size=None,
             sampler=range(state.step, plan.steps),
             num_workers=config.loaders,
             prefetch_factor=4 if config.loaders else None,
+            worker_init_fn=_begin_loader,
         )
-        _run(state, loader, places[: config.held_out])
+        _run(state, loader, held_out)
+
+
+def _begin_loader(number: int) -> None:
+    """One thread in a process that prepares views: PyTorch sees to its own only."""
+    cv2.setNumThreads(1)
+    threadpool_limits(1)
 
 
 def _run(state: _State, loader: DataLoader, held_out: list[Any]) -> None:
@@ -207,7 +237,8 @@ def _run(state: _State, loader: DataLoader, held_out: list[Any]) -> None:
     done = {"total": plan.steps * plan.batch, "initial": state.step * plan.batch}
     with tqdm(unit="image", disable=not state.rank.first, **done) as bar, _saved_if_stopped(state):
         for images, targets in loader:
-            terms = state.update(images, targets)
+            with _undivided():
+                terms = state.update(images, targets)
             bar.update(plan.batch)
             if not state.rank.first:
                 continue
@@ -230,6 +261,22 @@ def _saved_if_stopped(state: _State) -> Iterator[None]:
         if state.rank.first and state.step:
             state.save()
         raise
+
+
+@contextmanager
+def _undivided() -> Iterator[None]:
+    """Ctrl-C comes after what is done here, not amid it: half a step would be saved, and resumed as none."""
+    if threading.current_thread() is not threading.main_thread():  # no other is interrupted
+        yield
+        return
+    asked: list[int] = []
+    before = signal.signal(signal.SIGINT, lambda number, _: asked.append(number))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+    if asked:
+        raise KeyboardInterrupt
 
 
 def _test(state: _State, held_out: list[Any]) -> dict[str, float]:
@@ -256,8 +303,7 @@ class _State:
         if config.start is not None:
             load_into(self.network, config.start)
         self.network.to(config.device, memory_format=torch.channels_last)  # type: ignore[call-overload]
-        self.averaged = plan.preset.network().to(config.device).eval().requires_grad_(False)
-        self.averaged.load_state_dict(self.network.state_dict())
+        self.averaged = copy.deepcopy(self.network).eval().requires_grad_(False)
         self.optimiser = torch.optim.AdamW(
             self.network.parameters(), lr=plan.learning_rate, weight_decay=config.weight_decay, fused=True
         )

@@ -16,6 +16,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from hybrid.backward import Orientation
+from hybrid.learn.network import ConvNorm
 from hybrid.learn.upright_patches import PatchConfig, text_patches
 
 WAYS = tuple(Orientation.from_index(index) for index in range(8))
@@ -51,17 +52,6 @@ class PatchVotes:
         return self.trust * self.votes.sum(dim=1)
 
 
-class _Stage(nn.Sequential):
-    """Halves the resolution."""
-
-    def __init__(self, inputs: int, outputs: int, kernel: int = 3) -> None:
-        super().__init__(
-            nn.Conv2d(inputs, outputs, kernel, 2, kernel // 2, bias=False),
-            nn.BatchNorm2d(outputs),
-            nn.ReLU(inplace=True),
-        )
-
-
 class _Mix(nn.Module):
     """A 3 x 3 convolution beside an identity."""
 
@@ -83,7 +73,9 @@ class UprightNet(nn.Module):
         super().__init__()
         self.config = config
         w2, w4, w8 = config.widths
-        self.stages = nn.Sequential(_Stage(1, w2, 5), _Stage(w2, w4), _Mix(w4), _Stage(w4, w8), _Mix(w8), _Mix(w8))
+        self.stages = nn.Sequential(
+            ConvNorm(1, w2, 5, 2), ConvNorm(w2, w4, 3, 2), _Mix(w4), ConvNorm(w4, w8, 3, 2), _Mix(w8), _Mix(w8)
+        )
         self.score = nn.Conv2d(w8, 1, 1)
         self.log_trust = nn.Parameter(torch.tensor(-1.0))
 
@@ -118,7 +110,8 @@ def orientation_chances(
     """
     patches = text_patches(cv2.cvtColor(film, cv2.COLOR_RGB2GRAY), network.config.cut)
     votes = network(torch.from_numpy(patches)[None]).films[0]
-    return functional.softmax(votes + torch.from_numpy(np.log(prior)).to(votes), dim=0).numpy()
+    before = torch.from_numpy(prior).log().to(votes)  # of what cannot be: minus infinity
+    return functional.softmax(votes + before, dim=0).numpy()
 
 
 @dataclass(frozen=True)

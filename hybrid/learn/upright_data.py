@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float32, UInt8
 
 from hybrid.errors import DataError, describe
+from hybrid.learn.data import log_uniform
 from hybrid.learn.upright import UprightNetConfig
 from hybrid.learn.upright_patches import text_patches
 
@@ -78,7 +79,7 @@ def photographed(
     """A print at the photo's resolution, slightly skewed, with uneven light, a veil, a tone curve, blur and noise."""
     film = _exposed(_reduced(flat, rng, augment), rng, augment)
     film = cv2.GaussianBlur(film, (0, 0), rng.uniform(*augment.blur_px))
-    film += _noise(film.shape, rng) * np.float32(np.exp(rng.uniform(*np.log(augment.noise))))
+    film += _noise(film.shape, rng) * np.float32(log_uniform(rng, augment.noise))
     if rng.random() < 0.5:
         amount = rng.uniform(0, augment.sharpen)
         film = cv2.addWeighted(film, 1 + amount, cv2.GaussianBlur(film, (0, 0), 1.0), -amount, 0)
@@ -89,7 +90,7 @@ def photographed(
 
 def _reduced(flat: np.ndarray, rng: np.random.Generator, augment: PrintAugment) -> np.ndarray:
     """The print at the photo's resolution; stretched and turned by little."""
-    scale = min(1.0, float(np.exp(rng.uniform(*np.log(augment.photo_px)))) / max(flat.shape))
+    scale = min(1.0, log_uniform(rng, augment.photo_px) / max(flat.shape))
     size = (round(flat.shape[1] * scale), round(flat.shape[0] * scale))
     angle, skew = np.deg2rad(rng.normal(0, augment.roll_deg, 2))
     linear = np.diag(np.exp(rng.normal(0, augment.stretch, 2))) @ np.array([[1.0, skew - angle], [angle, 1.0]]) * scale

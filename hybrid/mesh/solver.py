@@ -140,11 +140,12 @@ def advance(network: MassSpring, frame: Frame, loads: Loads, config: StepConfig,
     """
     left, dt_s = duration_s, min(config.dt_s, duration_s)
     while left > 1e-9 * duration_s:
-        after = step(network, frame, loads, replace(config, dt_s=min(dt_s, left)))
+        dt_s = min(dt_s, left)
+        after = step(network, frame, loads, replace(config, dt_s=dt_s))
         if after.status is FrameStatus.UNCONVERGED and dt_s > config.dt_s / 64:
             dt_s *= 0.5
             continue
-        left -= min(dt_s, left)
+        left -= dt_s
         frame, dt_s = after, min(2 * dt_s, config.dt_s)
     return frame
 
