@@ -7,10 +7,15 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
+    from hybrid.errors import ConfigError, FusionError, HybridError, PhotoError
     from hybrid.pipeline import Rectifier, RectifyConfig, rectify
     from hybrid.records import RectifyResult, SliceGrid, StageReport, Status
 
 _PLACES = {
+    "ConfigError": "hybrid.errors",
+    "FusionError": "hybrid.errors",
+    "HybridError": "hybrid.errors",
+    "PhotoError": "hybrid.errors",
     "Rectifier": "hybrid.pipeline",
     "RectifyConfig": "hybrid.pipeline",
     "rectify": "hybrid.pipeline",
@@ -19,7 +24,19 @@ _PLACES = {
     "StageReport": "hybrid.records",
     "Status": "hybrid.records",
 }
-__all__ = ["Rectifier", "RectifyConfig", "RectifyResult", "SliceGrid", "StageReport", "Status", "rectify"]
+__all__ = [
+    "ConfigError",
+    "FusionError",
+    "HybridError",
+    "PhotoError",
+    "Rectifier",
+    "RectifyConfig",
+    "RectifyResult",
+    "SliceGrid",
+    "StageReport",
+    "Status",
+    "rectify",
+]
 
 
 def __getattr__(name: str) -> Any:

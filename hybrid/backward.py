@@ -23,6 +23,13 @@ def _node_splines(n_nodes: int):
     return spline, spline.derivative()
 
 
+@lru_cache(maxsize=16)
+def _lattice_weights(n_nodes: int, n: int) -> tuple[Float[np.ndarray, "n g"], Float[np.ndarray, "n g"]]:
+    """Weights of the node values in the spline and in its derivative, at the nodes of a lattice of n along an axis."""
+    spline, slope = _node_splines(n_nodes)
+    return spline(node_centres_1d(n)), slope(node_centres_1d(n))
+
+
 def spline_weights(n_nodes: int, t: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n g"]:
     """Weights of the g node values in the cubic spline through them, at film coordinates ``t`` of one axis; beyond
     [0, 1] it goes on linearly, as BackwardMap does."""
@@ -35,6 +42,14 @@ def spline_weights(n_nodes: int, t: Float[np.ndarray, " n"]) -> Float[np.ndarray
 def _pixel_weights(n_nodes: int, n_pixels: int) -> Float[np.ndarray, "n g"]:
     """Spline weights at the pixel centres of one axis; the same few sizes come again and again."""
     return spline_weights(n_nodes, film_centres_1d(n_pixels))
+
+
+def _points(values: Float[np.ndarray, "*n 2"], what: str) -> Float[np.ndarray, "*n 2"]:
+    """The points as float64; ValueError for what are none."""
+    points = np.asarray(values, dtype=np.float64)
+    if points.ndim == 0 or points.shape[-1] != 2:
+        raise ValueError(f"{what}: got shape {points.shape}; allowed: (..., 2)")
+    return points
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +87,7 @@ class BackwardMap:
 
     def photo_from_film(self, uv: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n 2"]:
         """Photo points of film points; outside [0, 1]^2 the map goes on linearly from the nearest edge point."""
-        inside = np.clip(uv, 0.0, 1.0)
+        inside = np.clip(_points(uv, "film points (u, v)"), 0.0, 1.0)
         points = np.stack([s.ev(inside[..., 1], inside[..., 0]) for s in self._splines], axis=-1)
         beyond = np.asarray(uv, dtype=np.float64) - inside
         outside = np.any(beyond, axis=-1)
@@ -98,7 +113,7 @@ class BackwardMap:
         from scipy.spatial import KDTree
 
         shape = np.shape(xy)
-        target = np.asarray(xy, dtype=np.float64).reshape(-1, 2)
+        target = _points(xy, "photo points (x, y)").reshape(-1, 2)
         uv_nodes = film_nodes(self.nodes.shape[:2]).reshape(-1, 2)
         finite = np.asarray(np.isfinite(target).all(axis=1))
         target = np.where(finite[:, None], target, 0.0)
@@ -149,9 +164,14 @@ class BackwardMap:
         columns = np.tensordot(weights_v, self.nodes, axes=(1, 0)).astype(np.float32)  # (h, gw, 2)
         return np.stack([columns[..., k] @ weights_u.T for k in range(2)], axis=-1)
 
+    def lattice(self, size: tuple[int, int]) -> Float[np.ndarray, "h w 2"]:
+        """``photo_from_film(film_nodes(size))``: quicker, as rows and columns are interpolated one after the other."""
+        (down, _), (across, _) = (_lattice_weights(*n) for n in zip(self.nodes.shape[:2], size, strict=True))
+        return np.stack([down @ self.nodes[..., k] @ across.T for k in range(2)], axis=-1)
+
     def resized(self, size: tuple[int, int]) -> BackwardMap:
         """The same map on another number of nodes (rows, columns)."""
-        return BackwardMap.from_function(self.photo_from_film, size)
+        return self if size == self.nodes.shape[:2] else BackwardMap(self.lattice(size))
 
     def cropped(self, offset_xy: tuple[float, float], scale_xy: tuple[float, float] = (1.0, 1.0)) -> BackwardMap:
         """The map into a photo that was cropped at ``offset_xy`` and then scaled by ``scale_xy``."""
@@ -174,7 +194,11 @@ class BackwardMap:
 
     def folds(self, size: tuple[int, int] = (65, 65)) -> bool:
         """True where the map turns over somewhere (the Jacobian's determinant changes sign or vanishes)."""
-        det = np.linalg.det(self.jacobian(film_nodes(size)))
+        (down, slope_v), (across, slope_u) = (
+            _lattice_weights(*n) for n in zip(self.nodes.shape[:2], size, strict=True)
+        )
+        x, y = np.moveaxis(self.nodes, -1, 0)
+        det = (down @ x @ slope_u.T) * (slope_v @ y @ across.T) - (slope_v @ x @ across.T) * (down @ y @ slope_u.T)
         return not (np.all(det > 0) or np.all(det < 0))
 
 
@@ -256,8 +280,7 @@ def film_as_seen(backward: BackwardMap) -> BackwardMap:
 
 def end_point_error(predicted: BackwardMap, true_points: Float[np.ndarray, "h w 2"]) -> Float[np.ndarray, "h w"]:
     """Distance in photo pixels between predicted and true photo points of a film lattice, edges included."""
-    uv = film_nodes(true_points.shape[:2])
-    return np.linalg.norm(predicted.photo_from_film(uv) - true_points, axis=-1)
+    return np.linalg.norm(predicted.lattice(true_points.shape[:2]) - true_points, axis=-1)
 
 
 __all__ = [

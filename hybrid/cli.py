@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+import os
 import sys
 from collections.abc import Callable, Sequence
 
@@ -25,6 +27,9 @@ Photo of a bent CT film in, flat print out.
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one subcommand; returns the exit code: 0 for success, 1 if anything failed, 2 for a command line that is not
     understood."""
+    for stream in (sys.stdout, sys.stderr):  # no name of a file may cost the photos that follow it
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
     arguments = list(sys.argv[1:] if arguments is None else arguments)
     commands: dict[str, Callable[[list[str]], int]] = {
         "rectify": _rectify,
@@ -53,11 +58,14 @@ def _guarded(command: Callable[[list[str]], int], arguments: list[str]) -> int:
 
     try:
         return command(arguments)
+    except BrokenPipeError:  # who reads this has gone, as ``head`` does
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
     except (HybridError, OSError, MemoryError) as error:
         print(f"hybrid: {str(error) or type(error).__name__}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
-        print("hybrid: stopped; a film is complete unless its JSON says UNFINISHED", file=sys.stderr)
+        print("hybrid: stopped; what is finished is kept (a film whose JSON says UNFINISHED is not)", file=sys.stderr)
         return 130
 
 

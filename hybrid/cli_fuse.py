@@ -4,36 +4,23 @@ from __future__ import annotations
 
 import sys
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Annotated
 
 import tyro
 
-from hybrid.cli_options import parse
+from hybrid.cli_options import PhotoOptions, made_by, parse
 from hybrid.image_io import read_photo
-from hybrid.outputs import RectifiedFormat, make_folder, report_lines, write_result
-from hybrid.pipeline import Effort, Rectifier, RectifyConfig
+from hybrid.outputs import make_folder, report_lines, write_result
+from hybrid.pipeline import Rectifier, RectifyConfig
 
 
 @dataclass(frozen=True)
-class FuseOptions:
-    """Make one film of several photos of it, taken with phone or lamps moved, so that glare vanishes.
+class FuseOptions(PhotoOptions):
+    """Make one film of two or more photos of it, taken with phone or lamps moved, so that glare vanishes.
 
     Writes what ``hybrid rectify`` writes, named after the first photo, as which the film lies: NAME_fused_film.png and
     so on. Photos of different films are refused; the exit code is then 1.
     """
-
-    photos: tyro.conf.Positional[tuple[Path, ...]]
-    """Two or more photos of one film: JPEG, PNG, TIFF, WebP or HEIC."""
-
-    out: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("out")
-    """Folder for the results; it is made if need be."""
-
-    rectified_format: RectifiedFormat = "jpg"
-    """Format of the rectified photo."""
-
-    effort: Effort = "default"
-    """How much work a photo is worth; it sets the options below that are not named."""
 
     config: Annotated[RectifyConfig, tyro.conf.arg(name="")] = field(default_factory=RectifyConfig)
     """How to rectify and fuse."""
@@ -48,8 +35,10 @@ def run(arguments: list[str]) -> int:
         return 2
     make_folder(options.out)
     photos = [read_photo(path) for path in options.photos]
-    result = Rectifier(options.config).fuse(photos)
-    first = options.photos[0]
-    files = write_result(options.out, options.photos, photos[0], result, options.rectified_format, suffix="_fused")
-    print("\n".join(report_lines(first, result, files)))
+    result = Rectifier(options.config).fuse(photos, [path.name for path in options.photos])
+    made = made_by(options.effort, RectifyConfig.of(options.effort), options.config)
+    files = write_result(options.out, options.photos, photos[0], result, options.rectified_format, "_fused", made)
+    print("\n".join(report_lines(options.photos[0], result, files, options.verbose)))
+    if not options.verbose:
+        print("\n".join(f"  {stage.name}: {stage.reason}" for stage in result.stages if stage.name == "fuse"))
     return 0 if result.status.has_film else 1

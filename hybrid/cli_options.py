@@ -1,24 +1,58 @@
-"""Command lines whose options' own values depend on one of them: ``--effort``."""
+"""What the command lines on photos have in common; the options of the stages, whose own values ``--effort`` sets."""
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
-from typing import Any, TypeVar
+import inspect
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Annotated, Any, TypeVar
 
 import tyro
 
+from hybrid.effort import Effort
 from hybrid.errors import ConfigError
+from hybrid.outputs import RectifiedFormat
 
 Options = TypeVar("Options")
 
+ALL = "--help-all"
+"""Shows every option of every stage, which are hundreds; ``--help`` the few that most need."""
+
+
+@dataclass(frozen=True)
+class PhotoOptions:
+    """What most need; the options of the stages come on top."""
+
+    photos: tyro.conf.Positional[tuple[Path, ...]]
+    """Photos: JPEG, PNG, TIFF, WebP or HEIC."""
+
+    out: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("out")
+    """Folder for the results; it is made if need be. Results of the same photos there are replaced; other photos of
+    the same name get a number."""
+
+    rectified_format: RectifiedFormat = "jpg"
+    """Format of the rectified photo."""
+
+    effort: Effort = "default"
+    """How much work a photo is worth: fast takes half the time for three times the error, thorough refines unsure films
+    from four sides. It sets the options of the stages that are not named."""
+
+    verbose: Annotated[bool, tyro.conf.arg(aliases=["-v"]), tyro.conf.FlagCreatePairsOff] = False
+    """Tell what each stage saw, and how long it took."""
+
 
 def parse(kind: type[Options], arguments: list[str], prog: str, config_of: Callable[[Any], Any]) -> Options:
-    """The options that the arguments give; ``--help`` and whatever is not named show those of the effort that is.
+    """The options that the arguments give; help and whatever is not named show those of the effort that is.
 
-    kind: a dataclass with ``photos``, ``effort`` and ``config``. config_of: the configuration of an effort; an effort
-    that it does not know is told as any wrong option is.
+    kind: ``PhotoOptions`` with a further field ``config``. config_of: the configuration of an effort; an effort that it
+    does not know is told as any wrong option is.
     """
+    if {"-h", "--help"} & set(arguments):
+        more = f"{inspect.getdoc(kind)}\n\nThe options of all stages: {prog} {ALL}."
+        tyro.cli(PhotoOptions, args=["--help"], prog=prog, description=more, default=PhotoOptions(photos=()))
     first = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
     first.add_argument("--effort", nargs="?", default="default")
     effort = first.parse_known_args(arguments)[0].effort
@@ -27,4 +61,24 @@ def parse(kind: type[Options], arguments: list[str], prog: str, config_of: Calla
     except ConfigError:
         effort = "default"
     default: Any = kind(photos=(), effort=effort, config=config_of(effort))  # type: ignore[call-arg]
-    return tyro.cli(kind, args=arguments, prog=prog, default=default)
+    return tyro.cli(kind, args=["--help" if a == ALL else a for a in arguments], prog=prog, default=default)
+
+
+def made_by(effort: Effort, usual: Any, config: Any) -> dict[str, Any]:
+    """How a film is made, for its JSON: the effort, and the options (a dataclass) that are not its usual ones."""
+    return {"effort": effort, "options": _differing(asdict(usual), asdict(config))}
+
+
+def _differing(usual: Mapping[str, Any], given: Mapping[str, Any], before: str = "") -> dict[str, Any]:
+    """Values that differ, by their names with dots between."""
+    found: dict[str, Any] = {}
+    for name, value in given.items():
+        if isinstance(value, Mapping):
+            found |= _differing(usual[name], value, f"{before}{name}.")
+        elif value != usual[name]:
+            plain = isinstance(value, (bool, int, str, tuple)) or (isinstance(value, float) and math.isfinite(value))
+            found[before + name] = value if plain else str(value)
+    return found
+
+
+__all__ = ["PhotoOptions", "made_by", "parse"]

@@ -127,7 +127,7 @@ def checked(
     """
     with clock.stage("check") as report:
         verdict = check(pyramid, seen, config.survey)
-        if verdict.code is StatusCode.NO_FILM:
+        if verdict.code in (StatusCode.NO_FILM, StatusCode.PAPER):
             other = see(network, pyramid, config, Clock(), WIDER)
             second = check(pyramid, other, config.survey)
             if second.ok and _lies_within(other.inversion, pyramid.photo.shape):
@@ -257,7 +257,7 @@ def reread(
     second = _exactly(pyramid, phases, read, config, put_on_edges(first.backward, read, options))
     support = edge_support(pyramid, second.backward, reader)
     report.reason += f"; {float(support.min()):.0%} once refined from there"
-    surer = second.believed and support.min() > least + options.surer
+    surer = second.stands and support.min() > least + options.surer
     report.reason += ", which counts" if surer else ", which is not surer"
     return replace(second, support=support) if surer else first
 

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import hashlib
 import json
+import tempfile
 import time
 import traceback
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -33,62 +34,100 @@ class Outcome:
     ok: a film was found and every file is written.
     message: the status, or the error, as a sentence.
     files: what was written, in that order.
-    sure: whether the film is known to lie as it is given.
+    warnings: what a person should look at, a sentence each.
     """
 
     photo: Path
     ok: bool
     message: str
     files: tuple[Path, ...] = ()
-    sure: bool = True
+    warnings: tuple[str, ...] = ()
 
 
 def rectify_files(
-    photos: Sequence[Path], out: Path, rectify: Rectify, rectified_format: RectifiedFormat, say: Say
+    photos: Sequence[Path],
+    out: Path,
+    rectify: Rectify,
+    rectified_format: RectifiedFormat,
+    say: Say,
+    made: Mapping[str, Any] | None = None,
+    verbose: bool = False,
 ) -> list[Outcome]:
-    """Rectify photos one after the other into the folder ``out``; a bad photo is told, and the next one follows."""
+    """Rectify photos one after the other into the folder ``out``; a bad photo is told, and the next one follows.
+
+    made: what goes into the JSON of how it was made. verbose: whether each stage is told, too.
+    """
     make_folder(out)
     outcomes = []
     for path in tqdm(photos, desc="rectify", unit="photo", disable=len(photos) < 2):
-        try:
-            start = time.perf_counter()
-            photo = read_photo(path)
-            read = StageReport("file", True, f"{path.stat().st_size / 1e6:.1f} MB", time.perf_counter() - start)
-            result = rectify(photo)
-            result = replace(result, stages=(read, *result.stages))
-            files = write_result(out, [path], photo, result, rectified_format)
-            status = result.status
-            outcomes.append(Outcome(path, status.has_film, str(status), files, sure=status.ok))
-            say("\n".join(report_lines(path, result, files)))
-        except (HybridError, OSError, MemoryError) as error:
-            outcomes.append(Outcome(path, False, str(error) or type(error).__name__))
-            say(f"{path}\n  ERROR  {outcomes[-1].message}")
-        except Exception as error:  # a defect of this program must not cost the photos that are still to come
-            outcomes.append(Outcome(path, False, f"internal error: {type(error).__name__}: {error}"))
-            say(f"{path}\n  ERROR  {outcomes[-1].message}\n{traceback.format_exc()}")
+        outcome, told = _rectified(path, out, rectify, rectified_format, made or {}, verbose)
+        outcomes.append(outcome)
+        say(told)
     return outcomes
 
 
-def make_folder(out: Path) -> None:
-    """Make the output folder; ConfigError where that cannot be."""
+def _rectified(
+    path: Path, out: Path, rectify: Rectify, rectified_format: RectifiedFormat, made: Mapping[str, Any], verbose: bool
+) -> tuple[Outcome, str]:
+    """How a photo ended, and what is said of it."""
+    try:
+        start = time.perf_counter()
+        photo = read_photo(path)
+        read = StageReport("file", True, f"{path.stat().st_size / 1e6:.1f} MB", time.perf_counter() - start)
+        result = rectify(photo)
+        result = replace(result, stages=(read, *result.stages))
+        files = write_result(out, [path], photo, result, rectified_format, made=made)
+        outcome = Outcome(path, result.status.has_film, str(result.status), files, tuple(warnings_of(result)))
+        return outcome, "\n".join(report_lines(path, result, files, verbose))
+    except (HybridError, OSError, MemoryError) as error:
+        outcome = Outcome(path, False, str(error) or type(error).__name__)
+        return outcome, f"{path}\n  ERROR  {outcome.message}"
+    except Exception as error:  # a defect of this program must not cost the photos that are still to come
+        outcome = Outcome(path, False, f"internal error: {type(error).__name__}: {error}")
+        return outcome, f"{path}\n  ERROR  {outcome.message}\n{traceback.format_exc()}"
+
+
+def make_folder(out: Path, option: str = "-o") -> None:
+    """Make the output folder and see that files can be made in it; ConfigError where not."""
     try:
         out.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=out):
+            pass
     except OSError as error:
-        do = "Name a folder that can be written, with -o."
-        raise ConfigError(
-            describe(what="The output folder cannot be made", where=out, got=error.strerror, do=do)
-        ) from None
+        got = "a file of this name" if out.is_file() else error.strerror
+        do = f"Name a folder that can be written, with {option}."
+        raise ConfigError(describe(what="Nothing can be written there", where=out, got=got, do=do)) from None
 
 
-def report_lines(path: Path, result: RectifyResult, files: Iterable[Path]) -> list[str]:
-    """What is printed for one photo: a line for each stage, the status, and where the pictures are."""
+def report_lines(path: Path, result: RectifyResult, files: Iterable[Path], verbose: bool = True) -> list[str]:
+    """What is printed for one photo: its status, what to look at, and where the pictures are; with ``verbose`` a line
+    for each stage before that."""
     seconds = sum(stage.seconds for stage in result.stages)
-    lines = [str(path), *(f"  {stage}" for stage in result.stages)]
-    lines.append(f"  {status_word(result)}  {result.status}  ({seconds:.2f} s)")
-    if result.upright_probability is not None and result.upright_probability < 0.5:
-        chance = f"only {result.upright_probability:.0%} probable"
-        lines.append(f"  LOOK  It may lie on its side or mirrored: that it reads right as it is given is {chance}.")
-    return lines + [f"  -> {file}" for file in files if SLICES_SUFFIX not in file.parent.name]
+    lines = [str(path), *(f"  {stage}" for stage in result.stages if verbose)]
+    grid = f"{result.grid.rows} x {result.grid.cols} slices" if result.grid is not None else "no grid of slices"
+    found = f"{grid}, {seconds:.2f} s" if result.status.has_film else f"{seconds:.2f} s"
+    lines.append(f"  {status_word(result)}  {result.status}  ({found})")
+    lines += [f"  LOOK  {warning}" for warning in warnings_of(result)]
+    folders = dict.fromkeys(file.parent if SLICES_SUFFIX in file.parent.name else file for file in files)
+    return lines + [f"  -> {path}" for path in folders]
+
+
+SURE_UPRIGHT = 0.95
+"""A film that reads right as it is given with less than this probability is one to look at: of 36 photos turned or
+mirrored, whose writing is too small to be read for sure, 24 came out as they lay, 21 of them with less; of 12 that lay
+right one was."""
+
+
+def warnings_of(result: RectifyResult) -> list[str]:
+    """What a person should look at: why the film is not sure, and whether it may read wrong."""
+    told = []
+    if result.status.has_film and not result.status.ok:
+        told.append(": ".join(["It may be off", "; ".join(result.status.doubts)]).removesuffix(": ") + ".")
+    if result.upright_probability is not None and result.upright_probability < SURE_UPRIGHT:
+        chance = f"{result.upright_probability:.0%} probable"
+        turn = "--upright.turn 90 (or 0, 180, 270; --upright.mirror from behind) gives it otherwise"
+        told.append(f"It may lie on its side or mirrored: that it reads right as it is given is {chance}; {turn}.")
+    return told
 
 
 def status_word(result: RectifyResult) -> str:
@@ -101,7 +140,10 @@ def status_word(result: RectifyResult) -> str:
 # ---------------------------------------------------------------- names
 
 SLICES_SUFFIX = "_slices"
-PICTURES = ("_film.png", "_rectified.jpg", "_rectified.png", "_side_by_side.jpg", SLICES_SUFFIX)
+PICTURES = (
+    *("_film.png", "_confidence.png", "_rectified.jpg", "_rectified.png", "_side_by_side.jpg"),
+    SLICES_SUFFIX,
+)
 """What is written beside NAME.json, by what follows NAME."""
 
 
@@ -132,6 +174,12 @@ def reserved(out: Path, stem: str, about: dict[str, Any]) -> tuple[str, dict[str
         return name, {}
 
 
+def is_result(path: Path) -> bool:
+    """Whether an earlier run wrote this file: the JSON beside it names it."""
+    stems = [path.name.removesuffix(suffix) for suffix in PICTURES if path.name.endswith(suffix)]
+    return any(path.name in _files_in(_read_record(path.with_name(f"{stem}.json"))) for stem in stems)
+
+
 def _unfinished(about: dict[str, Any], known: dict[str, Any]) -> dict[str, Any]:
     return {
         "hybrid_version": __version__,
@@ -148,7 +196,7 @@ def _files_in(record: dict[str, Any]) -> list[str]:
 
 
 def _json_bytes(record: dict[str, Any]) -> bytes:
-    return (json.dumps(record, indent=2) + "\n").encode()
+    return (json.dumps(record, indent=2, allow_nan=False) + "\n").encode()
 
 
 def photo_record(photos: Sequence[Path]) -> dict[str, Any]:
@@ -186,10 +234,12 @@ def write_result(
     result: RectifyResult,
     rectified_format: RectifiedFormat,
     suffix: str = "",
+    made: Mapping[str, Any] | None = None,
 ) -> tuple[Path, ...]:
     """Write everything that the result holds, named after the first photo; the JSON says when the rest is complete.
 
-    paths: of the photos that it was made of; ``photo`` is the first. suffix: of the name. What is there of other photos
+    paths: of the photos that it was made of; ``photo`` is the first. suffix: of the name. made: of how it was made, for
+    the JSON. What is there of other photos
     is left alone. Files that an earlier run over the same photos left and this one does not make (slices of another
     grid) are removed, once the new ones are there; where this one finds no film they stay, and the JSON names them
     ("earlier_files").
@@ -201,13 +251,16 @@ def write_result(
         files.append(out / f"{name}_film.png")
         write_film(files[-1], result.film)
         files += write_slices(out / f"{name}{SLICES_SUFFIX}", result)
+    if result.confidence is not None:
+        files.append(out / f"{name}_confidence.png")
+        write_rgb(files[-1], rgb_from_film(result.confidence))
     if result.rectified is not None:
         files.append(out / f"{name}_rectified.{rectified_format}")
         write_rgb(files[-1], result.rectified)
     if result.film is not None:
         files.append(out / f"{name}_side_by_side.jpg")
         write_rgb(files[-1], side_by_side([annotated(photo, result), rgb_from_film(result.film)]))
-    record = {"hybrid_version": __version__, **about, **result_record(photo.shape[:2], result)}
+    record = {"hybrid_version": __version__, **(made or {}), **about, **result_record(photo.shape[:2], result)}
     record["files"] = [file.relative_to(out).as_posix() for file in files]
     if _files_in(known) and not result.status.has_film:
         record["earlier_files"] = _files_in(known)
@@ -238,6 +291,7 @@ def result_record(photo_size: tuple[int, ...], result: RectifyResult) -> dict[st
         "ok": result.status.ok,
         "status": result.status.code.name,
         "message": str(result.status),
+        "doubts": list(result.status.doubts),
         "expected_error_px": _rounded(result.expected_error_px, 2),
         "limit_px": _rounded(result.limit_px, 2),
         "film_size": None if result.film is None else list(result.film.shape),
@@ -270,4 +324,14 @@ def _rounded(value: float | None, digits: int = 4) -> float | None:
     return None if value is None else round(value, digits)
 
 
-__all__ = ["Outcome", "rectify_files", "report_lines", "result_record", "write_result", "write_slices"]
+__all__ = [
+    "Outcome",
+    "is_result",
+    "make_folder",
+    "rectify_files",
+    "report_lines",
+    "result_record",
+    "warnings_of",
+    "write_result",
+    "write_slices",
+]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from functools import lru_cache, partial
 from pathlib import Path
@@ -79,8 +79,10 @@ class Rectifier:
         with one_thread():
             return self._rectified(source)
 
-    def fuse(self, sources: Iterable[str | Path | np.ndarray]) -> RectifyResult:
+    def fuse(self, sources: Iterable[str | Path | np.ndarray], names: Sequence[str] | None = None) -> RectifyResult:
         """One film of several photos of it, between which phone or lamps moved, so that glare vanishes.
+
+        names: of the photos, for messages; else they are numbered.
 
         film, glare and confidence are made of all photos; the rest is the first photo's, its map moved to where all
         whose map is sure say that the print lies (all, if none is): status and expected error are theirs. Its own
@@ -93,9 +95,10 @@ class Rectifier:
             PhotoError: a source cannot be read as a photo.
             FusionError: fewer than two photos, or photos of different films.
         """
-        if isinstance(sources, (str, Path, np.ndarray)):
-            do = "Put them into a list, also if they are one array."
-            raise FusionError(describe(what="Photos to fuse", got="one source", allowed="a sequence of them", do=do))
+        if isinstance(sources, (str, Path, np.ndarray)) or not isinstance(sources, Iterable):
+            do = "Put them into a list."
+            got = f"one {type(sources).__name__}"
+            raise FusionError(describe(what="Photos to fuse", got=got, allowed="a sequence of them", do=do))
         sources = list(sources)
         if len(sources) < 2:
             do = "Name two or more photos of one film; a single one is rectified."
@@ -106,7 +109,8 @@ class Rectifier:
             return first
         results = [first, *map(self, photos[1:])]
         with one_thread():
-            return fuse(photos, results, self._levels, self.config.fuse, self.config.light, self.config.resample)
+            options = self.config.fuse, self.config.light, self.config.resample
+            return fuse(photos, results, self._levels, *options, names)
 
     def network_map(self, source: str | Path | np.ndarray) -> BackwardMap | None:
         """What the network alone makes of a photo, before refinement: the map of the film as it lies in the photo.
@@ -152,7 +156,8 @@ class Rectifier:
         )
         result = self._finish(pyramid, maps, refinement, flat is not None, clock)
         limit = largest_error_px(max(photo.shape[:2]), self.config.trust)
-        return replace(result, status=Status(verdict.code), expected_error_px=expected, limit_px=limit)
+        status = Status(verdict.code, verdict.doubts)
+        return replace(result, status=status, expected_error_px=expected, limit_px=limit)
 
     def _finish(
         self, pyramid: Pyramid, maps: CoarseMaps, refinement: Refinement, is_flat: bool, clock: Clock
@@ -200,6 +205,9 @@ class Rectifier:
     def _read(self, flat: Rectified, report: Report) -> tuple[Orientation, float | None]:
         """How the flat film has to be moved to read right, by what is written on it, and how sure that is then."""
         config = self.config.upright
+        if config.given is not None:
+            report.reason = f"turned by {config.turn} degrees{' after mirroring' * config.mirror}, as was asked for"
+            return config.given, None
         if max(flat.valid.shape) < config.min_film_px:
             report.ran, report.reason = False, "left as it lies: writing this small cannot be read"
             return Orientation(0, False), None
@@ -209,7 +217,7 @@ class Rectifier:
 
 
 @lru_cache(maxsize=3)
-def _rectifier(effort: Effort | str) -> Rectifier:
+def _rectifier(effort: str) -> Rectifier:
     return Rectifier(RectifyConfig.of(effort))
 
 
@@ -219,4 +227,4 @@ def rectify(photo: str | Path | np.ndarray, effort: Effort | str = "default") ->
     Raises:
         ConfigError: there is no such effort.
     """
-    return _rectifier(effort)(photo)
+    return _rectifier(str(effort))(photo)

@@ -97,7 +97,11 @@ class StatusCode(Enum):
     )
     NO_FILM = (
         "No film was found in the photo. Photograph the whole sheet, edges included, "
-        "so that it fills at least a third of the picture."
+        "so that it fills at least a third of the picture; one film to a photo."
+    )
+    PAPER = (
+        "What is seen is printed dark on bright, as paper is, and not bright on dark, as CT films are. "
+        "Photograph a film; of a negative, invert the picture first."
     )
     TOO_SMALL = "The photo is too small. Use one of at least 64 x 64 pixels; 1000 or more are better."
     BLANK = "The photo shows nothing (it is all of one colour). Check the lens and the exposure and take it again."
@@ -112,9 +116,11 @@ class Status:
     """How a rectification ended: ``status.ok``, and ``str(status)`` for a person.
 
     ok: the film lies where the result says. has_film: a film is given, sure (ok) or not (``StatusCode.UNSURE``).
+    doubts: why it is not sure, each in a few words.
     """
 
     code: StatusCode
+    doubts: tuple[str, ...] = ()
 
     @property
     def ok(self) -> bool:
@@ -157,7 +163,9 @@ class RectifyResult:
     confidence: (h, w) float32 in [0, 1], how far the film can be trusted; 0 on glare and where it is covered.
     expected_error_px: mean distance, in pixels of the photo, by which film points are expected to be off; the true one
         is as often larger as smaller.
-    limit_px: largest such distance, in pixels of the photo, of a film whose status is OK; effort fast allows more.
+    limit_px: largest distance, in pixels of the photo, that a film whose status is OK may be off in truth; effort fast
+        allows more. Such a film must be expected to be off by far less (``TrustConfig.safety``), and nothing else may
+        speak against it (``status.doubts``).
     """
 
     status: Status

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import io
 import json
 import sys
 import types
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
@@ -15,7 +16,7 @@ import pytest
 
 import hybrid
 from hybrid import cli
-from hybrid.backward import BackwardMap
+from hybrid.backward import BackwardMap, Orientation
 from hybrid.coords import film_nodes
 from hybrid.errors import ConfigError
 from hybrid.image_io import read_photo, write_rgb
@@ -113,8 +114,9 @@ def test_one_photo(photo: Path, tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert cli.main(["rectify", str(photo), "-o", str(out)]) == 0
     written = {path.relative_to(out).as_posix() for path in out.rglob("*") if path.is_file()}
     slices = {f"film_slices/{k:02d}.png" for k in range(1, 7)}
-    pictures = {"film_film.png", "film_rectified.jpg", "film_side_by_side.jpg"}
+    pictures = {"film_film.png", "film_confidence.png", "film_rectified.jpg", "film_side_by_side.jpg"}
     assert written == slices | pictures | {"film.json"}
+    assert (record_of(out)["effort"], record_of(out)["options"]) == ("default", {})
     film = cv2.imread(str(out / "film_film.png"), cv2.IMREAD_UNCHANGED)
     assert film.dtype == np.uint16
     assert np.array_equal(film, read_photo(photo)[..., 0].astype(np.uint16) * 257)
@@ -126,9 +128,69 @@ def test_one_photo(photo: Path, tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert set(record["files"]) == slices | pictures
     assert [stage["name"] for stage in record["stages"]] == ["file", "network", "spline"]
     printed = capsys.readouterr().out
+    assert "network" not in printed
+    assert f"{StatusCode.OK.value}  (2 x 3 slices" in printed
+    assert cli.main(["rectify", str(photo), "-o", str(out), "-v", "--rows", "3"]) == 0
+    printed = capsys.readouterr().out
     assert "network" in printed
     assert "skipped" in printed
-    assert str(StatusCode.OK.value) in printed
+    assert record_of(out)["options"] == {"rows": 3}
+
+
+@pytest.mark.usefixtures("_stand_in")
+def test_results_of_earlier_runs_are_no_photos(photo: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["rectify", str(photo), "-o", str(photo.parent)]) == 0
+    there = sorted(path for path in photo.parent.iterdir() if path.suffix in (".png", ".jpg"))
+    assert len(there) == 5
+    foreign = photo.with_name("other_film.png")
+    write_rgb(foreign, read_photo(photo))
+    assert cli.main(["rectify", *map(str, there), str(foreign), "-o", str(tmp_path / "out")]) == 0
+    assert "4 of these files are left out" in capsys.readouterr().out
+    assert {path.name for path in (tmp_path / "out").glob("*.json")} == {"film.json", "other_film.json"}
+
+
+@pytest.mark.usefixtures("_stand_in")
+def test_a_name_that_cannot_be_printed_costs_no_photo(
+    photo: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    strange = photo.with_name("胶片 \udcbd.png")
+    strange.write_bytes(photo.read_bytes())
+    told = io.BytesIO()
+    monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(told, encoding="ascii", errors="strict"))
+    assert cli.main(["rectify", str(strange), str(photo), "-o", str(tmp_path / "out")]) == 0
+    sys.stdout.flush()
+    assert b"2 of 2 photos flattened" in told.getvalue()
+
+
+def record_of(out: Path) -> dict:
+    return json.loads((out / "film.json").read_text())
+
+
+def test_help_shows_what_most_need_and_help_all_every_option(capsys: pytest.CaptureFixture[str]) -> None:
+    shown = []
+    for option in ("--help", "--help-all"):
+        with pytest.raises(SystemExit) as ended:
+            cli.main(["rectify", option])
+        assert ended.value.code == 0
+        shown.append(capsys.readouterr().out)
+    assert shown[0].count("\n") < 60
+    assert "--help-all" in shown[0]
+    assert "--upright.turn" in shown[1]
+
+
+def test_a_film_is_turned_as_it_is_asked_for() -> None:
+    """A quarter turn clockwise of what is found, whatever it reads."""
+    photo = "hybrid/examples/film.jpg"
+    found = hybrid.rectify(photo, effort="fast")
+    config = hybrid.RectifyConfig.of("fast")
+    asked = hybrid.Rectifier(replace(config, upright=replace(config.upright, turn="90")))(photo)
+    assert found.orientation is not None
+    assert asked.orientation == Orientation(1, False)
+    assert asked.upright_probability is None
+    lies = hybrid.Rectifier(replace(config, upright=replace(config.upright, turn="0")))(photo)
+    assert np.array_equal(asked.rectified, np.rot90(lies.rectified, -1))
+    with pytest.raises(ConfigError, match="Name the turn as well"):
+        replace(config.upright, mirror=True)
 
 
 @pytest.mark.usefixtures("_stand_in")
@@ -144,8 +206,8 @@ def test_a_film_that_may_be_off_is_written_with_a_warning(
     printed = capsys.readouterr().out
     assert f"UNSURE  {StatusCode.UNSURE.value}" in printed
     assert "2 of 2 photos flattened" in printed
-    assert f"warning: {photo.with_name('dark.png')}: {StatusCode.UNSURE.value}" in printed
-    assert f"warning: {photo}:" not in printed
+    assert f"look at {photo.with_name('dark.png')}: It may be off." in printed
+    assert f"look at {photo}:" not in printed
 
 
 @pytest.mark.usefixtures("_stand_in")
@@ -322,7 +384,7 @@ def test_no_photos_is_a_wrong_command_line(capsys: pytest.CaptureFixture[str]) -
 
 
 def test_output_folder_that_cannot_be(photo: Path) -> None:
-    with pytest.raises(ConfigError, match=r"output folder cannot be made.*Name a folder"):
+    with pytest.raises(ConfigError, match=r"Nothing can be written there.*Name a folder"):
         rectify_files([photo], photo / "out", StandIn(), "jpg", print)
 
 
@@ -330,7 +392,7 @@ def test_output_folder_that_cannot_be(photo: Path) -> None:
 def test_user_errors_are_one_line(photo: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["rectify", str(photo), "-o", str(photo / "out")]) == 1
     message = capsys.readouterr().err
-    assert message.startswith("hybrid: The output folder cannot be made")
+    assert message.startswith("hybrid: Nothing can be written there")
     assert message.count("\n") == 1
 
 

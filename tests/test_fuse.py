@@ -256,7 +256,7 @@ def test_fewer_than_two_photos_are_refused(tmp_path: Path, capsys: pytest.Captur
 
 def test_a_single_source_is_refused_as_such():
     """The letters of its name are not taken for names."""
-    with pytest.raises(FusionError, match="one source"):
+    with pytest.raises(FusionError, match="one str"):
         Rectifier.fuse(None, "film.jpg")
 
 

@@ -16,7 +16,7 @@ from hybrid.rectify.flat import already_flat, frame_of
 from hybrid.rectify.refine import Refinement
 from hybrid.rectify.trust import Signs, TrustConfig, cells_alike, expected_error_px, film_verdict
 
-TOO_FAR = f"more than {TrustConfig().safety * TrustConfig().limit_px:.1f} px"
+TOO_FAR = f"px of error expected, {TrustConfig().safety * TrustConfig().limit_px:.1f} allowed"
 
 SURE = Signs(
     overlap_before=0.99, overlap_after=0.995, shift=0.001, held_out=0.9, alike=0.7, oblong=0.02, grid=True,
@@ -27,7 +27,8 @@ SURE = Signs(
 def test_a_film_that_all_signs_speak_for_is_flattened() -> None:
     found = film_verdict(SURE)
     assert found.ok
-    assert "px of error expected" in found.reason
+    assert "expected to be off by 0.3 px" in found.reason
+    assert found.doubts == ()
 
 
 @pytest.mark.parametrize(
@@ -50,6 +51,7 @@ def test_each_doubt_is_told(change: dict, text: str) -> None:
     found = film_verdict(replace(SURE, **change))
     assert found.code is StatusCode.UNSURE
     assert text in found.reason
+    assert any(text in doubt for doubt in found.doubts)
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import cv2
 import numpy as np
@@ -32,6 +32,7 @@ from hybrid.errors import ConfigError, describe
 from hybrid.image_io import write_rgb
 from hybrid.learn.presets import Preset, preset, weighted_sum
 from hybrid.learn.weights import load_into, save_weights
+from hybrid.outputs import make_folder
 
 
 @dataclass(frozen=True)
@@ -75,8 +76,8 @@ class TrainConfig:
     """Steps from test to test."""
     minutes_per_save: float = 3.0
     """Minutes from checkpoint to checkpoint."""
-    device: str = "cpu"
-    """cpu or cuda."""
+    device: Literal["cpu", "cuda"] = "cpu"
+    """Where the network is trained."""
 
 
 @dataclass(frozen=True)
@@ -207,7 +208,7 @@ def train(config: TrainConfig) -> None:
     if not trained_on:
         got, allowed = f"{len(places)} samples", f"> {config.held_out} held out"
         raise ConfigError(describe(what="train", got=got, allowed=allowed, do="Make more data, or hold out fewer."))
-    config.out.mkdir(parents=True, exist_ok=True)
+    make_folder(config.out, "--out")
     with _processes(config.device) as rank:
         if plan.batch % rank.count:
             got, allowed = f"{plan.batch} images", f"multiples of the {rank.count} processes"

@@ -7,6 +7,7 @@ this small network looks at many small patches of the film once it is flat, each
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import cv2
 import numpy as np
@@ -16,6 +17,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from hybrid.backward import Orientation
+from hybrid.errors import ConfigError, describe
 from hybrid.learn.network import ConvNorm
 from hybrid.learn.upright_patches import PatchConfig, text_patches
 
@@ -120,13 +122,26 @@ class UprightConfig:
 
     turned, mirrored: shares of films that are photographed turned by quarters, and from behind.
     min_probability: a film is moved only where it is this sure, these shares counted in. min_film_px: nothing is read
-    on films whose longer side is less.
+    on films whose longer side is less. turn: how far every film is turned clockwise, if not as it reads; mirror:
+    whether it is mirrored left to right before that.
     """
 
     turned: float = 0.1
     mirrored: float = 0.02
     min_probability: float = 0.98
     min_film_px: int = 400
+    turn: Literal["read", "0", "90", "180", "270"] = "read"
+    mirror: bool = False
+
+    def __post_init__(self) -> None:
+        if self.mirror and self.turn == "read":
+            do = "Name the turn as well: 0, 90, 180 or 270."
+            raise ConfigError(describe(what="UprightConfig.mirror", got="no turn beside it", do=do))
+
+    @property
+    def given(self) -> Orientation | None:
+        """How every film is moved; None where each is moved as it reads."""
+        return None if self.turn == "read" else Orientation(int(self.turn) // 90, self.mirror)
 
     @property
     def prior(self) -> Float[np.ndarray, " 8"]:
@@ -141,7 +156,7 @@ def upright_way(chances: Float32[np.ndarray, " 8"], config: UprightConfig) -> tu
     probability = float(chances[best.index])
     said = ", ".join([f"turned by {90 * best.turns} degrees"] * (best.turns > 0) + ["mirrored"] * best.mirrored)
     if best.index == 0:
-        return best, f"lies right: {probability:.1%} probable"
+        return best, f"left as it lies, which reads right: {probability:.1%} probable"
     if probability < config.min_probability:
-        return WAYS[0], f"left as it lies: {said} would read right, but that is only {probability:.0%} probable"
+        return WAYS[0], f"left as it lies: {said} it would read right, but that is only {probability:.0%} probable"
     return best, f"{said} to read right: {probability:.1%} probable"

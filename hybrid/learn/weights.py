@@ -10,11 +10,12 @@ from typing import Any
 
 import torch
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
+from safetensors.torch import save
 from torch import Tensor, nn
 
 from hybrid.coords import CONVENTIONS_VERSION
 from hybrid.errors import DataError, describe
+from hybrid.image_io import write_bytes
 from hybrid.learn.edges import EdgeNet, EdgeNetConfig
 from hybrid.learn.light import LightNet, LightNetConfig
 from hybrid.learn.network import FilmNet, FilmNetConfig
@@ -34,7 +35,7 @@ def save_weights(path: Path, network: nn.Module, config: Any, notes: dict[str, A
         name: (value.half() if value.is_floating_point() else value).contiguous()
         for name, value in network.state_dict().items()
     }
-    save_file(tensors, path, metadata=metadata)
+    write_bytes(path, save(tensors, metadata))
 
 
 def load_weights(path: Path, build: Callable[[Any], Network], config_type: type) -> Network:
@@ -111,9 +112,13 @@ def parameter_count(network: nn.Module) -> int:
 def _read(path: Path, kind: str) -> tuple[dict[str, str], dict[str, Tensor]]:
     """Metadata and tensors, in single precision, of a file of the kind."""
     metadata, tensors = _opened(path)
-    got, allowed = (metadata.get("kind"), metadata.get("conventions")), (kind, str(CONVENTIONS_VERSION))
-    if got != allowed:
-        raise DataError(describe(what="weights", where=path, got=got, allowed=allowed, do="Train them again."))
+    if metadata.get("kind") != kind:
+        got = metadata.get("kind", "no network of this package")
+        raise DataError(describe(what="weights", where=path, got=got, allowed=kind, do=f"Name a file of a {kind}."))
+    made, version = metadata.get("conventions"), str(CONVENTIONS_VERSION)
+    if made != version:
+        do = "Train them again."
+        raise DataError(describe(what="weights", where=path, got=f"conventions {made}", allowed=version, do=do))
     return metadata, {k: v.to(torch.float32) if v.is_floating_point() else v for k, v in tensors.items()}
 
 

@@ -10,12 +10,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cached_property, partial
 from time import perf_counter
 
 import numpy as np
 from jaxtyping import Float
 
+from hybrid.backward import BackwardMap
 from hybrid.film_view import FilmView
 from hybrid.rectify.cell_phases import AxisPhases
 from hybrid.rectify.cells import CellsConfig, Reading, read_cells
@@ -133,6 +134,16 @@ class Course:
     verdict: str
     apart: float | None = None
 
+    @cached_property
+    def film(self) -> BackwardMap:
+        """The map that it ended with, into the scene's photo."""
+        return self.displacement.composed(self.scene.coarse)
+
+    @cached_property
+    def half_view(self) -> FilmView:
+        """The film through that map, at half the size."""
+        return half_view(self.scene, self.film)
+
     @property
     def edges(self) -> int:
         """Number of the sheet's edges that were seen."""
@@ -199,16 +210,15 @@ def _round(
     """One more round: what is printed is looked for through the improved map, and all is fitted anew."""
     scene, outline, displacement = progress.scene, progress.outline, progress.attempt.displacement
     looking = number < config.line_rounds
-    view = view_of(scene, displacement)
-    known = progress.layout
+    near = displacement.composed(scene.coarse)
+    view, known = view_of(scene, near), progress.layout
     if number == 0:
-        known = replace(known, read=read_view(view, known, phases_along(scene, displacement), config))
+        known = replace(known, read=read_view(view, known, phases_along(scene, near), config))
     layout, lines = find_layout(view, known, looking, config.grid, config.repeat)
     found = _observe_print(view, layout, lines, matcher, outline, config)
     watch.lap("grid")
     evidence = tuple(e.lifted(displacement) for e in found)
     if number == 0:
-        near = displacement.composed(scene.coarse)
         edges = find_outline(scene.photo, near, config.outline_again, carried(scene.edges, scene.coarse, near))
         outline = tuple(displacement.lift(s) for s in edges)
         watch.lap("outline")
@@ -221,7 +231,7 @@ def _round(
     moved = float(np.abs(fit.displacement.values - displacement.values).max())
     attempt = _Attempt(fit.displacement, evidence, fit.weights, fit.stiffness)
     least = config.settled_move if progress.sheet is None else config.settled_sheet
-    settled = number >= 1 and (moved < least or (progress.sheet is None and layout.is_enough))
+    settled = number >= 1 and (moved < least or (progress.sheet is None and not layout.has_cells))
     return replace(progress, outline=outline, attempt=attempt, layout=layout, settled=settled)
 
 
@@ -288,9 +298,8 @@ def ended(progress: Progress, config: RefineConfig, watch: Stopwatch) -> Course:
 def agreement(course: Course, layouts: Sequence[Layout]) -> float:
     """How alike the cells look through a course's map, in [0, 1], in that of the layouts of which they are most; 0
     where none has cells."""
-    view = half_view(course.scene, course.displacement)
     known = [(columns, rows) for columns, rows in (layout.repeats for layout in layouts) if columns and rows]
-    return max((cell_agreement(view, *cells) for cells in known), default=0.0)
+    return max((cell_agreement(course.half_view, *cells) for cells in known), default=0.0)
 
 
 def read_view(

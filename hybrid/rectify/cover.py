@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from hybrid.backward import BackwardMap
-from hybrid.coords import film_centres, photo_from_opencv, sample_bilinear
+from hybrid.coords import photo_from_opencv, sample_bilinear
 from hybrid.errors import require_at_least
 from hybrid.records import CoarseMaps
 from hybrid.rectify.resample import index_in_grid
@@ -47,7 +47,7 @@ def _chance(maps: CoarseMaps, backward: BackwardMap, config: CoverConfig) -> Flo
     """The probability on a small copy of the film; None where it is low in all that the network saw, as in most."""
     if maps.covered is None or maps.covered.max() < config.least_chance:
         return None
-    points = backward.photo_from_film(film_centres((config.side_px, config.side_px)))
+    points = backward.dense((config.side_px, config.side_px))
     at = photo_from_opencv(np.stack(index_in_grid(maps.photo_points, points), axis=-1))
     chance = sample_bilinear(np.asarray(maps.covered, dtype=np.float32), at)
     return chance if chance.max() >= config.least_chance else None

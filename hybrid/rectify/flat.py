@@ -58,13 +58,14 @@ def already_flat(
     reason = f"cells are alike to {straight:.0%} as the photo is, to {max(refined_ones):.0%} through a refined map"
     if straight <= 0 or straight < AS_ALIKE * max(refined_ones):
         return None, reason
-    grid = replace(framed.grid, vertices_photo=frame.photo_from_film(framed.grid.vertices))
+    vertices = np.clip(framed.grid.vertices_photo / np.array(size[::-1]), 0.0, 1.0)  # it was seen through another map
+    grid = replace(framed.grid, vertices=vertices, vertices_photo=frame.photo_from_film(vertices))
     return replace(framed, backward=frame, grid=grid, expected_px=None, aspect=None), reason
 
 
 def _off(backward: BackwardMap, frame: BackwardMap) -> float:
     """The largest distance of a map from a photo's frame, in parts of its diagonal."""
-    off = backward.photo_from_film(film_nodes((33, 33))) - frame.nodes
+    off = backward.lattice((33, 33)) - frame.nodes
     return float(np.linalg.norm(off, axis=-1).max() / np.linalg.norm(frame.nodes[-1, -1]))
 
 

@@ -115,7 +115,7 @@ def register(first: RectifyResult, other: RectifyResult, config: FuseConfig, nam
             describe(
                 what="Photos that cannot be fused",
                 where=name,
-                got=f"another film than on photo 1: {agreement:.0%} of its slices were found there",
+                got=f"another film than on photo 1, or too little of it: {agreement:.0%} of its slices are found there",
                 allowed=f"photos of one film ({config.same:.0%} or more)",
                 do="Leave it out, or fuse it with photos of its own film.",
             )
@@ -304,10 +304,12 @@ def fuse(
     config: FuseConfig | None = None,
     light: DeilluminateConfig | None = None,
     resample: ResampleConfig | None = None,
+    names: Sequence[str] | None = None,
 ) -> RectifyResult:
     """One result of several photos of one film, lying as in the first of them.
 
     results: of the photos; a film was found in the first, and photos without one are left out. reader: of their light.
+    names: of the photos, for messages.
     film, glare and confidence are made of all; rectified and backward are of the first photo, moved to where those
     photos together say that the print lies whose maps are sure, or all if none is; status, expected error and grid are
     theirs.
@@ -323,13 +325,14 @@ def fuse(
         raise FusionError(describe(what="Photos that cannot be fused", got="one without a map", do="Leave it out."))
     used, maps, shifts, found_in, notes = [photos[0]], [base.backward], [np.zeros((NODES, NODES, 2))], [base], []
     grids, ways = [base.grid], [Orientation(0, False)]
-    for number, (photo, result) in enumerate(zip(photos[1:], results[1:], strict=True), start=2):
+    names = names or [f"photo {number}" for number in range(1, len(photos) + 1)]
+    for name, photo, result in zip(names[1:], photos[1:], results[1:], strict=True):
         if not result.status.has_film:
-            notes.append(f"photo {number} left out: no film was found in it")
+            notes.append(f"{name} left out: no film was found in it")
             continue
-        found = register(base, result, config, f"photo {number}")
+        found = register(base, result, config, name)
         unsure = "" if result.status.ok else ", itself unsure"
-        notes.append(f"photo {number} moved by up to {found.largest:.1%} of the film{unsure}")
+        notes.append(f"{name} moved by up to {found.largest:.1%} of the film{unsure}")
         used.append(photo)
         maps.append(found.turned)
         shifts.append(found.shift)

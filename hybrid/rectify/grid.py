@@ -81,7 +81,8 @@ class GridConfig:
     """Prior standard deviation of its place then, in film units."""
 
     def __post_init__(self) -> None:
-        require_at_least(self, 1, "strips", "widths_px")
+        require_at_least(self, 1, "widths_px")
+        require_at_least(self, 3, "strips")
 
 
 @dataclass(frozen=True, eq=False)

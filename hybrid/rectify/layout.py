@@ -45,13 +45,9 @@ class Layout:
     read: Reading | None = None
 
     @property
-    def is_enough(self) -> bool:
-        """True where there are no cells to match: lines have been looked for twice, and more rounds find no more."""
-        return not self.settled
-
-    @property
-    def settled(self) -> bool:
-        """True where repetition was seen along both axes, so that cells can be matched."""
+    def has_cells(self) -> bool:
+        """True where repetition was seen along both axes, so that cells can be matched. Where not, more rounds than the
+        two that look for lines find no more."""
         return all(r is not None for r in self.repeats)
 
     def along(self, axis: int) -> Comb | Repeats | None:

@@ -30,7 +30,7 @@ from hybrid.rectify.course import (
     unstretched,
 )
 from hybrid.rectify.outline import find_outline
-from hybrid.rectify.scene import half_view, phases_along, scene_of
+from hybrid.rectify.scene import phases_along, scene_of
 from hybrid.rectify.sightings import Sightings
 
 UNSTRETCHED = (
@@ -76,6 +76,7 @@ class Refinement:
     edges: number of the sheet's edges that were seen.
     held_out: residual of sightings that the correction was not fitted to, in stated deviations; None without any.
     aspect: height over width of the unstretched sheet that explains what is seen; None where none does.
+    stands: whether what was seen bears the map out, also one that was kept as no other explains that better.
     support: for SIDES (strips.py), the probability that an edge lies where the map puts it (edge_paths.py); None where
         that was not looked at.
     """
@@ -87,11 +88,12 @@ class Refinement:
     edges: int = 0
     held_out: float | None = None
     aspect: float | None = None
+    stands: bool = False
     support: Float[np.ndarray, " 4"] | None = None
 
     @property
     def believed(self) -> bool:
-        """Whether what was found was taken for better than the map that it started from."""
+        """Whether what was found is another map, and taken for better than the one that it started from."""
         return self.expected_px is not None
 
 
@@ -121,18 +123,23 @@ def refine(
     backward = coarse
     if changed:
         rows, columns = (max(33, n) for n in coarse.nodes.shape[:2])
-        backward = course.displacement.composed(course.scene.coarse, (rows, columns))
+        fine = (rows, columns) != course.film.nodes.shape[:2]
+        backward = course.displacement.composed(course.scene.coarse, (rows, columns)) if fine else course.film
     aspect = None if course.sheet is None else float(np.exp(-course.sheet.sheet.log_aspect))
-    told = phases_along(course.scene, course.displacement)
-    reading = read_view(half_view(course.scene, course.displacement), course.layout, told, config, aspect)
+    told = phases_along(course.scene, course.film)
+    reading = read_view(course.half_view, course.layout, told, config, aspect)
     share = _expected_share(course)
-    grid = course.layout.slice_grid(reading, backward, share if course.believed else np.inf)
+    grid = course.layout.slice_grid(reading, course.film, share if course.believed else np.inf)
+    if grid is not None and is_bent and not changed:  # it was seen through a map that is not believed
+        vertices = np.clip(_film_of(grid.vertices_photo, backward, grid.vertices), 0.0, 1.0)
+        grid = replace(grid, vertices=vertices, vertices_photo=backward.photo_from_film(vertices))
     watch.lap("grid")
-    about_sheet = UNSTRETCHED[course.sheet is not None] if config.sheet_rounds else NOT_TRIED
+    bound = changed and course.sheet is not None
+    about_sheet = UNSTRETCHED[bound] if config.sheet_rounds else NOT_TRIED
     stages = (
         StageReport("outline", course.edges > 0, f"{course.edges} of 4 edges", watch["outline"]),
         StageReport("grid", grid is not None, course.layout.reason(reading), watch["grid"]),
-        StageReport("sheet", course.sheet is not None, about_sheet, watch["sheet"]),
+        StageReport("sheet", bound, about_sheet, watch["sheet"]),
         StageReport("spline", changed, course.verdict, watch["spline"]),
     )
     return Refinement(
@@ -143,7 +150,15 @@ def refine(
         edges=course.edges,
         held_out=course.after,
         aspect=aspect if changed else None,
+        stands=course.believed,
     )
+
+
+def _film_of(
+    points: Float[np.ndarray, "r c 2"], film: BackwardMap, near: Float[np.ndarray, "r c 2"]
+) -> Float[np.ndarray, "r c 2"]:
+    """Film coordinates, by a map, of photo points whose coordinates are known nearly."""
+    return film.film_near(points.reshape(-1, 2), near.reshape(-1, 2)).reshape(near.shape)
 
 
 def _course(begun: Progress, config: RefineConfig, watch: Stopwatch) -> Course | None:
@@ -201,7 +216,7 @@ def _expected_share(course: Course) -> float:
             trend.constant
             + trend.apart * np.log(apart / 0.01)
             + trend.residual * np.log(np.clip(course.after, 0.4, 3.0))
-            + trend.unseen * (not layout.settled)
+            + trend.unseen * (not layout.has_cells)
             + trend.whole * whole
             + trend.sheet * (course.sheet is not None)
         )

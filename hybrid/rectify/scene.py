@@ -12,7 +12,7 @@ from hybrid.backward import BackwardMap
 from hybrid.coords import film_centres_1d
 from hybrid.film_view import FilmView, view_film
 from hybrid.rectify.cell_phases import AxisPhases, CellPhases
-from hybrid.rectify.sightings import Displacement, Sightings
+from hybrid.rectify.sightings import Sightings
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,23 +43,23 @@ def scene_of(
     return Scene(photo, cv2.cvtColor(photo, cv2.COLOR_RGB2GRAY), coarse, film_size, phases, edges)
 
 
-def view_of(scene: Scene, displacement: Displacement) -> FilmView:
-    """The flat grey film as the displaced map sees it."""
-    return _view(scene.grey, displacement.composed(scene.coarse), scene.film_size)
+def view_of(scene: Scene, film: BackwardMap) -> FilmView:
+    """The flat grey film as a map of it into the scene's photo sees it."""
+    return _view(scene.grey, film, scene.film_size)
 
 
-def half_view(scene: Scene, displacement: Displacement) -> FilmView:
+def half_view(scene: Scene, film: BackwardMap) -> FilmView:
     """The same at half the size, in a copy of the photo of half the size."""
     height, width = scene.grey.shape
     size = (max(1, width // 2), max(1, height // 2))
     grey = cv2.resize(scene.grey, size, interpolation=cv2.INTER_AREA)
-    small = displacement.composed(scene.coarse).cropped((0.0, 0.0), (size[0] / width, size[1] / height))
+    small = film.cropped((0.0, 0.0), (size[0] / width, size[1] / height))
     return _view(grey, small, (scene.film_size[0] // 2, scene.film_size[1] // 2))
 
 
-def phases_along(scene: Scene, displacement: Displacement) -> tuple[AxisPhases, AxisPhases] | None:
-    """What the network tells of the cells along u and v, through the displaced map; None where it tells nothing."""
-    return None if scene.phases is None else scene.phases.inside(displacement.composed(scene.coarse)).axes()
+def phases_along(scene: Scene, film: BackwardMap) -> tuple[AxisPhases, AxisPhases] | None:
+    """What the network tells of the cells along u and v, through a map; None where it tells nothing."""
+    return None if scene.phases is None else scene.phases.inside(film).axes()
 
 
 def _view(grey: UInt8[np.ndarray, "h w"], film: BackwardMap, size: tuple[int, int]) -> FilmView:

@@ -29,9 +29,9 @@ class SheetConfig:
     """Knot intervals of the surface along each film axis: while it is far from its place, and at last."""
     steps: tuple[int, int, int] = (12, 8, 15)
     """Most Gauss-Newton steps on each, and with what is printed."""
-    settled: float = 6e-3
+    settled: float = 2e-2
     """Steps that lower the cost by less than this part are the last."""
-    every: tuple[int, int] = (4, 2)
+    every: tuple[int, int] = (8, 4)
     """Of the points of an edge or a line, and of the cells' windows, one of so many counts: they are correlated."""
     edge_px: float = 0.7
     """Standard deviation of an edge's place."""

@@ -121,9 +121,11 @@ class Displacement:
 
 def carried(sightings: Sequence[Sightings], before: BackwardMap, after: BackwardMap) -> tuple[Sightings, ...]:
     """Sightings made through one map, as if they had been made through another that is near (Newton's method)."""
-    if after is before:
+    if after is before or not sightings:
         return tuple(sightings)
-    return tuple(replace(s, seen=after.film_near(before.photo_from_film(s.seen), s.seen)) for s in sightings)
+    seen = np.concatenate([s.seen for s in sightings])
+    moved = np.split(after.film_near(before.photo_from_film(seen), seen), np.cumsum([len(s) for s in sightings])[:-1])
+    return tuple(replace(s, seen=part) for s, part in zip(sightings, moved, strict=True))
 
 
 @lru_cache(maxsize=4)

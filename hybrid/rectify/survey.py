@@ -59,10 +59,12 @@ class Decision:
 
 @dataclass(frozen=True)
 class Verdict:
-    """How far a photo can be worked on: OK or the status that ends the work, with the evidence."""
+    """How far a photo can be worked on: OK or the status that ends the work, with the evidence, and what speaks against
+    it."""
 
     code: StatusCode
     reason: str
+    doubts: tuple[str, ...] = ()
 
     @property
     def ok(self) -> bool:
@@ -131,7 +133,7 @@ def survey_print(
     share = np.clip(detail / spread, -4.0, 4.0)
     skewness = float(np.mean(share * share * share))  # a general power takes ten times as long
     if skewness < config.min_skewness:
-        return Verdict(StatusCode.NO_FILM, f"dark type on a bright sheet (skewness {skewness:.1f}): paper, not film")
+        return Verdict(StatusCode.PAPER, f"dark type on a bright sheet (skewness {skewness:.1f}): paper, not film")
     return Verdict(StatusCode.OK, f"bright print on a dark sheet (skewness {skewness:.1f})")
 
 

@@ -160,7 +160,7 @@ def expected_error_px(signs: Signs, config: TrustConfig | None = None) -> float:
         config.constant,
         config.overlap_before * _miss(signs.overlap_before),
         config.overlap_after * _miss(signs.overlap_after),
-        config.shift * float(np.log(signs.shift + 1e-4)),
+        config.shift * float(np.log(min(signs.shift, 1.0) + 1e-4)),
         config.held_out * float(np.log(np.clip(signs.held_out, 0.5, 8.0))),
         config.unlike * (1.0 - signs.alike),
         config.oblong * signs.oblong,
@@ -181,7 +181,7 @@ def film_verdict(signs: Signs, config: TrustConfig | None = None) -> Verdict:
     config = config or TrustConfig()
     if signs.flat:
         return Verdict(StatusCode.OK, f"the photo is the flat film itself: cells are alike to {signs.alike:.0%}")
-    limit = largest_error_px(signs.photo_px, config)
+    allowed = config.safety * largest_error_px(signs.photo_px, config)
     expected = expected_error_px(signs, config)
     doubts = [
         text
@@ -193,17 +193,17 @@ def film_verdict(signs: Signs, config: TrustConfig | None = None) -> Verdict:
             ("the network sees other cells", signs.grid and signs.in_step < config.min_in_step),
             ("cells are not alike", signs.grid and signs.alike < config.min_alike),
             ("not corrected by what is seen on the film", not signs.corrected),
-            (f"more than {config.safety * limit:.1f} px", expected > config.safety * limit),
+            (f"{expected:.1f} px of error expected, {allowed:.1f} allowed", expected > allowed),
         )
         if doubtful
     ]
     evidence = (
-        f"{expected:.1f} px of error expected; mask and outline agree to {signs.overlap_before:.1%} before and "
+        f"expected to be off by {expected:.1f} px; mask and outline agree to {signs.overlap_before:.1%} before and "
         f"{signs.overlap_after:.1%} after refinement, edges read as such to {signs.support:.0%} at least, "
         f"cells are alike to {signs.alike:.0%} and agree with what the network sees to {signs.in_step:.0%}"
     )
     if doubts:
-        return Verdict(StatusCode.UNSURE, f"{', '.join(doubts)}: {evidence}")
+        return Verdict(StatusCode.UNSURE, f"{', '.join(doubts)}: {evidence}", tuple(doubts))
     return Verdict(StatusCode.OK, evidence)
 
 
