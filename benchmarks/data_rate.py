@@ -52,7 +52,8 @@ PARTS: dict[str, tuple[str, ...]] = {
     "truth": ("_glare", "_albedo", "_uncovered", "view_parameters"),
     "write": ("sample_bytes", "write_shard"),
 }
-"""Functions whose time, with all that they call, is a part; none is called within another."""
+"""Functions whose time, with all that they call, is a part. Hardly any is called within another: ``put_over`` and
+``at_photo_scale`` are, for less than a hundredth of the time."""
 
 
 @dataclass(frozen=True)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import platform
 import subprocess
 import sys
 from datetime import UTC, datetime
+from functools import cache
 from importlib import metadata
 from pathlib import Path
 from typing import Any, Literal
@@ -59,13 +61,22 @@ def _relative(word: str) -> str:
     return f"{option}{equals}{shown}"
 
 
+@cache
 def commit() -> str | None:
-    """The commit that the code is at, '+changes' where the working tree differs; None outside a repository."""
+    """The commit that this process's code is at, with a digest of what is changed since; None outside a repository.
+
+    It is asked for once: what a process runs it has loaded by then, and others may go on working on the tree.
+    """
     head = _git("rev-parse", "--short=12", "HEAD")
-    if head is None:
-        return None
-    changed = _git("status", "--porcelain", "--untracked-files=no")
-    return f"{head}+changes" if changed else head
+    changed = None if head is None else _git("diff", "HEAD")
+    return f"{head}+changes.{hashlib.sha256(changed.encode()).hexdigest()[:8]}" if changed else head
+
+
+def digest_of(*paths: Path | None) -> str:
+    """A short digest of the contents of files and folders; empty without any."""
+    files = [file for path in paths if path is not None for file in ([path] if path.is_file() else path.rglob("*"))]
+    contents = [file.read_bytes() for file in sorted(files) if file.is_file()]
+    return hashlib.sha256(b"".join(hashlib.sha256(c).digest() for c in contents)).hexdigest()[:8] if contents else ""
 
 
 def _git(*arguments: str) -> str | None:
@@ -142,4 +153,4 @@ def threads() -> dict[str, int | str | None]:
     }
 
 
-__all__ = ["commit", "describe_run", "memory_mib", "relative_command", "shown_sources", "use_threads"]
+__all__ = ["commit", "describe_run", "digest_of", "memory_mib", "relative_command", "shown_sources", "use_threads"]

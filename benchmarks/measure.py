@@ -17,7 +17,7 @@ from jaxtyping import Float
 
 from benchmarks.cases import Case, read_alike
 from benchmarks.machine import memory_mib, use_threads
-from benchmarks.methods import Flattened, Method, flattened
+from benchmarks.methods import Flattened, Method, flattened, photo_of_case
 from benchmarks.photos import load_photo
 from benchmarks.results import FilmScore, Forward, Measured, Memory
 from benchmarks.scores import score_map
@@ -108,11 +108,12 @@ def _call_once(
     load: Callable[[], Case], make: Callable[[], Method], megapixels: float, threads: int, answer: Connection
 ) -> None:
     use_threads(threads)
-    case = load().at(megapixels)
-    photo = case.photo()
+    case = load().at(megapixels).in_memory()
+    photo, size = case.photo(), case.film_size()
     before = memory_mib("VmRSS")
     method = make()
-    flattened(method, method.given(case), photo, case.film_size())
+    given = photo if method.given is photo_of_case else method.given(case)
+    flattened(method, given, photo, size)
     peak = memory_mib("VmHWM")
     answer.send(None if before is None or peak is None else Memory(method.name, megapixels, peak, peak - before))
 

@@ -13,7 +13,7 @@ from hybrid.mesh.forces import gravity
 from hybrid.mesh.loads import Loads
 from hybrid.mesh.material import STANDARD_GRAVITY, FilmMaterial
 from hybrid.mesh.network import MassSpring, clamped, mass_spring
-from hybrid.mesh.solver import Frame, SettleConfig, at_rest, settle
+from hybrid.mesh.solver import SettleConfig, at_rest, settle
 
 SZE_TIP = {0.05: (0.026, 0.663), 0.5: (1.604, 4.933), 1.0: (3.286, 6.698)}
 """Share of the full load (P L^2 / (E I) = 4): shortening U and deflection W of a cantilever of length 10, end shear
@@ -102,8 +102,3 @@ def sheared_cantilever(share: float, cells: int) -> TipError:
     shortening, deflection = SZE_TIP[share]
     error = max(abs(10.0 - tip[0] - shortening), abs(tip[2] - deflection)) / 10.0
     return TipError(share, cells, float(error), frame.max_strain)
-
-
-def settled(frame: Frame) -> bool:
-    """Whether a rest shape was found."""
-    return frame.status.name != "UNCONVERGED"

@@ -46,8 +46,8 @@ def size_section(report: Report, megapixels: float) -> str:
     """All methods at one size, as a table."""
     rows = rows_of(report, megapixels)
     floor = next((row for row in rows if row.method.name == FLOOR), None)
-    head = ("", "photos", "lost", "error, px", "worst", "%", "distortion", "PSNR", "SSIM", "MS-SSIM", "film, dB")
-    head += ("seconds", "processor s", "times the floor", "output, MP")
+    head = ("", "photos", "lost", "upright", "error, px", "worst", "%", "distortion", "PSNR", "SSIM", "MS-SSIM")
+    head += ("film, dB", "seconds", "processor s", "times the floor", "output, MP")
     shown = [_cells(row, floor) for row in rows if row.method.name not in CONFIGURATIONS]
     return f"### {megapixels:g} megapixels\n\n" + table(head, shown)
 
@@ -59,6 +59,7 @@ def _cells(row: Row, floor: Row | None) -> list[str]:
         row.method.label,
         str(row.photos),
         row.method.unscored or str(row.lost),
+        f"{row.up} of {row.photos - row.lost}" if row.method.says_up and not row.method.unscored else "-",
         number(row.error, 2),
         number(row.worst_px, 2),
         number(f.get("end_point_percent"), 2),
@@ -106,7 +107,7 @@ def duel_text(found: Sequence[Duel]) -> str:
         at, rival = {d.megapixels: d for d in of_rival}, of_rival[0].rival
         times = (f"{at[size].faster:.2g} ({at[size].cheaper:.2g})" if size in at else "-" for size in sizes)
         near = ", ".join(f"{d.closer:.2g}" for d in of_rival if d.closer is not None)
-        nearer, both = sum(d.nearer for d in of_rival), sum(d.both for d in of_rival)
+        nearer, both = of_rival[0].nearer, of_rival[0].both  # larger photos are the same ones scaled up
         rows.append([rival.label, *times, rival.unscored or near or "-", f"{nearer} of {both}" if both else "-"])
     head = (f"`{found[0].method.label}` against" if found else "against", *(f"times as fast, {s:g} MP" for s in sizes))
     return table((*head, "times as near to the truth", "photos on which it is nearer"), rows)
@@ -121,6 +122,7 @@ def losses_text(report: Report) -> str:
         lost = [duel for duel in duels(report, rivals_of(report), name) if duel.lost]
         lines += [_losses(of_rival) for of_rival in _by_rival(lost)]
         lines += _lost_kinds(report, name)
+        lines += _lost_films(report, name)
     if not lines:
         return "Nothing: it is faster than every rival, and nearer to the truth wherever two errors can be compared."
     return "\n".join(lines)
@@ -145,6 +147,17 @@ def _losses(found: Sequence[Duel]) -> str:
         times, sizes = ", ".join(f"{t:.2g}" for _, t in further), ", ".join(f"{s:g}" for s, _ in further)
         said.append(f"{times} times its error at {sizes} MP")
     return f"- `{found[0].method.label}` against {found[0].rival.label}: {'; '.join(said)}"
+
+
+def _lost_films(report: Report, name: str) -> list[str]:
+    """Films that a method did not find, or did not put upright, at the first size."""
+    rows = [row for row in rows_of(report, report.settings.sizes[0]) if row.method.name == name]
+    told = []
+    for row in rows:
+        turned = row.photos - row.lost - row.up if row.method.says_up else 0
+        if row.lost or turned:
+            told.append(f"- `{row.method.label}`: of {row.photos} films {row.lost} not found, {turned} not upright")
+    return told
 
 
 def _lost_kinds(report: Report, name: str) -> list[str]:

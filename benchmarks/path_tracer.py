@@ -1,7 +1,7 @@
 """A film scene handed to Mitsuba 3: the mesh, the thin sheet's BSDF, lamps, room and camera; and its linear radiance.
 
 The BSDF is written a second time here, in Mitsuba's own terms (its microfacet distribution and Fresnel equations), so
-that only the equations of data_gen/shade.py are common to both. Needs the extra ``bench`` and LLVM 16 or newer, which
+that only the equations of data_gen/shade.py are common to both. Needs the extra ``bench`` and LLVM 17 or newer, which
 Mitsuba loads (15 fails on some processors: "Cannot select fminimum"); DRJIT_LIBLLVM_PATH names its library if need be.
 """
 

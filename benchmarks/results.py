@@ -98,7 +98,10 @@ class CaseNote:
 
 @dataclass(frozen=True)
 class Settings:
-    """What decides the figures; results made with others are not put together."""
+    """What decides the figures; results made with others are not put together.
+
+    weights: their folder, and a digest of its contents and of the files of added methods.
+    """
 
     sizes: tuple[float, ...]
     counts: tuple[int, ...]

@@ -21,7 +21,7 @@ from tqdm import tqdm
 from benchmarks.cases import Case, photo_cases, sample_cases
 from benchmarks.command import run_command
 from benchmarks.lineup import CONFIGURATIONS, lineup
-from benchmarks.machine import commit, describe_run, shown_sources, use_threads
+from benchmarks.machine import commit, describe_run, digest_of, shown_sources, use_threads
 from benchmarks.measure import forward_times, measure, peak_memory
 from benchmarks.methods import Method
 from benchmarks.own_photos import make_photos
@@ -124,7 +124,7 @@ class Options:
 def run(options: Options, command: list[str]) -> Report:
     """Measure what is not measured yet; write and return the report."""
     settings = _settings(options)
-    keep_settings(options.out / "settings.json", settings)
+    keep_settings(options.out / "run_settings.json", settings)
     cases = load_cases(options)
     methods = make_methods(options)
     measured = tuple(_all_measured(options, methods, cases))
@@ -183,7 +183,8 @@ def make_methods(options: Options) -> dict[str, Method]:
 
 
 def _settings(options: Options) -> Settings:
-    source, weights = shown_sources(options.photos, *options.data), shown_sources(options.weights)
+    source = shown_sources(options.photos, *options.data)
+    weights = " ".join(filter(None, (shown_sources(options.weights), digest_of(options.weights, *options.add))))
     sizes, counts = options.sizes, options.counts
     return Settings(
         sizes, counts, options.repeats, options.threads, options.seed, source or "made for this", weights, commit()

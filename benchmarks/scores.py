@@ -14,7 +14,7 @@ from jaxtyping import Float, UInt8
 from benchmarks.cases import Case, read_alike
 from benchmarks.methods import Method
 from hybrid.backward import BackwardMap, Orientation, end_point_error
-from hybrid.coords import film_nodes, rescale_points
+from hybrid.coords import rescale_points
 from hybrid.metrics import PAPER_SIZE, ImageScores, PaperScores, image_scores, local_distortion, paper_protocol
 from hybrid.rectify.trust import REFERENCE_PX
 
@@ -66,7 +66,7 @@ def score_map(found: BackwardMap, true: BackwardMap, photo: UInt8[np.ndarray, "h
     """A map against the true one of the same photo; the inputs stay as they are."""
     size = (photo.shape[0], photo.shape[1])
     seen, way = read_alike(found, true)
-    errors = end_point_error(seen, true.photo_from_film(film_nodes(LATTICE)))
+    errors = end_point_error(seen, true.lattice(LATTICE))
     to_reference = REFERENCE_PX / max(size)
     return MapScore(
         end_point_px=float(errors.mean()) * to_reference,

@@ -279,8 +279,32 @@ def run(options: Options, command: list[str]) -> dict[str, Any]:
     return figures
 
 
+BOUNDS: dict[str, tuple[tuple[str, Callable[[Any], bool]], ...]] = {
+    "hanging_sheet": (("max_strain", lambda x: x < 1e-4), ("drift_rad", lambda x: x < 0.01)),
+    "elastica": (("max_error", lambda x: x < 0.02), ("falls_with_refinement", bool)),
+    "sze": (("max_error", lambda x: x < 0.02),),
+    "developability": (("shrinks", bool),),
+    "determinism": (("identical", bool),),
+    "stress": (("failures", lambda x: x == 0),),
+}
+"""What has to hold of the figures of each check."""
+
+
+def broken_bounds(figures: dict[str, Any]) -> list[str]:
+    """The figures that are out of bounds, of those checks that were made."""
+    return [
+        f"{check}.{name}: {figures[check][name]}"
+        for check, bounds in BOUNDS.items()
+        if check in figures
+        for name, holds in bounds
+        if not holds(figures[check][name])
+    ]
+
+
 def _verdict(figures: dict[str, Any]) -> int:
-    return 0 if figures.get("stress", {}).get("failures", 0) == 0 else 2
+    broken = broken_bounds(figures)
+    print("\n".join(f"out of bounds: {one}" for one in broken) or "all bounds are kept")
+    return 2 if broken else 0
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -82,9 +82,11 @@ def soak(
 
 def digest(result: RectifyResult) -> str:
     """Of every bit of a result, but not of its run times."""
-    arrays = [result.film, result.rectified, result.glare, result.confidence]
+    arrays = [result.film, result.rectified, result.glare, result.covered, result.confidence]
     arrays += [None if result.backward is None else result.backward.nodes]
-    hashed = hashlib.sha256(str(result.status).encode())
+    arrays += [None] * 2 if result.grid is None else [result.grid.vertices, result.grid.vertices_photo]
+    told = (result.status, result.orientation, result.upright_probability, result.expected_error_px, result.limit_px)
+    hashed = hashlib.sha256(repr((told, result.grid and result.grid.confidence)).encode())
     for array in arrays:
         hashed.update(b"none" if array is None else np.ascontiguousarray(array).tobytes())
     return hashed.hexdigest()

@@ -34,7 +34,8 @@ def note_of(case: Case) -> CaseNote:
     if shard.has("normal"):
         normal = shard.field("normal", k)
         bend = _bend_deg(normal[np.isfinite(normal).all(axis=-1)])
-    return CaseNote(case.name, style, known, bend, coverage, (height, width))
+    grid = f"{record['rows']}x{record['cols']}" if {"rows", "cols"} <= set(record) else ""
+    return CaseNote(case.name, style, known, bend, coverage, (height, width), grid)
 
 
 def _coverage(outline: Float[np.ndarray, "n 2"], size: tuple[int, int]) -> float:

@@ -13,7 +13,7 @@ import pytest
 
 from benchmarks.cases import Case, photo_cases
 from benchmarks.machine import describe_run, relative_command
-from benchmarks.measure import measure
+from benchmarks.measure import measure, peak_memory
 from benchmarks.methods import Method, of_rectifier
 from benchmarks.photos import load_photo, load_photos
 from benchmarks.traits import note_of
@@ -174,3 +174,18 @@ def test_real_photos_are_read() -> None:
         assert not truth.backward.folds()
     scores = truths[0].read().shape, truths[0].read_print().shape
     assert scores[0] == (1080, 1080, 3)
+
+
+def _empty_case() -> Case:
+    return Case("empty", Path("none"), true_map(), held=np.zeros((3000, 4000, 3), np.uint8))
+
+
+def _idle() -> Method:
+    return Method("idle", lambda photo: None)
+
+
+def test_the_photo_is_not_counted_as_a_methods_memory() -> None:
+    found = peak_memory(_empty_case, _idle, 12.0, threads=1)
+    if found is None:
+        pytest.skip("the system does not tell how much memory a process takes")
+    assert found.own_mib < 8

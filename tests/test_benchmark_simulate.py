@@ -3,7 +3,7 @@
 import json
 
 from benchmarks.recipe_picture import TILE_PX, contact_sheet, picture_of
-from benchmarks.simulate import developability, main, recipe_frames, speed
+from benchmarks.simulate import BOUNDS, broken_bounds, developability, main, recipe_frames, speed
 
 
 def test_the_command_writes_the_keys_it_promises(tmp_path):
@@ -16,6 +16,24 @@ def test_the_command_writes_the_keys_it_promises(tmp_path):
     assert figures["stress"]["scenes"] == 3
     assert figures["stress"]["failures"] == 0
     assert "benchmarks.simulate" in figures["run"]["command"]
+
+
+def test_a_bound_that_is_broken_fails_the_command():
+    """Whatever else is right: every bound counts, and only those of the checks that were made."""
+    right = {
+        "hanging_sheet": {"max_strain": 1e-6, "drift_rad": 1e-4},
+        "elastica": {"max_error": 1e-3, "falls_with_refinement": True},
+        "sze": {"max_error": 1e-3},
+        "developability": {"shrinks": True},
+        "determinism": {"identical": True},
+        "stress": {"failures": 0},
+    }
+    assert broken_bounds(right) == []
+    assert broken_bounds({"determinism": {"identical": True}}) == []
+    for check, bounds in BOUNDS.items():
+        for name, _ in bounds:
+            wrong = {"max_strain": 1.0, "drift_rad": 3.0, "max_error": 0.9, "failures": 1}.get(name, False)
+            assert broken_bounds(right | {check: right[check] | {name: wrong}}) == [f"{check}.{name}: {wrong}"]
 
 
 def test_speed_says_where_the_time_goes():

@@ -231,7 +231,15 @@ def test_soak_counts_what_differs() -> None:
 
     memory, seconds, different = soak(rectify, [ramp(), ramp()[::2]], 40)
     assert (len(seconds), len(memory), different) == (40, 36, 1)
-    assert digest(Says()(ramp())) != digest(refuses(ramp()))
+    result = Says()(ramp())
+    assert digest(result) != digest(refuses(ramp()))
+    covered = np.zeros(result.film.shape, bool)
+    for change in (
+        {"expected_error_px": 9.0},
+        {"upright_probability": 0.1},
+        {"covered": covered},
+    ):
+        assert digest(replace(result, **change)) != digest(result)
 
 
 def test_growth_and_drift() -> None:
