@@ -23,7 +23,8 @@ from hybrid.rectify.grid import MAX_CELLS, GridConfig, line_votes, narrowed
 from hybrid.rectify.repeat import Repeats, autocorrelation, detail, highest
 
 SAME_PLACE = 0.012
-"""Grids of as many cells whose borders lie this near to each other are one, in film units."""
+"""Grids of as many cells, the first of which begin this near to each other, are one, in film units; so are the lines of
+one and the same grid that were read and fitted."""
 LEAST_PROBABILITY = 0.3
 """A grid less probable than this is none."""
 
