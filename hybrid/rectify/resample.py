@@ -96,7 +96,7 @@ def index_in_grid(
     origin, last = corners[0, 0], np.array(corners.shape[1::-1]) - 1
     slope = np.stack([(corners[0, -1] - origin) / last[0], (corners[-1, 0] - origin) / last[1]], axis=1)
     back = np.linalg.inv(slope).T
-    flat = points.reshape(1, -1, 2)
+    flat = points if points.ndim == 3 else points.reshape(1, -1, 2)  # OpenCV's rows are shorter than 32,767
     index = (flat - origin) @ back
     for _ in range(iterations):
         inside = np.clip(index, 0, last)

@@ -31,7 +31,7 @@ class SheetConfig:
     """Most Gauss-Newton steps on each, and with what is printed."""
     settled: float = 2e-2
     """Steps that lower the cost by less than this part are the last."""
-    every: tuple[int, int] = (8, 4)
+    every: tuple[int, int] = (4, 2)
     """Of the points of an edge or a line, and of the cells' windows, one of so many counts: they are correlated."""
     edge_px: float = 0.7
     """Standard deviation of an edge's place."""
