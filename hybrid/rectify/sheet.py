@@ -29,8 +29,11 @@ class SheetConfig:
     """Knot intervals of the surface along each film axis: while it is far from its place, and at last."""
     steps: tuple[int, int, int] = (12, 8, 15)
     """Most Gauss-Newton steps on each, and with what is printed."""
-    settled: float = 2e-2
+    settled: float = 6e-3
     """Steps that lower the cost by less than this part are the last."""
+    settled_near: float = 2e-2
+    """The same where a sheet has only to come near to a map, or begins at one that is near."""
+
     every: tuple[int, int] = (4, 2)
     """Of the points of an edge or a line, and of the cells' windows, one of so many counts: they are correlated."""
     edge_px: float = 0.7
@@ -66,6 +69,11 @@ class SheetConfig:
     """Standard deviation of the first radial distortion."""
     least_edges: int = 3
     """With fewer edges the sheet's shape is not determined."""
+
+    @property
+    def near(self) -> SheetConfig:
+        """The same options for such sheets."""
+        return replace(self, settled=self.settled_near)
 
 
 @dataclass(frozen=True)

@@ -62,7 +62,7 @@ def fit_sheet(
     problem = Problem(seen_through(through, sightings, frame, config), _target(near, frame), config.bending[0], config)
     try:
         if before is not None:
-            problem = replace(problem, bending=before.bending)
+            problem = replace(problem, bending=before.bending, config=config.near)
             return _result(minimised(problem, problem.begun(before.sheet), config.steps[2]), frame, sightings, problem)
         state, problem = _bent_either_way(problem, near, frame)
     except LinAlgError:
@@ -118,7 +118,7 @@ def _as_bent_as_needed(problem: Problem, start: State) -> tuple[State, Problem]:
 
 def _blind(problem: Problem, near: BackwardMap, frame: Frame) -> Problem:
     """The problem to come near to a map: of what is seen it knows nothing."""
-    config = replace(problem.config, network_px=1.0)
+    config = replace(problem.config.near, network_px=1.0)
     return Problem(seen_through(near, [NOTHING], frame, config), problem.target, config.bending[1], config)
 
 
