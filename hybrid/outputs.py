@@ -124,9 +124,9 @@ def warnings_of(result: RectifyResult) -> list[str]:
     if result.status.has_film and not result.status.ok:
         told.append(": ".join(["It may be off", "; ".join(result.status.doubts)]).removesuffix(": ") + ".")
     if result.upright_probability is not None and result.upright_probability < SURE_UPRIGHT:
-        chance = f"{result.upright_probability:.0%} probable"
-        turn = "--upright.turn 90 (or 0, 180, 270; --upright.mirror from behind) gives it otherwise"
-        told.append(f"It may lie on its side or mirrored: that it reads right as it is given is {chance}; {turn}.")
+        said = "; ".join(stage.reason for stage in result.stages if stage.name == "upright")
+        turn = "--upright.turn 90 (or 0, 180, 270; with --upright.mirror seen from behind) gives it otherwise"
+        told.append(f"It may lie on its side or mirrored: {said}. {turn}.")
     return told
 
 
