@@ -24,7 +24,7 @@ from hybrid.coords import film_centres, film_nodes, pixel_centres
 from hybrid.draw import resized
 from hybrid.effort import RectifyConfig
 from hybrid.pipeline import Rectifier
-from hybrid.records import RectifyResult, Status, StatusCode
+from hybrid.records import RectifyResult, StatusCode
 from hybrid.rectify.film_size import FilmSizeConfig
 from hybrid.rectify.trust import TrustConfig
 
