@@ -72,7 +72,13 @@ def commit() -> str | None:
     return f"{head}+changes.{hashlib.sha256(changed.encode()).hexdigest()[:8]}" if changed else head
 
 
-def digest_of(*paths: Path | None) -> str:
+def shown_contents(shown: Path | None, *unnamed: Path) -> str:
+    """A file or folder as ``shown_sources`` has it, and a digest of its contents and of further files, whose names
+    decide nothing; empty without any."""
+    return " ".join(filter(None, (shown_sources(shown), _digest_of(shown, *unnamed))))
+
+
+def _digest_of(*paths: Path | None) -> str:
     """A short digest of the contents of files and folders; empty without any."""
     files = [file for path in paths if path is not None for file in ([path] if path.is_file() else path.rglob("*"))]
     contents = [file.read_bytes() for file in sorted(files) if file.is_file()]
@@ -153,4 +159,4 @@ def threads() -> dict[str, int | str | None]:
     }
 
 
-__all__ = ["commit", "describe_run", "digest_of", "memory_mib", "relative_command", "shown_sources", "use_threads"]
+__all__ = ["commit", "describe_run", "memory_mib", "relative_command", "shown_contents", "shown_sources", "use_threads"]

@@ -26,7 +26,7 @@ from tqdm import tqdm
 from benchmarks.cases import Case, read_alike, sample_cases
 from benchmarks.command import run_command
 from benchmarks.damage import CUT_OFF, Damaged, cut_file, damaged, visible_error_px
-from benchmarks.machine import commit, describe_run, digest_of, shown_sources, use_threads
+from benchmarks.machine import commit, describe_run, shown_contents, shown_sources, use_threads
 from benchmarks.own_photos import make_photos
 from benchmarks.problems import PROBLEMS, ended, part_of
 from benchmarks.schema import keep_settings, kept, write_record
@@ -110,8 +110,7 @@ def run(options: Options, command: list[str]) -> StabilityReport:
         ConfigError: the results in ``options.out`` were made with other settings, or at another commit.
     """
     source = shown_sources(*options.data) or "made for this"
-    weights = " ".join(filter(None, (shown_sources(options.weights), digest_of(options.weights))))
-    settings = StressSettings(options.seed, options.threads, source, weights, commit())
+    settings = StressSettings(options.seed, options.threads, source, shown_contents(options.weights), commit())
     keep_settings(options.out / "stability_settings.json", settings)
     parts = tuple(_part(options, name) for name in PROBLEMS) if options.problems else ()
     report = StabilityReport(describe_run(command), options.seed, TRUTHFUL_PX, parts, tuple(_photos(options)))

@@ -138,9 +138,9 @@ def _photos(films: Iterator[list[bytes]], count: int, bar: Any) -> Iterator[byte
 
 def _options(config: GenerateConfig, names: dict[str, list[str]]) -> dict[str, Any]:
     """What dataset.json says besides the count: all that decides the bytes, and no path of this machine."""
-    sample = asdict(config.sample_config())
-    sources = described_sources(config.sample_config().sources, names)
-    del sample["sources"]
+    made_of = config.sample_config()
+    sources = described_sources(made_of.sources, names)
+    sample = {name: value for name, value in asdict(made_of).items() if name != "sources"}
     return deciding(seed=config.seed, shard_size=config.shard_size, sources=sources, sample=sample)
 
 

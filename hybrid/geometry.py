@@ -231,8 +231,8 @@ def _exact(
             return first
         found = [first, *map(exactly, sides)]
         surest = as_sure(found)
-        counts = f"the middle of the {len(surest)} that are surest" if surest[1:] else "the surest"
-        counts = counts if surest else "the first, as none is believed"
+        one = "the surest" if surest else "the first, as none is believed"
+        counts = f"the middle of the {len(surest)} that are surest" if surest[1:] else one
         report.reason = f"from each of {len(found) - 1} sides: {counts}"
         return middle(surest) if surest else first
 

@@ -122,7 +122,7 @@ def warnings_of(result: RectifyResult) -> list[str]:
     """What a person should look at: why the film is not sure, and whether it may read wrong."""
     told = []
     if result.status.has_film and not result.status.ok:
-        told.append(": ".join(["It may be off", "; ".join(result.status.doubts)]).removesuffix(": ") + ".")
+        told.append(": ".join(filter(None, ("It may be off", "; ".join(result.status.doubts)))) + ".")
     if result.upright_probability is not None and result.upright_probability < SURE_UPRIGHT:
         said = "; ".join(stage.reason for stage in result.stages if stage.name == "upright")
         turn = "--upright.turn 90 (or 0, 180, 270; with --upright.mirror seen from behind) gives it otherwise"
@@ -239,10 +239,9 @@ def write_result(
     """Write everything that the result holds, named after the first photo; the JSON says when the rest is complete.
 
     paths: of the photos that it was made of; ``photo`` is the first. suffix: of the name. made: of how it was made, for
-    the JSON. What is there of other photos
-    is left alone. Files that an earlier run over the same photos left and this one does not make (slices of another
-    grid) are removed, once the new ones are there; where this one finds no film they stay, and the JSON names them
-    ("earlier_files").
+    the JSON. What is there of other photos is left alone. Files that an earlier run over the same photos left and this
+    one does not make (slices of another grid) are removed, once the new ones are there; where this one finds no film
+    they stay, and the JSON names them ("earlier_files").
     """
     about = photo_record(paths)
     name, known = reserved(out, f"{paths[0].stem}{suffix}", about)

@@ -49,9 +49,9 @@ class Feed:
     """Data for one kind of network.
 
     open: the places (samples, or prints) of some folders. split: those to be tested on, at least so many, and those to
-    be trained on, which share nothing with them. batch: images and targets of some places for an input of so
-    many pixels, each disturbed by its own random numbers. test: figures of a network on places that it was not trained
-    on, by name. picture: the network on some of these places, drawn; None where there is nothing to draw.
+    be trained on, which share nothing with them. batch: images and targets of some places for an input of so many
+    pixels, each disturbed by its own random numbers. test: figures of a network on places that it was not trained on,
+    by name. picture: the network on some of these places, drawn; None where there is nothing to draw.
     """
 
     open: Callable[[Sequence[Path]], list[Any]]
@@ -140,12 +140,12 @@ def paper_feed(nodes: Callable[[int], int], inputs: Callable[[Tensor, Any], Tens
     def test(network: nn.Module, places: Sequence[Any], px: int, device: str) -> dict[str, float]:
         """Mean distance, over the film, from the true uv (in % of the film) and from the true backward map (in % of
         the photo), where the network predicts them."""
-        rng, rows = np.random.default_rng(0), []
+        rng, rows, sizes = np.random.default_rng(0), [], []
         for part in _test_batches(places):
             images, targets = paper_batch(part, PaperView(px, nodes(px)), [rng] * len(part), _UNDISTURBED)
             output = network(inputs(images.to(device), targets.to(device)))
             rows.append(_paper_scores(output, targets))
-        sizes = [len(part) for part in _test_batches(places)]
+            sizes.append(len(part))
         return {name: float(np.average([row[name] for row in rows], weights=sizes)) for name in rows[0]}
 
     @torch.inference_mode()
