@@ -28,7 +28,7 @@ class FuseOptions(PhotoOptions):
 
 def run(arguments: list[str]) -> int:
     """Parse the command line and fuse; 0 if the photos gave a film."""
-    options = parse(FuseOptions, arguments, "hybrid fuse", RectifyConfig.of)
+    options = parse(FuseOptions, PhotoOptions, arguments, "hybrid fuse", RectifyConfig.of)
     if len(options.photos) < 2:
         told = "name two or more photos of one film, for example: hybrid fuse a.jpg b.jpg -o out"
         print(f"hybrid fuse: {told}", file=sys.stderr)

@@ -44,15 +44,17 @@ class PhotoOptions:
     """Tell what each stage saw, and how long it took."""
 
 
-def parse(kind: type[Options], arguments: list[str], prog: str, config_of: Callable[[Any], Any]) -> Options:
+def parse(
+    kind: type[Options], few: type[PhotoOptions], arguments: list[str], prog: str, config_of: Callable[[Any], Any]
+) -> Options:
     """The options that the arguments give; help and whatever is not named show those of the effort that is.
 
-    kind: ``PhotoOptions`` with a further field ``config``. config_of: the configuration of an effort; an effort that it
-    does not know is told as any wrong option is.
+    kind: ``few``, which the shorter help shows, with a further field ``config``. config_of: the configuration of an
+    effort; one that it does not know is told as any wrong option is.
     """
     if {"-h", "--help"} & set(arguments):
         more = f"{inspect.getdoc(kind)}\n\nThe options of all stages: {prog} {ALL}."
-        tyro.cli(PhotoOptions, args=["--help"], prog=prog, description=more, default=PhotoOptions(photos=()))
+        tyro.cli(few, args=["--help"], prog=prog, description=more, default=few(photos=()))
     first = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
     first.add_argument("--effort", nargs="?", default="default")
     effort = first.parse_known_args(arguments)[0].effort

@@ -4,18 +4,33 @@ from __future__ import annotations
 
 import sys
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Annotated
 
 import tyro
 from tqdm import tqdm
 
 from hybrid.cli_options import PhotoOptions, made_by, parse
+from hybrid.errors import ConfigError, describe
 from hybrid.outputs import is_result, rectify_files
 from hybrid.pipeline import Rectifier, RectifyConfig
 
 
 @dataclass(frozen=True)
-class RectifyOptions(PhotoOptions):
+class FewOptions(PhotoOptions):
+    """Those of ``PhotoOptions``, and how the photos are shared out."""
+
+    workers: int = 1
+    """Processes that share the photos: on two cores, two take little over half the time of one, and twice the memory
+    (each about 0.7 GB for photos of 12 megapixels)."""
+
+    def __post_init__(self) -> None:
+        if self.workers < 1:
+            raise ConfigError(describe(what="--workers", got=self.workers, allowed="1 or more", do="Name how many."))
+
+
+@dataclass(frozen=True)
+class RectifyOptions(FewOptions):
     """Flatten photos of CT films.
 
     For each photo NAME this writes NAME_film.png (16 bit, light removed), NAME_confidence.png (white where the film can
@@ -30,7 +45,7 @@ class RectifyOptions(PhotoOptions):
 
 def run(arguments: list[str]) -> int:
     """Parse the command line and rectify; 0 if every photo gave a film."""
-    options = parse(RectifyOptions, arguments, "hybrid rectify", RectifyConfig.of)
+    options = parse(RectifyOptions, FewOptions, arguments, "hybrid rectify", RectifyConfig.of)
     photos = [path for path in options.photos if not is_result(path)]
     if len(photos) < len(options.photos):
         print(f"{len(options.photos) - len(photos)} of these files are left out: they are results of earlier runs")
@@ -41,11 +56,12 @@ def run(arguments: list[str]) -> int:
     outcomes = rectify_files(
         photos,
         options.out,
-        Rectifier(options.config),
+        partial(Rectifier, options.config),
         options.rectified_format,
         tqdm.write,
         made_by(options.effort, RectifyConfig.of(options.effort), options.config),
         options.verbose,
+        options.workers,
     )
     failed = [outcome for outcome in outcomes if not outcome.ok]
     if len(outcomes) > 1:

@@ -9,6 +9,7 @@ import time
 import traceback
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -21,6 +22,7 @@ from hybrid.draw import annotated, rgb_from_film, side_by_side
 from hybrid.errors import ConfigError, HybridError, describe
 from hybrid.image_io import read_photo, write_bytes, write_film, write_rgb
 from hybrid.records import RectifyResult, StageReport
+from hybrid.workers import shared_out
 
 Rectify = Callable[[np.ndarray], RectifyResult]
 Say = Callable[[str], Any]
@@ -47,23 +49,47 @@ class Outcome:
 def rectify_files(
     photos: Sequence[Path],
     out: Path,
-    rectify: Rectify,
+    make_rectify: Callable[[], Rectify],
     rectified_format: RectifiedFormat,
     say: Say,
     made: Mapping[str, Any] | None = None,
     verbose: bool = False,
+    workers: int = 1,
 ) -> list[Outcome]:
-    """Rectify photos one after the other into the folder ``out``; a bad photo is told, and the next one follows.
+    """Rectify photos into the folder ``out``; a bad photo is told, and the next one follows.
 
-    made: what goes into the JSON of how it was made. verbose: whether each stage is told, too.
+    made: what goes into the JSON of how it was made. verbose: whether each stage is told, too. workers: processes that
+    share the photos. Photos of one name are one task, so that they are numbered in their order.
     """
     make_folder(out)
-    outcomes = []
-    for path in tqdm(photos, desc="rectify", unit="photo", disable=len(photos) < 2):
-        outcome, told = _rectified(path, out, rectify, rectified_format, made or {}, verbose)
-        outcomes.append(outcome)
-        say(told)
-    return outcomes
+    named: dict[str, list[Path]] = {}
+    for path in photos:
+        named.setdefault(path.stem, []).append(path)
+    task = partial(_all_rectified, out, rectified_format, made or {}, verbose)
+    outcomes: dict[Path, Outcome] = {}
+    with tqdm(total=len(photos), desc="rectify", unit="photo", disable=len(photos) < 2) as bar:
+        for group, done in zip(
+            named.values(), shared_out(task, make_rectify, list(named.values()), workers), strict=True
+        ):
+            for path, (outcome, told) in zip(
+                group, done if isinstance(done, list) else _lost(group, done), strict=True
+            ):
+                outcomes[path] = outcome
+                say(told)
+                bar.update()
+    return [outcomes[path] for path in photos]
+
+
+def _all_rectified(
+    out: Path, rectified_format: RectifiedFormat, made: Mapping[str, Any], verbose: bool, rectify: Rectify,
+    paths: Sequence[Path],
+) -> list[tuple[Outcome, str]]:  # fmt: skip
+    return [_rectified(path, out, rectify, rectified_format, made, verbose) for path in paths]
+
+
+def _lost(paths: Sequence[Path], error: HybridError) -> list[tuple[Outcome, str]]:
+    """Outcomes of photos whose worker died, and what is said of them."""
+    return [(Outcome(path, False, str(error)), f"{path}\n  ERROR  {error}") for path in paths]
 
 
 def _rectified(

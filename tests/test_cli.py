@@ -176,6 +176,7 @@ def test_help_shows_what_most_need_and_help_all_every_option(capsys: pytest.Capt
     assert shown[0].count("\n") < 60
     assert "--help-all" in shown[0]
     assert "--upright.turn" in shown[1]
+    assert all("--workers" in text for text in shown)
 
 
 def test_a_film_is_turned_as_it_is_asked_for() -> None:
@@ -385,7 +386,7 @@ def test_no_photos_is_a_wrong_command_line(capsys: pytest.CaptureFixture[str]) -
 
 def test_output_folder_that_cannot_be(photo: Path) -> None:
     with pytest.raises(ConfigError, match=r"Nothing can be written there.*Name a folder"):
-        rectify_files([photo], photo / "out", StandIn(), "jpg", print)
+        rectify_files([photo], photo / "out", StandIn, "jpg", print)
 
 
 @pytest.mark.usefixtures("_stand_in")
@@ -394,6 +395,8 @@ def test_user_errors_are_one_line(photo: Path, capsys: pytest.CaptureFixture[str
     message = capsys.readouterr().err
     assert message.startswith("hybrid: Nothing can be written there")
     assert message.count("\n") == 1
+    assert cli.main(["rectify", str(photo), "--workers", "0"]) == 1
+    assert capsys.readouterr().err == "hybrid: --workers: got 0; allowed: 1 or more. Name how many.\n"
 
 
 # ---------------------------------------------------------------- the dispatcher

@@ -1,0 +1,59 @@
+"""Photos shared out among processes: results in order, whatever happens to a worker."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hybrid.errors import HybridError
+from hybrid.image_io import write_rgb
+from hybrid.outputs import rectify_files
+from hybrid.records import RectifyResult, Status, StatusCode
+from hybrid.workers import shared_out
+
+
+class Tool:
+    """Tells in which process it works."""
+
+    def __init__(self) -> None:
+        self.process = os.getpid()
+
+    def __call__(self, photo: np.ndarray) -> RectifyResult:
+        return RectifyResult(Status(StatusCode.NO_FILM), ())
+
+
+def work(tool: Tool, task: int) -> tuple[int, int]:
+    """Dies at negative tasks."""
+    if task < 0:
+        os._exit(1)
+    return tool.process, task
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_results_come_in_the_order_of_the_tasks(workers):
+    done = list(shared_out(work, Tool, range(6), workers))
+    assert [task for _, task in done] == list(range(6))
+    here = {process == os.getpid() for process, _ in done}
+    assert here == {workers == 1}
+
+
+def test_a_worker_that_dies_is_told_and_ends_nothing_else():
+    done = list(shared_out(work, Tool, [-1, 0, 1], 2))
+    assert len(done) == 3
+    assert isinstance(done[0], HybridError)
+    assert "--workers" in str(done[0])
+
+
+def test_photos_of_one_name_are_numbered_in_their_order(tmp_path: Path):
+    photos = [tmp_path / f"{k}" / name for k in range(3) for name in ("a.png", "b.png")]
+    for k, photo in enumerate(photos):
+        photo.parent.mkdir(exist_ok=True)
+        write_rgb(photo, np.full((8, 8, 3), 20 * k, np.uint8))
+    told: list[str] = []
+    outcomes = rectify_files(photos, tmp_path / "out", Tool, "jpg", told.append, workers=2)
+    assert [outcome.photo for outcome in outcomes] == photos
+    assert [outcome.files[-1].name for outcome in outcomes] == [
+        *("a.json", "b.json", "a_2.json", "b_2.json", "a_3.json", "b_3.json")
+    ]
+    assert len(told) == len(photos)
