@@ -21,8 +21,8 @@ class FewOptions(PhotoOptions):
     """Those of ``PhotoOptions``, and how the photos are shared out."""
 
     workers: int = 1
-    """Processes that share the photos: on two cores, two take little over half the time of one, and twice the memory
-    (each about 0.7 GB for photos of 12 megapixels)."""
+    """Processes that share the photos: many photos take two of them, on two cores, about two thirds of the time, and
+    twice the memory."""
 
     def __post_init__(self) -> None:
         if self.workers < 1:

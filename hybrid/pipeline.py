@@ -211,7 +211,7 @@ class Rectifier:
         if max(flat.valid.shape) < config.min_film_px:
             report.ran, report.reason = False, "left as it lies: writing this small cannot be read"
             return Orientation(0, False), None
-        chances = orientation_chances(self._reader, flat.image, config.prior)
+        chances = orientation_chances(self._reader, flat.image, config)
         way, report.reason = upright_way(chances, config)
         return way, float(chances[way.index])
 

@@ -16,6 +16,7 @@ from hybrid.learn.upright import (
     UprightConfig,
     UprightNet,
     UprightNetConfig,
+    joined,
     orientation_chances,
     upright_losses,
     upright_way,
@@ -81,7 +82,7 @@ def test_votes_turn_with_the_patches(way):
     """A patch that is moved as ``way.inverse`` says needs ``way`` more: whatever the weights, no way is favoured."""
     torch.manual_seed(0)
     network = UprightNet(UprightNetConfig()).eval()
-    patches = np.random.default_rng(0).normal(size=(2, 3, 32, 32)).astype(np.float32)
+    patches = np.random.default_rng(0).normal(size=(2, 3, 48, 48)).astype(np.float32)
     moved = np.stack([[way.moved(patch) for patch in film] for film in patches])
     with torch.no_grad():
         votes, after = (network(torch.from_numpy(some)).votes.numpy() for some in (patches, moved))
@@ -91,22 +92,42 @@ def test_votes_turn_with_the_patches(way):
         np.testing.assert_allclose(after[..., k], votes[..., whole], atol=1e-5)
 
 
+def votes_of(votes: torch.Tensor, alike: float) -> PatchVotes:
+    return PatchVotes(votes, torch.ones(votes.shape[:2], dtype=torch.bool), torch.tensor(alike))
+
+
 def test_losses_by_hand():
+    """Two patches that err together (alike 1) count as one, those that err apart (0) as two."""
     sure = torch.full((1, 2, 8), -50.0)
     sure[:, :, 3] = 0.0
-    right = upright_losses(PatchVotes(sure, torch.tensor(1.0)), torch.tensor([3]))
+    right = upright_losses(votes_of(sure, 0.0), torch.tensor([3]))
     assert [float(value) for value in right.values()] == pytest.approx([0, 0], abs=1e-6)
-    wrong = upright_losses(PatchVotes(sure, torch.tensor(0.5)), torch.tensor([1]))
-    assert {name: float(value) for name, value in wrong.items()} == pytest.approx({"patch": 50, "film": 50})
-    blind = upright_losses(PatchVotes(torch.full((1, 2, 8), -np.log(8.0)), torch.tensor(0.3)), torch.tensor([0]))
+    for alike, film in ((0.0, 100), (1.0, 50), (1 / 3, 75)):
+        wrong = upright_losses(votes_of(sure, alike), torch.tensor([1]))
+        assert {name: float(value) for name, value in wrong.items()} == pytest.approx({"patch": 50, "film": film})
+    blind = upright_losses(votes_of(torch.full((1, 2, 8), -np.log(8.0)), 0.3), torch.tensor([0]))
     assert [float(value) for value in blind.values()] == pytest.approx([np.log(8), np.log(8)])
+
+
+def test_empty_patches_do_not_count():
+    votes = torch.full((1, 3, 8), -np.log(8.0))
+    votes[0, 0, 1] = 0.0
+    alone = PatchVotes(votes, torch.tensor([[True, False, False]]), torch.tensor(0.5)).films
+    np.testing.assert_allclose(alone.softmax(dim=1), votes[:, 0].softmax(dim=1), atol=1e-6)
+    again = joined(
+        [PatchVotes(part, torch.tensor([[k == 0]]), torch.tensor(0.5)) for k, part in enumerate(votes.split(1, dim=1))]
+    )
+    np.testing.assert_array_equal(again.films, alone)
 
 
 def test_a_view_shows_the_prints_letters_upright():
     """A print of one sign again and again: its patches look like the sign as it reads."""
     sign = np.zeros((70, 70), np.uint8)
     cv2.putText(sign, "F", (22, 46), cv2.FONT_HERSHEY_SIMPLEX, 0.9, 230, 2, cv2.LINE_AA)
-    clean = PrintAugment((1200.0, 1201.0), (0.999, 1.001), 1e-9, 1e-9, (0.9, 0.91), 1e-9, 0.0, (0.25, 0.26), 1e-9)
+    clean = PrintAugment(
+        photo_px=(1200.0, 1201.0), squeeze=1.0, zoom=(0.999, 1.001), stretch=1e-9, roll_deg=1e-9, gain=(0.9, 0.91),
+        gamma=1e-9, veil=0.0, blur_px=(0.25, 0.26), sharpen=1e-9,
+    )  # fmt: skip
     config = UprightNetConfig(film_px=1400.0)
     views = upright_view(np.tile(sign, (20, 16)), config, np.random.default_rng(0), clean)
     template = sign[18:54, 14:50].astype(np.float32)
@@ -126,9 +147,9 @@ def test_a_written_film_is_read_or_left_as_it_lies(reader):
     found = {}
     for way in WAYS:
         seen = rgb(way.inverse.moved(written_film()))
-        chances = orientation_chances(reader, seen, UprightConfig().prior)
+        chances = orientation_chances(reader, seen, UprightConfig())
         assert chances.sum() == pytest.approx(1, abs=1e-5)
-        np.testing.assert_array_equal(orientation_chances(reader, seen, UprightConfig().prior), chances)
+        np.testing.assert_array_equal(orientation_chances(reader, seen, UprightConfig()), chances)
         found[way] = upright_way(chances, UprightConfig())[0]
     assert all(said in (way, Orientation(0, False)) for way, said in found.items())
     assert sum(said == way for way, said in found.items()) >= 5
@@ -141,7 +162,21 @@ def test_what_cannot_be_read_is_left_as_it_lies(reader):
     noise = rng.integers(0, 60, (900, 700), dtype=np.uint8)
     tissue = draw_print(FilmDrawing(texts=False), rng)
     for film in (blank, noise, tissue):
-        assert upright_way(orientation_chances(reader, rgb(film), config.prior), config)[0] == RIGHT
+        assert upright_way(orientation_chances(reader, rgb(film), config), config)[0] == RIGHT
+
+
+def test_no_more_is_read_than_is_needed(reader):
+    """A film of clear writing ends the reading early, one of noise does not."""
+    looked = []
+    hook = reader.register_forward_hook(lambda _, patches, __: looked.append(patches[0].shape[1]))
+    try:
+        orientation_chances(reader, rgb(written_film()), UprightConfig())
+        clear = sum(looked)
+        looked.clear()
+        orientation_chances(reader, rgb(written_film()), UprightConfig(enough=1.1))
+    finally:
+        hook.remove()
+    assert clear < sum(looked) <= reader.config.patches
 
 
 def test_without_evidence_most_films_lie_right():

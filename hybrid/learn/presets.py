@@ -143,7 +143,7 @@ PRESETS: dict[str, Preset] = {
         UprightNet,
         upright_losses,
         own_feed=print_feed(UprightNetConfig()),
-        batch=8,
+        batch=16,
         learning_rate=3e-3,
         px_multiple=8,
     ),

@@ -6,13 +6,14 @@ this small network looks at many small patches of the film once it is flat, each
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import cv2
 import numpy as np
 import torch
-from jaxtyping import Float, Float32, Int64, UInt8
+from jaxtyping import Bool, Float, Float32, Int64, UInt8
 from torch import Tensor, nn
 from torch.nn import functional
 
@@ -21,18 +22,20 @@ from hybrid.errors import ConfigError, describe
 from hybrid.learn.network import ConvNorm
 from hybrid.learn.upright_patches import PatchConfig, text_patches
 
+AT_ONCE = 16
+"""Patches that are read before it is asked whether that was enough."""
 WAYS = tuple(Orientation.from_index(index) for index in range(8))
 
 
 @dataclass(frozen=True)
 class UprightNetConfig:
     """widths: channels at 1/2, 1/4 and 1/8 of a patch. input_px: side of the patches. film_px, patches: longer side of
-    the films that they are cut from, and how many of each (``PatchConfig``)."""
+    the films that they are cut from, and how many at most of each (``PatchConfig``)."""
 
-    widths: tuple[int, int, int] = (8, 32, 32)
-    input_px: int = 32
+    widths: tuple[int, int, int] = (12, 32, 64)
+    input_px: int = 48
     film_px: float = 1200.0
-    patches: int = 32
+    patches: int = 96
 
     @property
     def cut(self) -> PatchConfig:
@@ -43,15 +46,25 @@ class UprightNetConfig:
 @dataclass(frozen=True)
 class PatchVotes:
     """votes: for each patch the log-probability that it has to be moved in each of the eight ways to read right.
-    trust: how much of their sum counts: patches of one film do not err independently."""
+    written: which patches show anything. alike: correlation of the patches of one film, which do not err independently.
+    """
 
     votes: Float[Tensor, "b n 8"]
-    trust: Float[Tensor, ""]
+    written: Bool[Tensor, "b n"]
+    alike: Float[Tensor, ""]
 
     @property
     def films(self) -> Float[Tensor, "b 8"]:
-        """Logits of the eight ways for each film."""
-        return self.trust * self.votes.sum(dim=1)
+        """Logits of the eight ways for each film: n patches count as n / (1 + (n - 1) alike) that knew nothing of each
+        other would (the design effect of samples in clusters, Kish 1965)."""
+        others = (self.written.sum(dim=1, keepdim=True) - 1).clamp(min=0)
+        return self.votes.sum(dim=1) / (1 + others * self.alike)
+
+
+def joined(parts: Sequence[PatchVotes]) -> PatchVotes:
+    """Votes of more patches of the same films."""
+    votes, written = (torch.cat([getattr(part, name) for part in parts], dim=1) for name in ("votes", "written"))
+    return replace(parts[0], votes=votes, written=written)
 
 
 class _Mix(nn.Module):
@@ -79,13 +92,14 @@ class UprightNet(nn.Module):
             ConvNorm(1, w2, 5, 2), ConvNorm(w2, w4, 3, 2), _Mix(w4), ConvNorm(w4, w8, 3, 2), _Mix(w8), _Mix(w8)
         )
         self.score = nn.Conv2d(w8, 1, 1)
-        self.log_trust = nn.Parameter(torch.tensor(-1.0))
+        self.alike_logit = nn.Parameter(torch.tensor(-2.0))
 
     def forward(self, patches: Float[Tensor, "b n p p"]) -> PatchVotes:
         """Votes of the patches of some films (``text_patches``)."""
         held = torch.stack([_moved(patches, way) for way in WAYS], dim=2)
         scores = self.score(self.stages(held.flatten(0, 2)[:, None])).float().mean(dim=(1, 2, 3))
-        return PatchVotes(functional.log_softmax(scores.view(held.shape[:3]), dim=2), self.log_trust.exp())
+        votes = functional.log_softmax(scores.view(held.shape[:3]), dim=2)
+        return PatchVotes(votes, patches.flatten(2).any(dim=2), self.alike_logit.sigmoid())
 
 
 def _moved(patches: Float[Tensor, "*b p p"], way: Orientation) -> Float[Tensor, "*b p p"]:
@@ -102,33 +116,21 @@ def upright_losses(output: PatchVotes, truth: Int64[Tensor, " b"]) -> dict[str, 
     }
 
 
-@torch.inference_mode()
-def orientation_chances(
-    network: UprightNet, film: UInt8[np.ndarray, "h w 3"], prior: Float[np.ndarray, " 8"]
-) -> Float32[np.ndarray, " 8"]:
-    """Probabilities that a flat film (sRGB) has to be moved in each of the eight ways to read right.
-
-    ``prior``: the same before anything was read.
-    """
-    patches = text_patches(cv2.cvtColor(film, cv2.COLOR_RGB2GRAY), network.config.cut)
-    votes = network(torch.from_numpy(patches)[None]).films[0]
-    before = torch.from_numpy(prior).log().to(votes)  # of what cannot be: minus infinity
-    return functional.softmax(votes + before, dim=0).numpy()
-
-
 @dataclass(frozen=True)
 class UprightConfig:
     """When a film is turned or mirrored.
 
     turned, mirrored: shares of films that are photographed turned by quarters, and from behind.
-    min_probability: a film is moved only where it is this sure, these shares counted in. min_film_px: nothing is read
-    on films whose longer side is less. turn: how far every film is turned clockwise, if not as it reads; mirror:
+    min_probability: a film is moved only where it is this sure, these shares counted in. enough: reading ends where it
+    is this probable that a film reads right as it lies; one to be moved is read to its end. min_film_px: nothing is
+    read on films whose longer side is less. turn: how far every film is turned clockwise, if not as it reads; mirror:
     whether it is mirrored left to right before that.
     """
 
     turned: float = 0.1
     mirrored: float = 0.02
-    min_probability: float = 0.98
+    min_probability: float = 0.95
+    enough: float = 0.9995
     min_film_px: int = 400
     turn: Literal["read", "0", "90", "180", "270"] = "read"
     mirror: bool = False
@@ -148,6 +150,26 @@ class UprightConfig:
         """Probability of each of the eight ways before anything was read; turning and mirroring are independent."""
         turns = np.array([1 - self.turned, *[self.turned / 3] * 3])
         return np.concatenate([(1 - self.mirrored) * turns, self.mirrored * turns])
+
+
+@torch.inference_mode()
+def orientation_chances(
+    network: UprightNet, film: UInt8[np.ndarray, "h w 3"], config: UprightConfig
+) -> Float32[np.ndarray, " 8"]:
+    """Probabilities that a flat film (sRGB) has to be moved in each of the eight ways to read right.
+
+    Its patches are read a few at a time, those most written on first, until it surely reads right as it lies.
+    """
+    patches = torch.from_numpy(text_patches(cv2.cvtColor(film, cv2.COLOR_RGB2GRAY), network.config.cut))
+    before = torch.from_numpy(config.prior).log().float()  # of what cannot be: minus infinity
+    read: list[PatchVotes] = []
+    chances = before.exp()
+    for part in patches[patches.flatten(1).any(dim=1)].split(AT_ONCE):
+        read.append(network(part[None]))
+        chances = functional.softmax(joined(read).films[0] + before, dim=0)
+        if chances[0] >= config.enough:
+            break
+    return chances.numpy()
 
 
 def upright_way(chances: Float32[np.ndarray, " 8"], config: UprightConfig) -> tuple[Orientation, str]:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from jaxtyping import Float32, UInt8
+from jaxtyping import Float, Float32, UInt8
 
 from hybrid.errors import DataError, describe
 from hybrid.learn.data import log_uniform
@@ -19,14 +19,16 @@ from hybrid.learn.upright_patches import text_patches
 class PrintAugment:
     """How a flat print is turned into what a flattened photo shows.
 
-    photo_px: range of the film's longer side in the photo. zoom: range of what the size of the letters differs by.
+    photo_px: range of the film's longer side in the photo. squeeze: least that a slanted film's sides are seen in, of
+    what they would be head-on. zoom: range of what the size of the letters differs by.
     stretch, roll_deg: one sigma of the aspect's and of the angle's error that flattening left over. gain: range.
     gamma: one sigma of log2. veil: most light added (of white 1), half of it even. blur_px: range of one sigma,
     in the photo's pixels. sharpen: most that a phone overdoes it. noise: range of one sigma, in grey levels of 255.
-    quality: range of the JPEG's.
+    quality: range of the JPEG's. shown: patches of a view, drawn from all that the film is cut into.
     """
 
-    photo_px: tuple[float, float] = (560.0, 1400.0)
+    photo_px: tuple[float, float] = (480.0, 1400.0)
+    squeeze: float = 0.55
     zoom: tuple[float, float] = (0.75, 1.35)
     stretch: float = 0.03
     roll_deg: float = 1.2
@@ -37,6 +39,7 @@ class PrintAugment:
     sharpen: float = 1.0
     noise: tuple[float, float] = (0.4, 7.0)
     quality: tuple[int, int] = (55, 97)
+    shown: int = 16
 
 
 def print_paths(folder: Path) -> list[Path]:
@@ -70,14 +73,18 @@ def upright_view(
 ) -> Float32[np.ndarray, "n p p"]:
     """The patches of a print as a flattened photo shows it; upright, for the network looks at it in all ways itself."""
     cut = replace(config.cut, film_px=config.film_px * rng.uniform(*augment.zoom))
-    return text_patches(photographed(flat, rng, augment), cut)
+    patches = text_patches(photographed(flat, rng, augment), cut)
+    return patches[rng.permutation(len(patches))[: augment.shown]]
 
 
 def photographed(
     flat: UInt8[np.ndarray, "h w"], rng: np.random.Generator, augment: PrintAugment
 ) -> UInt8[np.ndarray, "h2 w2"]:
     """A print at the photo's resolution, slightly skewed, with uneven light, a veil, a tone curve, blur and noise."""
-    film = _exposed(_reduced(flat, rng, augment), rng, augment)
+    scale = min(1.0, log_uniform(rng, augment.photo_px) / max(flat.shape))
+    size = (round(flat.shape[1] * scale), round(flat.shape[0] * scale))
+    seen = np.array([1.0, rng.uniform(augment.squeeze, 1.0) ** 0.5])[rng.permutation(2)]
+    film = _exposed(_reduced(flat, scale * seen, rng, augment), rng, augment)
     film = cv2.GaussianBlur(film, (0, 0), rng.uniform(*augment.blur_px))
     film += _noise(film.shape, rng) * np.float32(log_uniform(rng, augment.noise))
     if rng.random() < 0.5:
@@ -85,18 +92,24 @@ def photographed(
         film = cv2.addWeighted(film, 1 + amount, cv2.GaussianBlur(film, (0, 0), 1.0), -amount, 0)
     pixels = cv2.convertScaleAbs(np.maximum(film, 0, out=film))
     code = cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_QUALITY, int(rng.integers(*augment.quality))])[1]
-    return np.asarray(cv2.imdecode(code, cv2.IMREAD_GRAYSCALE), np.uint8)
+    pixels = np.asarray(cv2.imdecode(code, cv2.IMREAD_GRAYSCALE), np.uint8)
+    return cv2.resize(pixels, size, interpolation=cv2.INTER_LINEAR)
 
 
-def _reduced(flat: np.ndarray, rng: np.random.Generator, augment: PrintAugment) -> np.ndarray:
-    """The print at the photo's resolution; stretched and turned by little."""
-    scale = min(1.0, log_uniform(rng, augment.photo_px) / max(flat.shape))
-    size = (round(flat.shape[1] * scale), round(flat.shape[0] * scale))
+def _reduced(
+    flat: np.ndarray, scale: Float[np.ndarray, " 2"], rng: np.random.Generator, augment: PrintAugment
+) -> np.ndarray:
+    """The print at the photo's resolution; stretched and turned by little. scale: across and down."""
+    size = np.rint(np.array(flat.shape[::-1]) * scale).astype(int).tolist()
     angle, skew = np.deg2rad(rng.normal(0, augment.roll_deg, 2))
-    linear = np.diag(np.exp(rng.normal(0, augment.stretch, 2))) @ np.array([[1.0, skew - angle], [angle, 1.0]]) * scale
+    linear = (
+        np.diag(np.exp(rng.normal(0, augment.stretch, 2)))
+        @ np.array([[1.0, skew - angle], [angle, 1.0]])
+        @ np.diag(scale)
+    )
     affine = np.column_stack([linear, np.array(size) / 2 - linear @ (np.array(flat.shape[::-1]) / 2)])
     # A blur and linear interpolation stand for the mean over a pixel's area, at a third of the time.
-    soft = cv2.GaussianBlur(flat, (0, 0), 0.4 / scale)
+    soft = cv2.GaussianBlur(flat, (0, 0), 0.4 / scale[0], sigmaY=0.4 / scale[1])
     return cv2.warpAffine(soft, affine, size, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
 
 
