@@ -136,6 +136,18 @@ def test_glare_of_known_extent_is_marked_and_not_trusted():
     assert result.confidence[~result.glare].mean() > 0.7
 
 
+def test_what_one_channel_still_shows_is_not_glare():
+    """One reflection, white and warm: red and green clip in both, in the latter blue keeps black and white apart."""
+    u, v = film_centres(SIZE).transpose(2, 0, 1)
+    spot = (u - 0.5) ** 2 + (v - 0.4) ** 2 < 0.1**2
+    linear = (0.5 * print_of_cells() ** 1.6)[..., None]
+    for blue, lost in ((2.0, True), (0.2, False)):
+        veil = np.where(spot[..., None], [2.0, 2.0, blue], 0.0)
+        photo = np.rint(255 * srgb_from_linear(np.minimum(linear + veil, 1))).astype(np.uint8)
+        glare = without_light(photo, everywhere()).glare[spot]
+        assert glare.mean() > 0.95 if lost else glare.mean() < 0.05
+
+
 def test_thin_white_strokes_at_the_limit_are_print():
     photo = light(0.9)
     photo[200:202, 20:400] = 255

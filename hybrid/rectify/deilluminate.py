@@ -21,9 +21,11 @@ from hybrid.errors import require_at_least
 from hybrid.levels import CLIPPED, LEAST_CONTRAST, LevelReader, Levels, grey_table
 from hybrid.rectify.survey import survey_light
 
-CLIPPED_CONTRAST = 70 / 255
-"""Display grey between black and white, at the mean of a clipped part, below which it is lost. More than elsewhere: it
-ends sharply, and levels are read on a coarse lattice."""
+CLIPPED_CONTRAST = 50 / 255
+"""Display grey between black and white below which what is clipped is lost; above, it is white print. More than
+``LEAST_CONTRAST``: what is clipped ends sharply, and levels are read on a coarse lattice."""
+FREE = 245
+"""Channel values, at the mean of a small pixel, up to which the print still shows in a channel beside clipped ones."""
 LEAST_SEEN = 0.1
 """Share of the film that must be seen for its light to be read."""
 STRIP_ROWS = 64
@@ -141,12 +143,17 @@ def recovered(
     table = grey_table()
     even = _even(_linear_grey(small, table), levels)
     contrast = _contrast(levels, 0.0, 1.0)
-    black, white = _print_range(even, small_seen & ~_lost(contrast, np.zeros(even.shape, bool)))
+    little = cv2.resize(contrast, even.shape[::-1], interpolation=cv2.INTER_LINEAR) < LEAST_CONTRAST
+    black, white = _print_range(even, small_seen & ~little)
     tone = _tone_curve(min(black / white + config.least_print, 1.0), levels.root_share, config)
     film = _apply(rectified, table, replace(levels, gain=levels.gain * np.float32(white)), config.least_print, tone)
     # Glare wider than a stroke shows on the small copy; most films have none.
-    clipped = find_clipped(rectified) if small.max() >= CLIPPED else np.zeros(film.shape, bool)
-    glare = _lost(contrast, clipped)
+    if small.max() >= CLIPPED:
+        clipped = find_clipped(rectified)
+        glare = _lost(_contrast_of_free(contrast, small, table, levels.gain), clipped)
+    else:
+        clipped = np.zeros(film.shape, bool)
+        glare = _lost(contrast, clipped)
     if _contrast(levels, black, white).max() < LEAST_CONTRAST:  # nothing is told apart anywhere
         glare[:] = True
     if not print_seen.all():
@@ -157,13 +164,11 @@ def recovered(
 
 
 def find_clipped(rectified: UInt8[np.ndarray, "h w 3"]) -> Bool[np.ndarray, "h w"]:
-    """Where green and another channel are clipped on most pixels around: noise leaves holes in what is clipped.
+    """Where all channels are clipped on most pixels around: noise leaves holes in what is clipped.
 
     White strokes that just reach the limit are white by print, and thinner than a hundred and fiftieth of the film.
     """
-    warm = cv2.inRange(rectified, (CLIPPED, CLIPPED, 0), (255, 255, 255))
-    cold = cv2.inRange(rectified, (0, CLIPPED, CLIPPED), (255, 255, 255))
-    clipped = cv2.bitwise_or(warm, cold)
+    clipped = cv2.inRange(rectified, (CLIPPED, CLIPPED, CLIPPED), (255, 255, 255))
     if cv2.countNonZero(clipped) == 0:
         return clipped.astype(bool)
     width = 4 * (max(rectified.shape[:2]) // 300) + 1
@@ -274,18 +279,35 @@ def _contrast(levels: Levels, black: float, white: float) -> Float32[np.ndarray,
     return (bright - dark).astype(np.float32)
 
 
+def _contrast_of_free(
+    contrast: Float32[np.ndarray, "h w"], small: UInt8[np.ndarray, "sh sw 3"], table: Float32[np.ndarray, "256 3"],
+    gain: Float32[np.ndarray, "h w"],
+) -> Float32[np.ndarray, "sh sw"]:  # fmt: skip
+    """The contrast, but where some channels are clipped, that of the others: all of the gain is theirs."""
+    left = cv2.resize(contrast, small.shape[1::-1], interpolation=cv2.INTER_LINEAR)
+    free = small < FREE
+    partly = free.any(axis=2) & ~free.all(axis=2)
+    if not partly.any():
+        return left
+    share = free[partly] @ table[-1]
+    light = (table[small[partly], range(3)] * free[partly]).sum(axis=1) / share
+    reach = cv2.resize(gain, small.shape[1::-1], interpolation=cv2.INTER_LINEAR)[partly] / share / 2
+    dark, bright = (srgb_from_linear(np.clip(x, 0, 1)) for x in (light - reach, light + reach))
+    left[partly] = bright - dark
+    return left
+
+
 def _lost(contrast: Float32[np.ndarray, "h w"], clipped: Bool[np.ndarray, "h2 w2"]) -> Bool[np.ndarray, "h2 w2"]:
-    """Where too little is left between black and white. Clipped parts as a whole: they may be white print."""
+    """Where too little is left between black and white; of what is clipped, at the mean of what is clipped around."""
     some = bool(clipped.any())
     if not some and contrast.min() >= LEAST_CONTRAST:
         return np.zeros(clipped.shape, bool)
-    left = cv2.resize(contrast, clipped.shape[::-1], interpolation=cv2.INTER_LINEAR)
-    lost = left < LEAST_CONTRAST
+    lost = cv2.resize(contrast, clipped.shape[::-1], interpolation=cv2.INTER_LINEAR) < LEAST_CONTRAST
     if some:
-        count, found = cv2.connectedComponents(clipped.astype(np.uint8))
-        part = np.asarray(found, np.intp)[clipped]
-        mean = np.bincount(part, left[clipped], count) / np.maximum(np.bincount(part, minlength=count), 1)
-        lost[clipped] |= (mean < CLIPPED_CONTRAST)[part]
+        share = share_seen(clipped, contrast.shape[::-1])
+        width = (max(contrast.shape) // 25 + 1,) * 2
+        around = cv2.blur(contrast * share, width) / np.maximum(cv2.blur(share, width), np.float32(1e-6))
+        lost |= clipped & (cv2.resize(around, clipped.shape[::-1], interpolation=cv2.INTER_LINEAR) < CLIPPED_CONTRAST)
     return lost
 
 
