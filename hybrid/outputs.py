@@ -140,7 +140,7 @@ def report_lines(path: Path, result: RectifyResult, files: Iterable[Path], verbo
 
 SURE_UPRIGHT = 0.95
 """A film that reads right as it is given with less than this probability is one to look at: of 36 photos turned or
-mirrored, with small writing, 10 were not put upright, 8 of them with less; of 12 that lay right one had less."""
+mirrored, with small writing, 5 were not put upright, all of them with less; of 12 that lay right none had less."""
 
 
 def warnings_of(result: RectifyResult) -> list[str]:

@@ -209,11 +209,18 @@ def films_tensor(films: UInt8[np.ndarray, "b n n 3"], seen: Bool[np.ndarray, "b 
 
 
 def level_reader(network: LightNet) -> LevelReader:
-    """The network as what reads levels in ``hybrid.rectify.deilluminate``."""
+    """The network as what reads levels in ``hybrid.rectify.deilluminate``.
+
+    It reads a film twice, as it lies and turned by 180 degrees, which its light does not know of. The mean of both is
+    nearer to the truth, and the same whichever way a film lies.
+    """
 
     def read(film: UInt8[np.ndarray, "n n 3"], seen: Bool[np.ndarray, "n n"]) -> Levels:
+        films, shown = (np.stack([x, x[::-1, ::-1]]) for x in (film, seen))
         with torch.inference_mode():
-            output = network(films_tensor(film[None], seen[None]))
-        return Levels(output.black[0].numpy(), output.gain[0].numpy(), float(output.root_share[0]))
+            output = network(films_tensor(films, shown))
+            black, log_gain = (torch.stack([x[0], x[1].flip(0, 1)]).mean(dim=0)
+                               for x in (output.black.sqrt(), output.gain.log()))  # fmt: skip
+            return Levels(black.square().numpy(), log_gain.exp().numpy(), float(output.root_share.mean()))
 
     return LevelReader(network.config.input_px, read)
