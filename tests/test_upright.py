@@ -166,7 +166,7 @@ def test_what_cannot_be_read_is_left_as_it_lies(reader):
 
 
 def test_no_more_is_read_than_is_needed(reader):
-    """A film of clear writing ends the reading early, one of noise does not."""
+    """A film of clear writing ends the reading early; where nothing is ever sure enough, all of it is read."""
     looked = []
     hook = reader.register_forward_hook(lambda _, patches, __: looked.append(patches[0].shape[1]))
     try:

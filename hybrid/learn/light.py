@@ -212,7 +212,7 @@ def level_reader(network: LightNet) -> LevelReader:
     """The network as what reads levels in ``hybrid.rectify.deilluminate``.
 
     It reads a film twice, as it lies and turned by 180 degrees, which its light does not know of. The mean of both is
-    nearer to the truth, and the same whichever way a film lies.
+    nearer to the truth, and the same for a film that lies upside down.
     """
 
     def read(film: UInt8[np.ndarray, "n n 3"], seen: Bool[np.ndarray, "n n"]) -> Levels:

@@ -19,8 +19,8 @@ from hybrid.learn.upright_patches import text_patches
 class PrintAugment:
     """How a flat print is turned into what a flattened photo shows.
 
-    photo_px: range of the film's longer side in the photo. squeeze: least that a slanted film's sides are seen in, of
-    what they would be head-on. zoom: range of what the size of the letters differs by.
+    photo_px: range of the film's longer side in the photo. squeeze: of the share of its length in which one side of a
+    slanted film is seen, the least square. zoom: range of what the size of the letters differs by.
     stretch, roll_deg: one sigma of the aspect's and of the angle's error that flattening left over. gain: range.
     gamma: one sigma of log2. veil: most light added (of white 1), half of it even. blur_px: range of one sigma,
     in the photo's pixels. sharpen: most that a phone overdoes it. noise: range of one sigma, in grey levels of 255.

@@ -143,17 +143,15 @@ def recovered(
     table = grey_table()
     even = _even(_linear_grey(small, table), levels)
     contrast = _contrast(levels, 0.0, 1.0)
-    little = cv2.resize(contrast, even.shape[::-1], interpolation=cv2.INTER_LINEAR) < LEAST_CONTRAST
-    black, white = _print_range(even, small_seen & ~little)
+    on_small = cv2.resize(contrast, even.shape[::-1], interpolation=cv2.INTER_LINEAR)
+    black, white = _print_range(even, small_seen & (on_small >= LEAST_CONTRAST))
     tone = _tone_curve(min(black / white + config.least_print, 1.0), levels.root_share, config)
     film = _apply(rectified, table, replace(levels, gain=levels.gain * np.float32(white)), config.least_print, tone)
-    # Glare wider than a stroke shows on the small copy; most films have none.
-    if small.max() >= CLIPPED:
+    clipped = np.zeros(film.shape, bool)
+    if small.max() >= CLIPPED:  # glare wider than a stroke shows on the small copy; most films have none
         clipped = find_clipped(rectified)
-        glare = _lost(_contrast_of_free(contrast, small, table, levels.gain), clipped)
-    else:
-        clipped = np.zeros(film.shape, bool)
-        glare = _lost(contrast, clipped)
+        contrast = _contrast_of_free(on_small, small, table, levels.gain)
+    glare = _lost(contrast, clipped)
     if _contrast(levels, black, white).max() < LEAST_CONTRAST:  # nothing is told apart anywhere
         glare[:] = True
     if not print_seen.all():
@@ -211,7 +209,8 @@ def _small_copy(
 
 
 def share_seen(valid: Bool[np.ndarray, "h w"], size: tuple[int, int]) -> Float32[np.ndarray, "sh sw"]:
-    """Share of each pixel of a picture of ``size`` (width, height) that is valid; mostly all is, which is quick."""
+    """Share of each pixel of a picture of ``size`` (width, height) where a mask, as of what is valid, is true; mostly
+    all of it is, which is quick."""
     if valid.all():
         return np.ones(size[::-1], np.float32)
     return cv2.resize(valid.astype(np.float32), size, interpolation=cv2.INTER_AREA)
@@ -275,25 +274,32 @@ def _apply(
 
 def _contrast(levels: Levels, black: float, white: float) -> Float32[np.ndarray, "h w"]:
     """Display grey between the print's black and white. black, white: their light (0 and 1: as the levels have it)."""
-    dark, bright = (srgb_from_linear(np.clip(levels.black + x * levels.gain, 0, 1)) for x in (black, white))
+    return _shown_between(*(levels.black + x * levels.gain for x in (black, white)))
+
+
+def _shown_between(dark: Float32[np.ndarray, "*n"], bright: Float32[np.ndarray, "*n"]) -> Float32[np.ndarray, "*n"]:
+    """Display grey between two linear greys."""
+    dark, bright = (srgb_from_linear(np.clip(x, 0, 1)) for x in (dark, bright))
     return (bright - dark).astype(np.float32)
 
 
 def _contrast_of_free(
-    contrast: Float32[np.ndarray, "h w"], small: UInt8[np.ndarray, "sh sw 3"], table: Float32[np.ndarray, "256 3"],
-    gain: Float32[np.ndarray, "h w"],
+    contrast: Float32[np.ndarray, "sh sw"], small: UInt8[np.ndarray, "sh sw 3"],
+    table: Float32[np.ndarray, "256 3"], gain: Float32[np.ndarray, "h w"],
 ) -> Float32[np.ndarray, "sh sw"]:  # fmt: skip
-    """The contrast, but where some channels are clipped, that of the others: all of the gain is theirs."""
-    left = cv2.resize(contrast, small.shape[1::-1], interpolation=cv2.INTER_LINEAR)
+    """The contrast on a small copy, but where some channels are clipped, that of the others: all of the gain is theirs.
+
+    gain: on any lattice.
+    """
     free = small < FREE
     partly = free.any(axis=2) & ~free.all(axis=2)
     if not partly.any():
-        return left
+        return contrast
     share = free[partly] @ table[-1]
     light = (table[small[partly], range(3)] * free[partly]).sum(axis=1) / share
-    reach = cv2.resize(gain, small.shape[1::-1], interpolation=cv2.INTER_LINEAR)[partly] / share / 2
-    dark, bright = (srgb_from_linear(np.clip(x, 0, 1)) for x in (light - reach, light + reach))
-    left[partly] = bright - dark
+    reach = cv2.resize(gain, contrast.shape[::-1], interpolation=cv2.INTER_LINEAR)[partly] / share / 2
+    left = contrast.copy()
+    left[partly] = _shown_between(light - reach, light + reach)
     return left
 
 
