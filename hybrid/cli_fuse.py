@@ -18,8 +18,8 @@ from hybrid.pipeline import Rectifier, RectifyConfig
 class FuseOptions(PhotoOptions):
     """Make one film of two or more photos of it, taken with phone or lamps moved, so that glare vanishes.
 
-    Writes what ``hybrid rectify`` writes, named after the first photo, as which the film lies: NAME_fused_film.png and
-    so on. Photos of different films are refused; the exit code is then 1.
+    Writes what ``hybrid rectify`` writes, named after the first photo: NAME_fused_film.png and so on. Photos in which
+    no film is found are left out. Photos of different films are refused; the exit code is then 1.
     """
 
     config: Annotated[RectifyConfig, tyro.conf.arg(name="")] = field(default_factory=RectifyConfig)
@@ -37,7 +37,8 @@ def run(arguments: list[str]) -> int:
     photos = [read_photo(path) for path in options.photos]
     result = Rectifier(options.config).fuse(photos, [path.name for path in options.photos])
     made = made_by(options.effort, RectifyConfig.of(options.effort), options.config)
-    files = write_result(options.out, options.photos, photos[0], result, options.rectified_format, "_fused", made)
+    shown = photos[result.photo]
+    files = write_result(options.out, options.photos, shown, result, options.rectified_format, "_fused", made)
     print("\n".join(report_lines(options.photos[0], result, files, options.verbose)))
     if not options.verbose:
         print("\n".join(f"  {stage.name}: {stage.reason}" for stage in result.stages if stage.name == "fuse"))

@@ -263,10 +263,10 @@ def write_result(
 ) -> tuple[Path, ...]:
     """Write everything that the result holds, named after the first photo; the JSON says when the rest is complete.
 
-    paths: of the photos that it was made of; ``photo`` is the first. suffix: of the name. made: of how it was made, for
-    the JSON. What is there of other photos is left alone. Files that an earlier run over the same photos left and this
-    one does not make (slices of another grid) are removed, once the new ones are there; where this one finds no film
-    they stay, and the JSON names them ("earlier_files").
+    paths: of the photos that it was made of; ``photo`` is the one of ``result.photo``. suffix: of the name. made: of
+    how it was made, for the JSON. What is there of other photos is left alone. Files that an earlier run over the same
+    photos left and this one does not make (slices of another grid) are removed, once the new ones are there; where this
+    one finds no film they stay, and the JSON names them ("earlier_files").
     """
     about = photo_record(paths)
     name, known = reserved(out, f"{paths[0].stem}{suffix}", about)
@@ -284,7 +284,8 @@ def write_result(
     if result.film is not None:
         files.append(out / f"{name}_side_by_side.jpg")
         write_rgb(files[-1], side_by_side([annotated(photo, result), rgb_from_film(result.film)]))
-    record = {"hybrid_version": __version__, **(made or {}), **about, **result_record(photo.shape[:2], result)}
+    of = {"map_of": paths[result.photo].name} if len(paths) > 1 else {}
+    record = {"hybrid_version": __version__, **(made or {}), **about, **of, **result_record(photo.shape[:2], result)}
     record["files"] = [file.relative_to(out).as_posix() for file in files]
     if _files_in(known) and not result.status.has_film:
         record["earlier_files"] = _files_in(known)

@@ -84,9 +84,10 @@ class Rectifier:
 
         names: of the photos, for messages; else they are numbered.
 
-        film, glare and confidence are made of all photos; the rest is the first photo's, its map moved to where all
-        whose map is sure say that the print lies (all, if none is): status and expected error are theirs. Its own
-        status, if no film is found in it; others without a film are left out, which the last stage says.
+        film, glare and confidence are made of all photos in which a film is found; the others are left out, which the
+        last stage says. The rest is of the first of them (``result.photo``), its map moved to where all whose map is
+        sure say that the print lies (all, if none is): status and expected error are theirs. The first photo's result
+        where no film is found in any.
 
         Args:
             sources: as for a single photo, two or more.
@@ -104,10 +105,7 @@ class Rectifier:
             do = "Name two or more photos of one film; a single one is rectified."
             raise FusionError(describe(what="Photos to fuse", got=len(sources), allowed="two or more", do=do))
         photos = [as_photo(source) for source in sources]
-        first = self(photos[0])
-        if not first.status.has_film:
-            return first
-        results = [first, *map(self, photos[1:])]
+        results = [self(photo) for photo in photos]
         with one_thread():
             options = self.config.fuse, self.config.light, self.config.resample
             return fuse(photos, results, self._levels, *options, names)

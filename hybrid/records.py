@@ -166,6 +166,8 @@ class RectifyResult:
     limit_px: largest distance, in pixels of the photo, that a film whose status is OK may be off in truth; effort fast
         allows more. Such a film must be expected to be off by far less (``TrustConfig.safety``), and nothing else may
         speak against it (``status.doubts``).
+    photo: of a film fused from several photos the index of the one that rectified, backward and the grid's vertices in
+        the photo are of: the first in which a film was found.
     """
 
     status: Status
@@ -181,6 +183,7 @@ class RectifyResult:
     confidence: Float[np.ndarray, "h w"] | None = field(default=None, repr=False)
     expected_error_px: float | None = None
     limit_px: float | None = None
+    photo: int = 0
 
     def slices(self) -> list[Float[np.ndarray, "sh sw"]]:
         """The slice images cut out of the film, row by row; empty where no grid was found."""

@@ -227,6 +227,27 @@ def test_photos_of_one_film_are_given_one_tone():
     np.testing.assert_array_equal(result.film, middle.film)
 
 
+NO_FILM = np.zeros((64, 64, 3), np.uint8), RectifyResult(Status(StatusCode.NO_FILM))
+
+
+def test_photos_without_a_film_are_left_out_wherever_they_stand():
+    shown = [seen(spot, k) for k, spot in enumerate(SPOTS[:2])]
+    result, without = fused(NO_FILM, shown[0], NO_FILM, shown[1]), fused(*shown)
+    np.testing.assert_array_equal(result.film, without.film)
+    np.testing.assert_array_equal(result.rectified, without.rectified)
+    assert (result.photo, without.photo) == (1, 0)
+    assert "photo 1 left out: no film was found in it; photo 3 left out" in result.stages[-1].reason
+
+
+def test_photos_that_all_lack_a_film_end_as_the_first():
+    assert fused(NO_FILM, NO_FILM) is NO_FILM[1]
+
+
+def test_the_photo_that_shows_the_film_is_named_where_another_is_refused():
+    with pytest.raises(FusionError, match=r"\(photo 3\): got another film than on photo 2"):
+        fused(NO_FILM, seen(SPOTS[0], 0), seen(SPOTS[1], 1, film=1))
+
+
 def test_different_films_are_refused_with_a_reason():
     with pytest.raises(FusionError, match=r"photo 2.*another film.*Leave it out"):
         fused(seen(SPOTS[0], 0), seen(SPOTS[1], 1, film=1))
@@ -258,6 +279,16 @@ def test_a_single_source_is_refused_as_such():
     """The letters of its name are not taken for names."""
     with pytest.raises(FusionError, match="one str"):
         Rectifier.fuse(None, "film.jpg")
+
+
+def test_the_command_leaves_out_photos_without_a_film_and_says_whose_the_map_is(tmp_path: Path):
+    blank = tmp_path / "blank.png"
+    cv2.imwrite(str(blank), np.full((300, 400, 3), 90, np.uint8))
+    assert main(["fuse", str(blank), "hybrid/examples/film.jpg", "-o", str(tmp_path)]) == 0
+    record = json.loads((tmp_path / "blank_fused.json").read_text())
+    assert (record["photo"], record["map_of"]) == ("blank.png", "film.jpg")
+    assert record["photo_size"] == list(cv2.imread("hybrid/examples/film.jpg").shape[:2])
+    assert (tmp_path / "blank_fused_side_by_side.jpg").exists()
 
 
 def test_the_command_writes_one_film(tmp_path: Path):

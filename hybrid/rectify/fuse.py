@@ -92,8 +92,10 @@ class Registration:
 # ---------------------------------------------------------------- registration
 
 
-def register(first: RectifyResult, other: RectifyResult, config: FuseConfig, name: str = "photo 2") -> Registration:
-    """Where the other photo shows the first photo's film.
+def register(
+    first: RectifyResult, other: RectifyResult, config: FuseConfig, names: tuple[str, str] = ("photo 1", "photo 2")
+) -> Registration:
+    """Where the other photo shows the first photo's film. names: of both, for messages.
 
     Raises:
         FusionError: they show different films, or too little of both to tell.
@@ -114,8 +116,9 @@ def register(first: RectifyResult, other: RectifyResult, config: FuseConfig, nam
         raise FusionError(
             describe(
                 what="Photos that cannot be fused",
-                where=name,
-                got=f"another film than on photo 1, or too little of it: {agreement:.0%} of its slices are found there",
+                where=names[1],
+                got=f"another film than on {names[0]}, or too little of it: {agreement:.0%} of its slices are found "
+                "there",
                 allowed=f"photos of one film ({config.same:.0%} or more)",
                 do="Leave it out, or fuse it with photos of its own film.",
             )
@@ -306,34 +309,39 @@ def fuse(
     resample: ResampleConfig | None = None,
     names: Sequence[str] | None = None,
 ) -> RectifyResult:
-    """One result of several photos of one film, lying as in the first of them.
+    """One result of several photos of one film, lying as in the first of those that show it.
 
-    results: of the photos; a film was found in the first, and photos without one are left out. reader: of their light.
-    names: of the photos, for messages.
-    film, glare and confidence are made of all; rectified and backward are of the first photo, moved to where those
-    photos together say that the print lies whose maps are sure, or all if none is; status, expected error and grid are
-    theirs.
+    results: of the photos; those without a film are left out, and if none has one the first's is returned. reader: of
+    their light. names: of the photos, for messages.
+    film, glare and confidence are made of all; rectified and backward are of the first photo with a film
+    (``result.photo``), moved to where those photos together say that the print lies whose maps are sure, or all if none
+    is; status, expected error and grid are theirs.
 
     Raises:
         FusionError: the photos show different films.
     """
     config = config or FuseConfig()
     start = perf_counter()
-    base = results[0]
+    names = names or [f"photo {number}" for number in range(1, len(photos) + 1)]
+    showing = [index for index, result in enumerate(results) if result.status.has_film]
+    if not showing:
+        return results[0]
+    at = showing[0]
+    base = results[at]
     size = (_film_of(base).shape[0], _film_of(base).shape[1])
     if base.backward is None:
         raise FusionError(describe(what="Photos that cannot be fused", got="one without a map", do="Leave it out."))
-    used, maps, shifts, found_in, notes = [photos[0]], [base.backward], [np.zeros((NODES, NODES, 2))], [base], []
+    used, maps, shifts, found_in = [photos[at]], [base.backward], [np.zeros((NODES, NODES, 2))], [base]
     grids, ways = [base.grid], [Orientation(0, False)]
-    names = names or [f"photo {number}" for number in range(1, len(photos) + 1)]
-    for name, photo, result in zip(names[1:], photos[1:], results[1:], strict=True):
-        if not result.status.has_film:
-            notes.append(f"{name} left out: no film was found in it")
-            continue
-        found = register(base, result, config, name)
+    notes = [
+        f"{names[index]} left out: no film was found in it" for index in range(len(results)) if index not in showing
+    ]
+    for index in showing[1:]:
+        result = results[index]
+        found = register(base, result, config, (names[at], names[index]))
         unsure = "" if result.status.ok else ", itself unsure"
-        notes.append(f"{name} moved by up to {found.largest:.1%} of the film{unsure}")
-        used.append(photo)
+        notes.append(f"{names[index]} moved by up to {found.largest:.1%} of the film{unsure}")
+        used.append(photos[index])
         maps.append(found.turned)
         shifts.append(found.shift)
         grids.append(result.grid and result.grid.turned(found.way))
@@ -365,7 +373,7 @@ def fuse(
     glare = fused.lost & np.logical_or.reduce([one.glare for one in lights])
     shares = ", ".join(f"{share:.0%}" for share in fused.shares)
     reason = f"{len(used)} photos; {'; '.join(notes)}; shares {shares}"
-    others = sum(stage.seconds for one in results[1:] for stage in one.stages)
+    others = sum(stage.seconds for one in results if one is not base for stage in one.stages)
     report = StageReport("fuse", True, reason, others + perf_counter() - start)
     errors = [
         one.expected_error_px * lengths[0] / length
@@ -384,6 +392,7 @@ def fuse(
         covered=fused.lost & ~glare & np.logical_or.reduce(covers),
         confidence=fused.confidence,
         stages=(*base.stages, report),
+        photo=at,
     )
 
 
