@@ -94,6 +94,9 @@ def label_values(shards: Sequence[Shard]) -> dict[str, list[Any]]:
     for shard in shards:
         for k in range(len(shard)):
             record = shard.record(k)
+            if "grid" not in record:
+                got, do = "photos of your own, of which a card has nothing to tell", "Leave it out."
+                raise DataError(describe(what="card", where=shard.path.parent, got=got, do=do))
             record["bend"] = bend_of(record)
             for label in LABELS:
                 values[label.title].append(label.of(record))

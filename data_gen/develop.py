@@ -166,14 +166,18 @@ def _blurred(linear: np.ndarray, lens: Lens, scale: float, rng: np.random.Genera
     """Bloom, defocus and motion blur."""
     image = linear
     if lens.bloom > 0:
-        small = cv2.resize(image, None, fx=0.25, fy=0.25, interpolation=cv2.INTER_AREA)
-        spread = cv2.GaussianBlur(small, (0, 0), 25 * scale / 4 + 1)
-        image = (1 - lens.bloom) * image + lens.bloom * cv2.resize(spread, image.shape[1::-1])
+        image = (1 - lens.bloom) * image + lens.bloom * scattered(image, scale)
     if lens.defocus_px * scale > 0.3:
         image = cv2.GaussianBlur(image, (0, 0), lens.defocus_px * scale)
     if lens.motion_px * scale > 0.7:
         image = cv2.filter2D(image, -1, _streak(lens.motion_px * scale, rng.uniform(0, np.pi)))
     return np.array(image, dtype=np.float32)
+
+
+def scattered(linear: np.ndarray, scale: float) -> np.ndarray:
+    """The light that the lens scatters: spread widely. scale: longer side of the photo, in REFERENCE_SIDE."""
+    small = cv2.resize(linear, None, fx=0.25, fy=0.25, interpolation=cv2.INTER_AREA)
+    return cv2.resize(cv2.GaussianBlur(small, (0, 0), 25 * scale / 4 + 1), linear.shape[1::-1])
 
 
 def _streak(length_px: float, angle: float) -> Float[np.ndarray, "k k"]:

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import os
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
-from functools import lru_cache, partial
+from functools import lru_cache
 from pathlib import Path
 from typing import Annotated
 
@@ -19,9 +17,10 @@ from threadpoolctl import threadpool_limits
 from tqdm import tqdm
 
 from data_gen.shards import npy_bytes
+from data_gen.work import workers
 from hybrid.backward import end_point_error, film_as_seen
 from hybrid.effort import RectifyConfig
-from hybrid.errors import HybridError
+from hybrid.errors import ConfigError, HybridError, describe
 from hybrid.geometry import Clock, see
 from hybrid.image_io import write_bytes
 from hybrid.learn.edge_data import FILM_MAPS
@@ -43,11 +42,15 @@ FAR = 0.2
 class FilmMapsConfig:
     """Write FilmNet's maps of a data set's photos beside its shards, where ``hybrid train --preset edges`` finds them.
 
-    data: folder of the data set. workers: processes.
+    data: folder of the data set. workers: processes; 0 makes everything in this one.
     """
 
     data: Annotated[Path, tyro.conf.Positional]
     workers: int = os.cpu_count() or 1
+
+    def __post_init__(self) -> None:
+        if self.workers < 0:
+            raise ConfigError(describe(what="--workers", got=self.workers, allowed=">= 0", do="Choose another."))
 
 
 def write_film_maps(config: FilmMapsConfig) -> Path:
@@ -57,8 +60,8 @@ def write_film_maps(config: FilmMapsConfig) -> Path:
         DataError: a data set that cannot be read.
     """
     path, count = config.data / FILM_MAPS, len(open_places([config.data]))
-    with ProcessPoolExecutor(config.workers, multiprocessing.get_context("spawn")) as pool:
-        found = pool.map(partial(_film_map, config.data), range(count), chunksize=16)
+    with workers(config.workers, None) as those:
+        found = those.in_order(_film_map, ((config.data, number) for number in range(count)))
         maps = np.stack(list(tqdm(found, total=count, unit="photo")))
     write_bytes(path, npy_bytes(maps))
     return path

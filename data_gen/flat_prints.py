@@ -14,7 +14,7 @@ from data_gen.manifest import deciding, describe_dataset, described_sources, sol
 from data_gen.prints import make_print
 from data_gen.sources import SourceConfig, draw_volume
 from data_gen.work import source_names
-from hybrid.errors import HybridError
+from hybrid.errors import ConfigError, HybridError, describe
 from hybrid.image_io import write_bytes
 
 
@@ -30,6 +30,11 @@ class FlatPrintsConfig:
     out: Path
     seed: int = 0
     sources: tyro.conf.OmitArgPrefixes[SourceConfig] = field(default_factory=SourceConfig)
+
+    def __post_init__(self) -> None:
+        if self.count < 1 or self.seed < 0:
+            got, allowed = f"count {self.count}, seed {self.seed}", "count >= 1, seed >= 0"
+            raise ConfigError(describe(what="flat_prints", got=got, allowed=allowed, do="Change the option."))
 
 
 def flat_prints(config: FlatPrintsConfig) -> None:

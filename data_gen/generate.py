@@ -6,7 +6,6 @@ import os
 import sys
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field, replace
-from importlib.util import find_spec
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -27,7 +26,7 @@ from data_gen.manifest import (
 )
 from data_gen.sample import SampleConfig
 from data_gen.sources import SourceConfig
-from data_gen.work import film_bytes, source_names, workers
+from data_gen.work import check_open3d, film_bytes, source_names, workers
 from hybrid.errors import ConfigError, DataError, HybridError, describe
 
 MAX_MAP_SIZE = 448
@@ -59,9 +58,10 @@ class GenerateConfig:
 
     def __post_init__(self) -> None:
         per_film = self.sample.photos_per_film
-        if self.count < 1 or self.size < 32 or self.workers < 0 or not 16 <= self.maps <= self.size:
-            got = f"count {self.count}, size {self.size}, map size {self.maps}, workers {self.workers}"
-            allowed = "count >= 1, size >= 32, map size from 16 to size, workers >= 0"
+        if self.count < 1 or self.size < 32 or min(self.workers, self.seed) < 0 or not 16 <= self.maps <= self.size:
+            numbers = (self.count, self.size, self.maps, self.workers, self.seed)
+            got = "count {}, size {}, map size {}, workers {}, seed {}".format(*numbers)
+            allowed = "count >= 1, size >= 32, map size from 16 to size, workers and seed >= 0"
         elif self.shard_size < 1 or self.shard_size % per_film:
             got, allowed = f"shard size {self.shard_size}", f"multiples of the {per_film} photos of a film"
         else:
@@ -88,9 +88,7 @@ def generate(config: GenerateConfig) -> None:
         Open3D, which only an installation with the extra ``data`` has.
         DataError: sources that cannot be read; a disk that is full or fails. What is finished is kept in each case.
     """
-    if find_spec("open3d") is None:
-        do = "Install the package with its extra for that: pip install '.[data]' in the project's folder."
-        raise ConfigError(describe(what="Making data", got="no Open3D", do=do))
+    check_open3d()
     try:
         with sole_writer(config.out):
             _make_shards(config)

@@ -7,11 +7,8 @@ black and print white look like there is known exactly.
 from __future__ import annotations
 
 import io
-import multiprocessing
 import os
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field, replace
-from functools import partial
 from pathlib import Path
 
 import cv2
@@ -21,7 +18,7 @@ from jaxtyping import Float, UInt8
 from tqdm import tqdm
 
 from data_gen.composite import print_levels
-from data_gen.develop import develop
+from data_gen.develop import REFERENCE_SIDE, develop, scattered
 from data_gen.manifest import deciding, describe_dataset, described_sources, sole_writer
 from data_gen.prints import make_print
 from data_gen.rooms import prefilter
@@ -29,9 +26,9 @@ from data_gen.sample import SampleConfig, black_and_white, metered, on_sensor, s
 from data_gen.scene import Scene, sample_scene
 from data_gen.shade import FilmLight
 from data_gen.sources import SourceConfig, draw_environment, draw_volume
-from data_gen.work import source_names, start_worker
+from data_gen.work import check_open3d, source_names, start_worker, workers
 from hybrid.coords import linear_from_srgb, rgb_from_bgr, srgb_from_linear
-from hybrid.errors import HybridError
+from hybrid.errors import ConfigError, HybridError, describe
 from hybrid.image_io import write_bytes
 from hybrid.learn.light_data import LitFilm
 from hybrid.levels import CHANNEL_SHARES
@@ -49,8 +46,8 @@ class LitFilmsConfig:
     """Write flat films under many lights, where ``hybrid train --preset light`` finds them.
 
     count: films to make; those that are there already stay. out: their folder, one for each seed. seed: the same seed
-    gives the same films. photos: of each film, each in another light. workers: processes. sources: of CT volumes and
-    of light.
+    gives the same films. photos: of each film, each in another light. workers: processes; 0 makes everything in this
+    one. sources: of CT volumes and of light.
     """
 
     count: int
@@ -60,20 +57,28 @@ class LitFilmsConfig:
     workers: int = os.cpu_count() or 1
     sources: tyro.conf.OmitArgPrefixes[SourceConfig] = field(default_factory=SourceConfig)
 
+    def __post_init__(self) -> None:
+        if min(self.count, self.photos) < 1 or min(self.seed, self.workers) < 0:
+            got = f"count {self.count}, photos {self.photos}, seed {self.seed}, workers {self.workers}"
+            allowed = "count and photos >= 1, seed and workers >= 0"
+            raise ConfigError(describe(what="lit_films", got=got, allowed=allowed, do="Change the option."))
+
 
 def lit_films(config: LitFilmsConfig) -> None:
     """Write the films that are missing.
 
     Raises:
-        ConfigError: ``out`` holds films made with other options, or another run writes there.
+        ConfigError: ``out`` holds films made with other options, or another run writes there; no Open3D.
     """
+    check_open3d()
     with sole_writer(config.out):
         sources = described_sources(config.sources, source_names(config.sources))
         options = deciding(sources=sources, seed=config.seed, photos=config.photos)
         describe_dataset(config.out, options, max(config.count, sum(1 for _ in config.out.glob("*.npz"))))
         missing = [number for number in range(config.count) if not _path(config, number).exists()]
-        with ProcessPoolExecutor(config.workers, multiprocessing.get_context("spawn")) as pool:
-            list(tqdm(pool.map(partial(_write_film, config), missing, chunksize=4), total=len(missing), unit="film"))
+        with workers(config.workers, None) as those, tqdm(total=len(missing), unit="film") as bar:
+            for _ in those.in_order(_write_film, ((config, number) for number in missing)):
+                bar.update()
 
 
 def lit_film(seed: int, number: int, photos: int, sources: SourceConfig) -> LitFilm:
@@ -111,10 +116,21 @@ def _photographed(
     photo = rgb_from_bgr(np.asarray(cv2.imdecode(code, cv2.IMREAD_COLOR), np.uint8))
     levels = (
         cv2.resize(linear_from_srgb(x) @ np.array(CHANNEL_SHARES), (LEVEL_PX,) * 2, interpolation=cv2.INTER_AREA)
-        for x in black_and_white(FilmLight(gain, veil), even, white)
+        for x in black_and_white(_with_bloom(gain, veil, linear, scene.lens.bloom), even, white)
     )
     black, bright = (_bytes(srgb_from_linear(x)) for x in levels)
     return cv2.resize(photo, (FILM_PX,) * 2, interpolation=cv2.INTER_AREA), black, bright
+
+
+def _with_bloom(
+    gain: Float[np.ndarray, "n n 3"], veil: Float[np.ndarray, "n n 3"], linear: Float[np.ndarray, "n n 3"], bloom: float
+) -> FilmLight:
+    """The light on a film when its lens scatters some: that is lost where it should be, and veils what is around."""
+    if bloom == 0:
+        return FilmLight(gain, veil)
+    return FilmLight(
+        (1 - bloom) * gain, (1 - bloom) * veil + bloom * scattered(linear, max(linear.shape) / REFERENCE_SIDE)
+    )
 
 
 def _bytes(display: Float[np.ndarray, "n n"]) -> UInt8[np.ndarray, "n n"]:

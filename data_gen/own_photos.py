@@ -11,6 +11,7 @@ from __future__ import annotations
 import hashlib
 import json
 import sys
+import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -114,7 +115,7 @@ def _read_lattice(truth: Path) -> Float[np.ndarray, "n m 2"]:
     try:
         with np.load(truth, allow_pickle=False) as data:
             lattice = np.asarray(data["lattice"], dtype=np.float64)
-    except (OSError, KeyError, ValueError, EOFError, BadZipFile) as error:
+    except (OSError, KeyError, ValueError, EOFError, BadZipFile, zlib.error) as error:
         do = "Save it with numpy.savez(NAME, lattice=points)."
         raise DataError(describe(what="truth", where=truth, got=error, allowed="an array 'lattice'", do=do)) from error
     if lattice.ndim != 3 or lattice.shape[2] != 2 or min(lattice.shape[:2]) < MIN_NODES:

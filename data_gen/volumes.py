@@ -6,6 +6,7 @@ import hashlib
 import json
 import logging
 import zipfile
+import zlib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -130,7 +131,7 @@ def read_npz(path: Path) -> CtVolume:
             hu = np.asarray(data["hu"])
             z, y, x = (float(s) for s in data["spacing_mm"].ravel())
             meta = json.loads(str(data["meta"])) if "meta" in data.files else {}
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error) as error:
         raise DataError(
             describe(
                 what="CT file",

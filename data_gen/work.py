@@ -17,6 +17,7 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
+from importlib.util import find_spec
 from typing import Any
 
 import cv2
@@ -42,6 +43,17 @@ CLUSTER_PATIENCE = "20s"
 """How long a scheduler may take to answer."""
 
 _AGAIN = "Run the same command again: finished shards are kept."
+
+
+def check_open3d() -> None:
+    """Tell who lacks it what to do, before work begins: films are bent and seen by Open3D.
+
+    Raises:
+        ConfigError: no Open3D, which only an installation with the extra ``data`` has.
+    """
+    if find_spec("open3d") is None:
+        do = "Install the package with its extra for that: pip install '.[data]' in the project's folder."
+        raise ConfigError(describe(what="Making data", got="no Open3D", do=do))
 
 
 # ---------------------------------------------------------------- tasks
@@ -137,7 +149,8 @@ def _processes(count: int) -> Iterator[Workers]:
     executor = ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), initializer=_leave_with_parent)
     try:
         with _starting_processes():
-            executor.submit(start_worker)  # the first task starts them all
+            for _ in range(count):  # a task that finds none idle starts one
+                executor.submit(start_worker)
         yield Workers(executor.submit, lambda: 2 * count + 1)
     except BrokenProcessPool as error:
         do = f"Take fewer --workers if memory is short. {_AGAIN}"

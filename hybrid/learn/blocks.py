@@ -76,7 +76,11 @@ class UNetDecoder(nn.Module):
 
     def forward(self, encoded: Sequence[Tensor]) -> Tensor:
         """(B, outputs, H, W), without an activation."""
-        return self.head(self.features(encoded))
+        return self.decoded(self.features(encoded))
+
+    def decoded(self, features: Tensor) -> Tensor:
+        """The output of the finest features, in single precision: bfloat16 tells a coordinate to a 256th."""
+        return self.head(features).float()
 
 
 def doubled(x: Tensor) -> Tensor:

@@ -220,7 +220,7 @@ def turned_axes(vectors: np.ndarray, axes: Float[np.ndarray, "2 2"]) -> np.ndarr
 
 
 def disturbed(image: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Gain per channel, gamma, grey, blur and noise, each on a share of the views."""
+    """Gain and gamma per channel; on a share of the views each grey, blur and noise."""
     x = np.arange(256, dtype=np.float32) / 255
     gain = np.exp2(rng.normal(0, 0.25) + rng.normal(0, 0.06, 3))
     table = np.stack([np.clip(x ** np.exp2(rng.normal(0, 0.2)) * g, 0, 1) for g in gain], axis=-1)

@@ -125,7 +125,7 @@ class ShapeNet(nn.Module):
         for up, beside in zip(self.up, reversed(skipped), strict=True):
             x = torch.cat([beside, up(x)], dim=1)
         # The hyperbolic tangent is the network's, the cut at 0 follows it in training and inference.
-        return ShapeOutput(torch.tanh(self.last(x)).clamp(0.0, 1.0))
+        return ShapeOutput(torch.tanh(self.last(x).float()).clamp(0.0, 1.0))
 
 
 # ---------------------------------------------------------------- backward-map network
@@ -207,7 +207,8 @@ class BackwardNet(nn.Module):
         """The map of a code of 3D coordinates of any size; every so many pixels are read, none are mixed."""
         small = functional.interpolate(code, (NODES, NODES), mode="nearest")
         position = self.get_buffer("position").expand(len(small), -1, -1, -1)
-        normalised = functional.hardtanh(self.decoder(self.encoder(torch.cat([small, position], dim=1))))
+        decoded = self.decoder(self.encoder(torch.cat([small, position], dim=1))).float()  # as UNetDecoder's
+        normalised = functional.hardtanh(decoded)
         return BackwardOutput(normalised.add(1).div(2))
 
 

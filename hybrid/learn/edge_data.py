@@ -59,7 +59,7 @@ def open_edges(folders: Sequence[Path]) -> list[EdgePlace]:
     """All samples of some data sets, with FilmNet's maps where they lie beside them.
 
     Raises:
-        DataError: a data set that cannot be read, or maps that are not those of its samples.
+        DataError: a data set that cannot be read, or maps that are not as many as its samples.
     """
     return [one for folder in folders for one in _open_folder(folder)]
 

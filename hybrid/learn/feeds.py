@@ -49,9 +49,10 @@ class Feed:
     """Data for one kind of network.
 
     open: the places (samples, or prints) of some folders. split: those to be tested on, at least so many, and those to
-    be trained on, which share nothing with them. batch: images and targets of some places for an input of so many
-    pixels, each disturbed by its own random numbers. test: figures of a network on places that it was not trained on,
-    by name. picture: the network on some of these places, drawn; None where there is nothing to draw.
+    be trained on; photos of one film lie side by side, so the two share a film only where it is cut. batch: images and
+    targets of some places for an input of so many pixels, each disturbed by its own random numbers. test: figures of a
+    network on places that it was not trained on, by name. picture: the network on some of these places, drawn; None
+    where there is nothing to draw.
     """
 
     open: Callable[[Sequence[Path]], list[Any]]
@@ -210,15 +211,19 @@ def _print_batch(
 def _print_test(
     batch: Callable[..., tuple[Tensor, Tensor]], network: nn.Module, paths: Sequence[Path], px: int, device: str
 ) -> dict[str, float]:
-    """Shares of films and of patches that are read right, and the mean -log2 of the films' probabilities."""
-    rng, rows = np.random.default_rng(0), []
+    """Shares of films and of patches that are read right, and the mean -log2 of the films' probabilities.
+
+    Patches without writing score alike in every way and are left out; a film of such alone is not read right.
+    """
+    rng, films, patches = np.random.default_rng(0), [], []
     for part in _test_batches(paths):
         output = network(batch(part, px, [rng] * len(part))[0].to(device))
-        right = [(scores.argmax(dim=-1) == 0).float() for scores in (output.films, output.votes)]
+        right = (output.films.argmax(dim=1) == 0) & output.written.any(dim=1)
         bits = -output.films.log_softmax(dim=1)[:, 0] / np.log(2)
-        rows.append(torch.stack([right[0], right[1].mean(dim=1), bits], dim=1).cpu().numpy())
-    film, patch, bits = np.concatenate(rows).mean(axis=0)
-    return {"test_upright": float(film), "test_patch": float(patch), "test_bits": float(bits)}
+        films.append(torch.stack([right.float(), bits], dim=1))
+        patches.append((output.votes.argmax(dim=2) == 0)[output.written].float())
+    film, bits = torch.cat(films).mean(dim=0).tolist()
+    return {"test_upright": film, "test_patch": float(torch.cat(patches).mean()), "test_bits": bits}
 
 
 # ---------------------------------------------------------------- EdgeNet

@@ -119,7 +119,7 @@ class FiReNet(nn.Module):
         found, seen = {}, [scaled]
         for name, decoder in _decoders(self.maps):
             features = decoder.features(encoded)
-            found[name] = _KINDS[name].activation(decoder.head(features))
+            found[name] = _KINDS[name].activation(decoder.decoded(features))
             seen.append(features)
         encoded = self.second_encoder(torch.cat(seen, dim=1) * torch.sigmoid(mask_logit))
         for name, decoder in _decoders(self.heads):

@@ -120,8 +120,8 @@ class FilmNet(nn.Module):
             phases=maps[:, 8:12].unflatten(1, (2, 2)),
             grid_logit=maps[:, 12],
             covered_logit=maps[:, 13],
-            orientation=self.orientation_head(x32.mean(dim=(2, 3))),
-            normal=functional.pixel_shuffle(self.training_head(y8), 2) if self.training else None,
+            orientation=self.orientation_head(x32.mean(dim=(2, 3))).float(),
+            normal=functional.pixel_shuffle(self.training_head(y8), 2).float() if self.training else None,
         )
 
 

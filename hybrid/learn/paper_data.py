@@ -14,7 +14,6 @@ from jaxtyping import Float
 from torch import Tensor
 
 from hybrid.backward import BackwardMap, film_as_seen, orientation
-from hybrid.coords import film_nodes
 from hybrid.errors import DataError, describe
 from hybrid.learn.data import AugmentConfig, axes_of, disturbed, random_window, turned_axes
 from hybrid.learn.paper_targets import PaperTargets
@@ -69,7 +68,5 @@ def _sample(
 def backward_in_window(film: BackwardMap, window: BackwardMap, nodes: int) -> Float[np.ndarray, "n n 2"]:
     """A film's backward map as a window (a similarity) sees it: n x n nodes, in units of the window's sides."""
     corner, right, down = window.photo_from_film(np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]))
-    photo = film.photo_from_film(film_nodes((nodes, nodes)))
-    return np.linalg.solve(np.column_stack([right - corner, down - corner]), (photo - corner)[..., None])[
-        ..., 0
-    ].astype(np.float32)
+    axes = np.column_stack([right - corner, down - corner])
+    return ((film.lattice((nodes, nodes)) - corner) @ np.linalg.inv(axes).T).astype(np.float32)

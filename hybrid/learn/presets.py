@@ -154,7 +154,7 @@ PRESETS: dict[str, Preset] = {
         own_feed=edge_feed(EdgeNetConfig()),
         batch=16,
         learning_rate=2e-3,
-        px_multiple=8,
+        px_multiple=24,  # 2 columns for 3 rows, both halved three times
     ),
     "light": Preset(
         LightNetConfig(),

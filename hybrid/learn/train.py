@@ -102,6 +102,8 @@ class Plan:
             ("loaders", config.loaders, 0),
             ("batch", config.batch, 1),
             ("input_px", config.input_px, 32),
+            ("coarse_px", config.coarse_px if config.coarse_share else None, 32),
+            ("seed", config.seed, 0),
             ("steps_per_test", config.steps_per_test, 1),
         ):
             if value is not None and value < least:

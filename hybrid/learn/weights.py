@@ -105,7 +105,7 @@ def notes_of(path: Path) -> dict[str, Any]:
 
 
 def parameter_count(network: nn.Module) -> int:
-    """Number of trainable parameters."""
+    """Number of parameters, those that no training changes among them."""
     return sum(p.numel() for p in network.parameters())
 
 

@@ -240,7 +240,7 @@ def on_table(network: MassSpring, rng: np.random.Generator) -> Bending:
         chosen = near_point(network, _rim_point(rng), rng.uniform(10, 45))
         middle = flat_points(network)[chosen].mean(axis=0)
         lift = rng.uniform(10, 90)
-        tilt = _unit(np.cross(middle, _AWAY)) * lift / rng.uniform(80, 200)
+        tilt = _unit(np.cross(_AWAY, middle)) * lift / rng.uniform(80, 200)
         grips.append(rigid(network, chosen, tilt, np.append(-_unit(middle)[:2] * rng.uniform(0.1, 0.3) * lift, -lift)))
     table = Plane(np.array([0.0, 0.0, 0.5]), -_AWAY, friction=0.2)
     weight, curl = gravity(network, _AWAY), _curl(rng, 0.6)
