@@ -55,7 +55,9 @@ def as_photo(source: Any) -> UInt8[np.ndarray, "h w 3"]:
     if source.ndim != 2 and not (source.ndim == 3 and source.shape[2] == 3):
         _refuse_array(got, _how_to_reshape(source.shape))
     _check_size(source.shape[0], source.shape[1], "array")
-    return np.repeat(source[:, :, None], 3, axis=2) if source.ndim == 2 else source
+    if source.ndim == 2:
+        return np.repeat(source[:, :, None], 3, axis=2)
+    return np.ascontiguousarray(source)  # else OpenCV copies all of it at every call
 
 
 def read_photo(path: str | os.PathLike[str]) -> UInt8[np.ndarray, "h w 3"]:
@@ -161,7 +163,7 @@ def _decode_with_pillow(path: Path) -> UInt8[np.ndarray, "h w 3"]:
         raise PhotoError(
             describe(what=what, where=path, got=_kind_of(path), allowed=READABLE, do=_TAKE_AGAIN)
         ) from error
-    except PhotoError:
+    except (PhotoError, MemoryError):
         raise
     except Exception as error:  # a damaged file makes Pillow's many readers raise nearly anything
         what = "The picture is damaged or cut off"

@@ -217,7 +217,8 @@ def _unfinished(about: dict[str, Any], known: dict[str, Any]) -> dict[str, Any]:
 
 def _files_in(record: dict[str, Any]) -> list[str]:
     """All files that a record names, relative to its folder."""
-    return [*record.get("files", []), *record.get("earlier_files", [])]
+    named = [record.get(key) for key in ("files", "earlier_files")]
+    return [file for files in named if isinstance(files, list) for file in files if isinstance(file, str)]
 
 
 def _json_bytes(record: dict[str, Any]) -> bytes:

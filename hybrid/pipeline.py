@@ -104,6 +104,9 @@ class Rectifier:
         if len(sources) < 2:
             do = "Name two or more photos of one film; a single one is rectified."
             raise FusionError(describe(what="Photos to fuse", got=len(sources), allowed="two or more", do=do))
+        if names is not None and len(names) != len(sources):
+            got, allowed = f"{len(names)} of {len(sources)} photos", "one of each"
+            raise FusionError(describe(what="Names to fuse", got=got, allowed=allowed, do="Name all, or none."))
         photos = [as_photo(source) for source in sources]
         results = [self(photo) for photo in photos]
         with one_thread():

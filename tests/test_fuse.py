@@ -281,6 +281,11 @@ def test_a_single_source_is_refused_as_such():
         Rectifier.fuse(None, "film.jpg")
 
 
+def test_names_of_some_photos_only_are_refused():
+    with pytest.raises(FusionError, match="1 of 2 photos"):
+        Rectifier.fuse(None, ["a.jpg", "b.jpg"], ["a"])
+
+
 def test_the_command_leaves_out_photos_without_a_film_and_says_whose_the_map_is(tmp_path: Path):
     blank = tmp_path / "blank.png"
     cv2.imwrite(str(blank), np.full((300, 400, 3), 90, np.uint8))

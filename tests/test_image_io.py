@@ -345,3 +345,12 @@ def test_failed_write_keeps_the_old_file(tmp_path: Path, monkeypatch: pytest.Mon
         write_bytes(path, b"new")
     assert path.read_bytes() == b"old"
     assert [p.name for p in tmp_path.iterdir()] == ["a.bin"]
+
+
+def test_arrays_with_gaps_are_packed_and_left_as_they_are():
+    source = np.random.default_rng(0).integers(0, 256, (80, 90, 4), np.uint8)
+    before = source.copy()
+    photo = as_photo(source[..., :3])
+    assert photo.flags.c_contiguous
+    np.testing.assert_array_equal(photo, before[..., :3])
+    np.testing.assert_array_equal(source, before)
