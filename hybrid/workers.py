@@ -8,6 +8,7 @@ import signal
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from functools import partial
 from typing import Any, TypeVar
 
@@ -21,7 +22,7 @@ Done = TypeVar("Done")
 def shared_out(
     work: Callable[[Tool, Task], Done], make_tool: Callable[[], Tool], tasks: Sequence[Task], workers: int
 ) -> Iterator[Done | HybridError]:
-    """``work(tool, task)`` for each task, in their order; an error that says so for those of a process that died.
+    """``work(tool, task)`` for each task, in their order; an error that says so for one that ends its process.
 
     Each worker makes a tool of its own, and uses its share of the processors. One worker is this process itself;
     more are new ones, so all arguments have to be such as can be sent to them. Where the caller stops early, or is
@@ -33,23 +34,48 @@ def shared_out(
         for task in tasks:
             yield work(tool, task)
         return
-    threads = max(_processors() // count, 1)
-    starting = partial(_start, make_tool, threads)
+    at, ready = 0, dict[int, Done | HybridError]()
+    while at < len(tasks):
+        left = [number for number in range(at, len(tasks)) if number not in ready]
+        with _pool(make_tool, count) as pool:
+            futures = {number: pool.submit(_do, work, tasks[number]) for number in left}
+            try:
+                while at < len(tasks):
+                    yield ready.pop(at) if at in ready else futures[at].result()
+                    at += 1
+                return
+            except BrokenProcessPool:  # so end all that were under way or waiting, whichever of them is to blame
+                done = {number: one for number, one in futures.items() if number >= at and one.exception() is None}
+        ready |= {number: one.result() for number, one in done.items()}
+        under_way = [number for number in left if number >= at and number not in done][:count]
+        ready |= {number: _alone(work, make_tool, tasks[number]) for number in under_way}
+
+
+def _alone(work: Callable[[Tool, Task], Done], make_tool: Callable[[], Tool], task: Task) -> Done | HybridError:
+    """A task in a process of its own, which it may end without harm to others."""
+    with _pool(make_tool, 1) as pool:
+        try:
+            return pool.submit(_do, work, task).result()
+        except BrokenProcessPool:
+            do = "Take a smaller photo, or fewer --workers, if memory is short."
+            return HybridError(describe(what="worker", got="a process that died", do=do))
+
+
+@contextmanager
+def _pool(make_tool: Callable[[], Any], count: int) -> Iterator[ProcessPoolExecutor]:
+    """Processes that share the processors, each with a tool."""
+    starting = partial(_start, make_tool, max(_processors() // count, 1))
     pool = ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), starting)
     try:
-        for future in [pool.submit(_do, work, task) for task in tasks]:
-            try:
-                yield future.result()
-            except BrokenProcessPool:
-                yield HybridError(
-                    describe(what="worker", got="a process that died", do="Take fewer --workers if memory is short.")
-                )
+        yield pool
     finally:
         pool.shutdown(cancel_futures=True)
 
 
 _TOOL: Any = None
 """What this worker works with."""
+_NO_TOOL: HybridError | None = None
+"""Why it has none."""
 
 
 def _start(make_tool: Callable[[], Any], threads: int) -> None:
@@ -57,14 +83,19 @@ def _start(make_tool: Callable[[], Any], threads: int) -> None:
     import cv2
     import torch
 
-    global _TOOL
+    global _TOOL, _NO_TOOL
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     cv2.setNumThreads(threads)
     torch.set_num_threads(threads)
-    _TOOL = make_tool()
+    try:
+        _TOOL = make_tool()
+    except HybridError as error:  # raised here it would be told as a process that died
+        _NO_TOOL = error
 
 
 def _do(work: Callable[[Any, Task], Done], task: Task) -> Done:
+    if _NO_TOOL is not None:
+        raise _NO_TOOL
     return work(_TOOL, task)
 
 

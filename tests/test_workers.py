@@ -1,12 +1,13 @@
 """Photos shared out among processes: results in order, whatever happens to a worker."""
 
 import os
+import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from hybrid.errors import HybridError
+from hybrid.errors import DataError, HybridError
 from hybrid.image_io import write_rgb
 from hybrid.outputs import rectify_files
 from hybrid.records import RectifyResult, Status, StatusCode
@@ -24,10 +25,18 @@ class Tool:
 
 
 def work(tool: Tool, task: int) -> tuple[int, int]:
-    """Dies at negative tasks."""
+    """Dies at negative tasks; takes long enough for others to be under way."""
     if task < 0:
         os._exit(1)
+    time.sleep(0.05)
     return tool.process, task
+
+
+class NoTool:
+    """Cannot be made."""
+
+    def __init__(self) -> None:
+        raise DataError("no such weights")
 
 
 @pytest.mark.parametrize("workers", [1, 2])
@@ -39,10 +48,21 @@ def test_results_come_in_the_order_of_the_tasks(workers):
 
 
 def test_a_worker_that_dies_is_told_and_ends_nothing_else():
-    done = list(shared_out(work, Tool, [-1, 0, 1], 2))
-    assert len(done) == 3
-    assert isinstance(done[0], HybridError)
-    assert "--workers" in str(done[0])
+    tasks = [0, 1, -1, 2, 3, 4, -1, 5]
+    done = list(shared_out(work, Tool, tasks, 2))
+    assert len(done) == len(tasks)
+    for task, one in zip(tasks, done, strict=True):
+        if task < 0:
+            assert isinstance(one, HybridError)
+            assert "--workers" in str(one)
+        else:
+            assert one[1] == task
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_a_tool_that_cannot_be_made_is_told_as_that(workers):
+    with pytest.raises(DataError, match="no such weights"):
+        list(shared_out(work, NoTool, range(4), workers))
 
 
 def test_photos_of_one_name_are_numbered_in_their_order(tmp_path: Path):
