@@ -301,7 +301,7 @@ def _surest_grid(
 
 
 def fuse(
-    photos: Sequence[UInt8[np.ndarray, "h w 3"]],
+    photos: Sequence[UInt8[np.ndarray, "_ _ 3"]],
     results: Sequence[RectifyResult],
     reader: LevelReader,
     config: FuseConfig | None = None,
