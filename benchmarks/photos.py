@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from hybrid.backward import BackwardMap
-from hybrid.errors import DataError, describe
+from hybrid.errors import NPZ_ERRORS, DataError, describe
 from hybrid.image_io import read_photo
 
 TEXTURE_NAME = re.compile(r"_(?P<rows>\d+)x(?P<cols>\d+)_(?P<style>[a-z]+)_m(?P<margin>\d+)\.png$")
@@ -70,7 +70,7 @@ def load_photo(truth: Path) -> TruePhoto:
             xyz = data["xyz"].astype(np.float64) if "xyz" in data else None
             texture = truth.parent / "textures" / str(data["texture"])
             meta = json.loads(str(data["meta"]))
-    except (OSError, KeyError, ValueError) as error:
+    except NPZ_ERRORS as error:
         do = "Copy the file again, or leave it out."
         raise DataError(describe(what="Truth cannot be read", where=truth, got=f"'{error}'", do=do)) from error
     parts = TEXTURE_NAME.search(texture.name)

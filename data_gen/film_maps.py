@@ -8,19 +8,17 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Annotated
 
-import cv2
 import numpy as np
 import torch
 import tyro
 from jaxtyping import Float32
-from threadpoolctl import threadpool_limits
 from tqdm import tqdm
 
 from data_gen.shards import npy_bytes
-from data_gen.work import workers
+from data_gen.work import start_worker, workers
 from hybrid.backward import end_point_error, film_as_seen
 from hybrid.effort import RectifyConfig
-from hybrid.errors import ConfigError, HybridError, describe
+from hybrid.errors import HybridError, require_at_least
 from hybrid.geometry import Clock, see
 from hybrid.image_io import write_bytes
 from hybrid.learn.edge_data import FILM_MAPS
@@ -49,8 +47,7 @@ class FilmMapsConfig:
     workers: int = os.cpu_count() or 1
 
     def __post_init__(self) -> None:
-        if self.workers < 0:
-            raise ConfigError(describe(what="--workers", got=self.workers, allowed=">= 0", do="Choose another."))
+        require_at_least(self, 0, "workers")
 
 
 def write_film_maps(config: FilmMapsConfig) -> Path:
@@ -81,9 +78,8 @@ def film_map(network: FilmNet, place: Place) -> Float32[np.ndarray, "n m 2"]:
 @lru_cache(maxsize=1)
 def _network(folder: Path) -> tuple[FilmNet, list[Place]]:
     """The network and all samples of a data set; in this process all is done by one thread from now on."""
+    start_worker()
     torch.set_num_threads(1)
-    cv2.setNumThreads(1)
-    threadpool_limits(1)
     return ready(packaged_film_net()), open_places([folder])
 
 

@@ -14,7 +14,7 @@ from data_gen.manifest import deciding, describe_dataset, described_sources, sol
 from data_gen.prints import make_print
 from data_gen.sources import SourceConfig, draw_volume
 from data_gen.work import source_names
-from hybrid.errors import ConfigError, HybridError, describe
+from hybrid.errors import HybridError, require_at_least
 from hybrid.image_io import write_bytes
 
 
@@ -32,9 +32,8 @@ class FlatPrintsConfig:
     sources: tyro.conf.OmitArgPrefixes[SourceConfig] = field(default_factory=SourceConfig)
 
     def __post_init__(self) -> None:
-        if self.count < 1 or self.seed < 0:
-            got, allowed = f"count {self.count}, seed {self.seed}", "count >= 1, seed >= 0"
-            raise ConfigError(describe(what="flat_prints", got=got, allowed=allowed, do="Change the option."))
+        require_at_least(self, 1, "count")
+        require_at_least(self, 0, "seed")
 
 
 def flat_prints(config: FlatPrintsConfig) -> None:

@@ -27,7 +27,7 @@ from data_gen.manifest import (
 from data_gen.sample import SampleConfig
 from data_gen.sources import SourceConfig
 from data_gen.work import check_open3d, film_bytes, source_names, workers
-from hybrid.errors import ConfigError, DataError, HybridError, describe
+from hybrid.errors import ConfigError, DataError, HybridError, describe, require_at_least
 
 MAX_MAP_SIZE = 448
 """Maps are stored at the photo's size up to this (the published data set's)."""
@@ -58,10 +58,10 @@ class GenerateConfig:
 
     def __post_init__(self) -> None:
         per_film = self.sample.photos_per_film
-        if self.count < 1 or self.size < 32 or min(self.workers, self.seed) < 0 or not 16 <= self.maps <= self.size:
-            numbers = (self.count, self.size, self.maps, self.workers, self.seed)
-            got = "count {}, size {}, map size {}, workers {}, seed {}".format(*numbers)
-            allowed = "count >= 1, size >= 32, map size from 16 to size, workers and seed >= 0"
+        require_at_least(self, 0, "seed")
+        if self.count < 1 or self.size < 32 or self.workers < 0 or not 16 <= self.maps <= self.size:
+            got = f"count {self.count}, size {self.size}, map size {self.maps}, workers {self.workers}"
+            allowed = "count >= 1, size >= 32, map size from 16 to size, workers >= 0"
         elif self.shard_size < 1 or self.shard_size % per_film:
             got, allowed = f"shard size {self.shard_size}", f"multiples of the {per_film} photos of a film"
         else:

@@ -28,7 +28,7 @@ from data_gen.shade import FilmLight
 from data_gen.sources import SourceConfig, draw_environment, draw_volume
 from data_gen.work import check_open3d, source_names, start_worker, workers
 from hybrid.coords import linear_from_srgb, rgb_from_bgr, srgb_from_linear
-from hybrid.errors import ConfigError, HybridError, describe
+from hybrid.errors import HybridError, require_at_least
 from hybrid.image_io import write_bytes
 from hybrid.learn.light_data import LitFilm
 from hybrid.levels import CHANNEL_SHARES
@@ -58,10 +58,8 @@ class LitFilmsConfig:
     sources: tyro.conf.OmitArgPrefixes[SourceConfig] = field(default_factory=SourceConfig)
 
     def __post_init__(self) -> None:
-        if min(self.count, self.photos) < 1 or min(self.seed, self.workers) < 0:
-            got = f"count {self.count}, photos {self.photos}, seed {self.seed}, workers {self.workers}"
-            allowed = "count and photos >= 1, seed and workers >= 0"
-            raise ConfigError(describe(what="lit_films", got=got, allowed=allowed, do="Change the option."))
+        require_at_least(self, 1, "count", "photos")
+        require_at_least(self, 0, "seed", "workers")
 
 
 def lit_films(config: LitFilmsConfig) -> None:

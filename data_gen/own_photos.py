@@ -11,12 +11,10 @@ from __future__ import annotations
 import hashlib
 import json
 import sys
-import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
-from zipfile import BadZipFile
 
 import cv2
 import numpy as np
@@ -30,7 +28,7 @@ from data_gen.shards import npy_bytes, packed
 from hybrid.backward import MIN_NODES, BackwardMap
 from hybrid.coords import opencv_from_photo, pixel_centres, rescale_points, rgb_from_bgr
 from hybrid.draw import outline_curve, resized
-from hybrid.errors import ConfigError, DataError, HybridError, describe
+from hybrid.errors import NPZ_ERRORS, ConfigError, DataError, HybridError, describe
 from hybrid.image_io import read_photo
 from hybrid.learn.coding import encode_uv
 
@@ -115,7 +113,7 @@ def _read_lattice(truth: Path) -> Float[np.ndarray, "n m 2"]:
     try:
         with np.load(truth, allow_pickle=False) as data:
             lattice = np.asarray(data["lattice"], dtype=np.float64)
-    except (OSError, KeyError, ValueError, EOFError, BadZipFile, zlib.error) as error:
+    except NPZ_ERRORS as error:
         do = "Save it with numpy.savez(NAME, lattice=points)."
         raise DataError(describe(what="truth", where=truth, got=error, allowed="an array 'lattice'", do=do)) from error
     if lattice.ndim != 3 or lattice.shape[2] != 2 or min(lattice.shape[:2]) < MIN_NODES:

@@ -5,15 +5,13 @@ from __future__ import annotations
 import hashlib
 import json
 import logging
-import zipfile
-import zlib
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float, Int16
 
-from hybrid.errors import DataError, describe
+from hybrid.errors import NPZ_ERRORS, DataError, describe
 
 LOG = logging.getLogger(__name__)
 
@@ -131,7 +129,7 @@ def read_npz(path: Path) -> CtVolume:
             hu = np.asarray(data["hu"])
             z, y, x = (float(s) for s in data["spacing_mm"].ravel())
             meta = json.loads(str(data["meta"])) if "meta" in data.files else {}
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+    except NPZ_ERRORS as error:
         raise DataError(
             describe(
                 what="CT file",

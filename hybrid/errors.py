@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+import zlib
 from typing import Any
+from zipfile import BadZipFile
+
+NPZ_ERRORS = (OSError, ValueError, KeyError, EOFError, BadZipFile, zlib.error)
+"""What NumPy raises where an .npz file is damaged or lacks an array."""
 
 
 class HybridError(Exception):

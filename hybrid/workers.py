@@ -45,9 +45,9 @@ def shared_out(
                     at += 1
                 return
             except BrokenProcessPool:  # so end all that were under way or waiting, whichever of them is to blame
-                done = {number: one for number, one in futures.items() if number >= at and one.exception() is None}
-        ready |= {number: one.result() for number, one in done.items()}
-        under_way = [number for number in left if number >= at and number not in done][:count]
+                ended = [number for number in left if number >= at and futures[number].exception() is None]
+        ready |= {number: futures[number].result() for number in ended}
+        under_way = [number for number in left if number >= at and number not in ready][:count]
         ready |= {number: _alone(work, make_tool, tasks[number]) for number in under_way}
 
 

@@ -10,6 +10,7 @@ from paper_case import flat_case
 
 from hybrid.coords import film_nodes
 from hybrid.errors import ConfigError
+from hybrid.learn.blocks import in_single_precision
 from hybrid.learn.losses import Targets
 from hybrid.learn.network import FilmNetConfig
 from hybrid.learn.presets import PRESETS, preset, weighted_sum
@@ -37,6 +38,27 @@ def test_a_preset_trains_on_the_targets_that_its_feed_makes(name):
     loss = weighted_sum(terms, chosen.weights)
     loss.backward()
     assert bool(torch.isfinite(loss.detach()))
+
+
+@pytest.mark.parametrize("name", PAPERS)
+def test_maps_are_as_fine_in_bfloat16_runs(name):
+    torch.manual_seed(0)
+    chosen = small(name)
+    images, targets = flat_case(64, chosen.nodes(64) or 8)
+    with torch.autocast("cpu", torch.bfloat16):
+        output = chosen.network()(chosen.inputs(images, targets))
+    maps = [value for value in vars(output).values() if isinstance(value, torch.Tensor)]
+    assert maps
+    assert all(one.dtype == torch.float32 for one in maps)
+
+
+def test_a_last_layer_in_single_precision_heeds_no_autocast():
+    torch.manual_seed(0)
+    layer, x = torch.nn.Conv2d(8, 2, 1), torch.rand(1, 8, 32, 32).bfloat16()
+    with torch.autocast("cpu", torch.bfloat16):
+        found, coarse = in_single_precision(layer, x), layer(x)
+    assert torch.equal(found, layer(x.float()))
+    assert len(found.unique()) > 2 * len(coarse.unique())
 
 
 def test_weights_stand_for_terms_that_there_are():

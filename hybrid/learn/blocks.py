@@ -79,8 +79,16 @@ class UNetDecoder(nn.Module):
         return self.decoded(self.features(encoded))
 
     def decoded(self, features: Tensor) -> Tensor:
-        """The output of the finest features, in single precision: bfloat16 tells a coordinate to a 256th."""
-        return self.head(features).float()
+        """The output of the finest features, in single precision."""
+        return in_single_precision(self.head, features)
+
+
+def in_single_precision(layer: nn.Module, x: Tensor) -> Tensor:
+    """What a last layer makes of ``x``, whatever autocast has others compute in: bfloat16 tells one half to a 256th."""
+    if not torch.amp.is_autocast_available(x.device.type):  # tensors without values, of which only shapes are asked
+        return layer(x)
+    with torch.autocast(x.device.type, enabled=False):
+        return layer(x.float())
 
 
 def doubled(x: Tensor) -> Tensor:

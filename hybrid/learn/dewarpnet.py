@@ -16,7 +16,7 @@ from torch.nn import functional
 
 from hybrid.coords import film_nodes
 from hybrid.errors import ConfigError, describe
-from hybrid.learn.blocks import scaled
+from hybrid.learn.blocks import in_single_precision, scaled
 
 CODE_CENTRE = 0.5
 """What a code of 3D coordinates holds at the film's centre."""
@@ -125,7 +125,7 @@ class ShapeNet(nn.Module):
         for up, beside in zip(self.up, reversed(skipped), strict=True):
             x = torch.cat([beside, up(x)], dim=1)
         # The hyperbolic tangent is the network's, the cut at 0 follows it in training and inference.
-        return ShapeOutput(torch.tanh(self.last(x).float()).clamp(0.0, 1.0))
+        return ShapeOutput(torch.tanh(in_single_precision(self.last, x)).clamp(0.0, 1.0))
 
 
 # ---------------------------------------------------------------- backward-map network
@@ -207,8 +207,8 @@ class BackwardNet(nn.Module):
         """The map of a code of 3D coordinates of any size; every so many pixels are read, none are mixed."""
         small = functional.interpolate(code, (NODES, NODES), mode="nearest")
         position = self.get_buffer("position").expand(len(small), -1, -1, -1)
-        decoded = self.decoder(self.encoder(torch.cat([small, position], dim=1))).float()  # as UNetDecoder's
-        normalised = functional.hardtanh(decoded)
+        features = self.decoder[:-1](self.encoder(torch.cat([small, position], dim=1)))
+        normalised = functional.hardtanh(in_single_precision(self.decoder[-1], features))
         return BackwardOutput(normalised.add(1).div(2))
 
 

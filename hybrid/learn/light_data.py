@@ -7,11 +7,9 @@ know prints by heart.
 
 from __future__ import annotations
 
-import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from zipfile import BadZipFile
 
 import cv2
 import numpy as np
@@ -22,7 +20,7 @@ from torch.nn import functional
 
 from hybrid.backward import Orientation
 from hybrid.coords import film_centres, linear_from_srgb, srgb_from_linear
-from hybrid.errors import DataError, describe
+from hybrid.errors import NPZ_ERRORS, DataError, describe
 from hybrid.learn.light import LightTargets, films_tensor, linear_grey
 from hybrid.levels import CHANNEL_SHARES, LEAST_CONTRAST
 
@@ -160,7 +158,7 @@ def _arrays(path: Path, names: Sequence[str]) -> dict[str, np.ndarray]:
     try:
         with np.load(path) as file:
             return {name: file[name] for name in names}
-    except (OSError, ValueError, KeyError, EOFError, BadZipFile, zlib.error) as error:
+    except NPZ_ERRORS as error:
         raise DataError(describe(what="Flat film", where=path, got=error, do="Make it again.")) from error
 
 

@@ -96,13 +96,14 @@ class Plan:
         Raises:
             ConfigError: no such preset, or an option that it does not have.
         """
+        coarse_px = config.coarse_px if config.coarse_share else None
         for name, value, least in (
             ("passes", config.passes, 1),
             ("held_out", config.held_out, 0),
             ("loaders", config.loaders, 0),
             ("batch", config.batch, 1),
             ("input_px", config.input_px, 32),
-            ("coarse_px", config.coarse_px if config.coarse_share else None, 32),
+            ("coarse_px", coarse_px, 32),
             ("seed", config.seed, 0),
             ("steps_per_test", config.steps_per_test, 1),
         ):
@@ -126,9 +127,8 @@ class Plan:
             chosen = chosen.at_width(config.width)
         if config.input_px is not None:
             chosen = chosen.at_input(config.input_px)
-        sides = (("input_px", chosen.config.input_px), ("coarse_px", config.coarse_px if config.coarse_share else 0))
-        for name, px in sides:
-            if px % chosen.px_multiple:
+        for name, px in (("input_px", chosen.config.input_px), ("coarse_px", coarse_px)):
+            if px is not None and px % chosen.px_multiple:
                 allowed, do = f"multiples of {chosen.px_multiple}", "Choose another."
                 raise ConfigError(describe(what=_flag(name), got=px, allowed=allowed, do=do))
         return Plan(config, chosen, config.batch or chosen.batch, config.learning_rate or chosen.learning_rate)
