@@ -62,7 +62,7 @@ def page_text(results: Results) -> str:
     if results.stability is not None:
         parts.append("## Stability\n\n" + _stability_text(results.stability))
     if results.soak is not None:
-        parts.append("## A thousand films\n\n" + _soak_text(results.soak))
+        parts.append(f"## {results.soak.films} films in one process\n\n" + _soak_text(results.soak))
     parts.append("## How it is measured\n\n" + _how(report))
     return "\n\n".join(part for part in parts if part) + "\n"
 
@@ -113,10 +113,14 @@ def _how(report: Report) -> str:
     trained = [f"{m.label}: {m.training}" for m in report.methods if m.training and m.name in rivals_of(report)]
     timed = sorted(m.label for m in report.methods if m.unscored == TIME_ONLY)
     lines = [
-        f"To make this page again:\n\n```bash\n{run['command']}\n```",
+        f"To make these figures again:\n\n```bash\n{run['command']}\n```\n\nParts of other commands are put beside "
+        "them (`stability.json` and `soak.json` into the same folder); `python -m benchmarks.page --out DIR` makes the "
+        "page.",
         f"{machine['processor']}, {machine['usable_processors']} usable processors, {machine['memory_gib']} GiB; "
         f"threads for every method: {settings.threads}; Python {run['python']}, {versions}; {_made(run)}.",
-        f"**Equal footing.** {len(report.cases)} photos whose true geometry is known ({settings.source}). Every method "
+        f"**Equal footing.** {len(report.cases)} photos whose true geometry is known ({settings.source}). Where that "
+        "is known at every point a photo is rendered; the project's check photos, renders of a program that is not its "
+        "own, were looked at while `hybrid` was developed, so other photos are the fairer test. Every method "
         "sees the same photos in memory and ends with the flat film in memory; the methods take turns on each photo. "
         "Those that give a map have the photo read through it as `hybrid` reads it, to a film of the size that the "
         "photo resolves. The floor is one bilinear `cv2.remap` to that film, through a map that is there already. "
@@ -197,7 +201,8 @@ def _stability_text(stability: StabilityReport) -> str:
 def _soak_text(soak: SoakReport) -> str:
     return (
         f"```bash\n{soak.run['command']}\n```\n\n{_made(soak.run).capitalize()}.\n\n"
-        f"{soak.films} films in one process: memory {soak.memory_mib[0]:.0f} MiB after {soak.settled} films, "
+        f"{soak.photos} photos of {soak.photo_px} px again and again, {soak.films} films: "
+        f"memory {soak.memory_mib[0]:.0f} MiB after {soak.settled} films, "
         f"{soak.memory_mib[-1]:.0f} MiB at the end ({100 * soak.memory_growth():+.1f} %); a film takes "
         f"{100 * soak.time_drift():+.1f} % longer in the last fifth than in the first (processor seconds); "
         f"{soak.different} results differ from those of the same photo before."

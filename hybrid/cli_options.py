@@ -37,8 +37,8 @@ class PhotoOptions:
     """Format of the rectified photo."""
 
     effort: Effort = "default"
-    """How much work a photo is worth: fast takes half the time for three times the error, thorough refines unsure films
-    from four sides. It sets the options of the stages that are not named."""
+    """How much work a photo is worth: fast takes 0.6 of the time for three times the error (ten times, of photos of 12
+    megapixels), thorough refines unsure films from four sides. It sets the options of the stages that are not named."""
 
     verbose: Annotated[bool, tyro.conf.arg(aliases=["-v"]), tyro.conf.FlagCreatePairsOff] = False
     """Tell what each stage saw, and how long it took."""

@@ -1,12 +1,15 @@
-"""The failures that users of other systems report, by their numbers in the project's list; each is a test here.
+"""The failures that users of other systems report, by their numbers in the project's list.
 
 Numbers that other files test at length: 7 (test_deilluminate), 9 (test_pipeline), 13 (test_pipeline), 15 and 18
-(test_metrics), 16 (test_shards, test_views), 20 (test_deilluminate), 26 to 33 (the trainer's, the solver's and the
-generator's tests).
+(test_metrics), 16 (test_shards, test_views), 20 (test_deilluminate), 26, 27 and 30 to 33 (the trainer's, the solver's
+and the generator's tests). Not tested: 22 (the ghost of a cast shadow). Not built: 28 (editing the grid by hand) and 29
+(export as DICOM).
 """
 
 from __future__ import annotations
 
+import gc
+import weakref
 from dataclasses import replace
 from functools import lru_cache
 
@@ -364,12 +367,22 @@ def test_23_points_of_the_film_lead_back_to_the_photo(plain) -> None:
 
 
 def test_24_many_films_in_flat_memory(rectifier: Rectifier) -> None:
-    """The thousand of the list are ``python -m benchmarks.soak``; leaks of a film each show in thirty as well."""
+    """The thousand of the list are ``python -m benchmarks.soak``; thirty small ones show what keeps a result, too."""
+    results = []
+
+    def watched(photo: np.ndarray) -> RectifyResult:
+        result = rectifier(photo)
+        results.append(weakref.ref(result))
+        return result
+
     photos = [resized(shot().photo, (160, 160)), resized(shot(1, RULES, 0.0).photo, (160, 160))]
     soak(rectifier, photos, 6)
-    memory, _, different = soak(rectifier, photos, 30)
+    memory, _, different = soak(watched, photos, 30)
     assert different == 0
     assert memory[-1] / memory[0] - 1 < MEMORY_BOUND
+    gc.collect()
+    assert len(results) == 30
+    assert not any(result() for result in results)
 
 
 def test_25_another_rectifier_gives_the_same_bits(plain) -> None:
