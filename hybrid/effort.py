@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
-from hybrid.errors import ConfigError, describe
+from hybrid.errors import ConfigError, describe, require_numbers
 from hybrid.learn.predict import PredictConfig
 from hybrid.learn.upright import UprightConfig
 from hybrid.rectify.cover import CoverConfig
@@ -51,6 +51,9 @@ class RectifyConfig:
     light: DeilluminateConfig = field(default_factory=DeilluminateConfig)
     trust: TrustConfig = field(default_factory=TrustConfig)
     fuse: FuseConfig = field(default_factory=FuseConfig)
+
+    def __post_init__(self) -> None:
+        require_numbers(self)
 
     @staticmethod
     def of(effort: Effort | str) -> RectifyConfig:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import zlib
+from dataclasses import fields, is_dataclass
 from typing import Any
 from zipfile import BadZipFile
 
@@ -54,3 +56,19 @@ def require_at_least(config: Any, least: int | float, *names: str) -> None:
         if not values or not all(each >= least for each in values):
             option = f"{type(config).__name__}.{name}"
             raise ConfigError(describe(what=option, got=value, allowed=f">= {least:g}", do="Choose another."))
+
+
+def require_numbers(config: Any) -> None:
+    """Refuse options that are NaN, in a record of options and in those within it: comparisons with it hold nowhere.
+
+    Raises:
+        ConfigError: one is.
+    """
+    for name in (one.name for one in fields(config)):
+        value = getattr(config, name)
+        values = value if isinstance(value, tuple) else (value,)
+        if is_dataclass(value):
+            require_numbers(value)
+        elif any(isinstance(each, float) and math.isnan(each) for each in values):
+            option = f"{type(config).__name__}.{name}"
+            raise ConfigError(describe(what=option, got=value, allowed="numbers", do="Choose another."))

@@ -35,7 +35,7 @@ class PredictConfig:
 
     def __post_init__(self) -> None:
         require_at_least(self, 1, "looks", "least_px")
-        require_at_least(self, 0, "sides")
+        require_at_least(self, 0, "sides", "margin")
 
 
 def look(network: FilmNet, photo: UInt8[np.ndarray, "H W 3"], views: Sequence[BackwardMap]) -> list[CoarseMaps]:

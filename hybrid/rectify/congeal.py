@@ -19,6 +19,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from hybrid.coords import centres_1d
+from hybrid.errors import require_at_least
 from hybrid.film_view import FilmView
 from hybrid.rectify.repeat import Repeats, cell_corners, detail, shrunk
 from hybrid.rectify.sightings import Sightings
@@ -61,6 +62,9 @@ class CongealConfig:
     """Prior standard deviation of what all cells have in common, and of the pitch, in film units."""
     shrink_blur_px: float = 2.0
     """From this blur on, a view of half the size shows as much, and is four times as quick."""
+
+    def __post_init__(self) -> None:
+        require_at_least(self, 0.001, "block_px")
 
     def shrunk(self, factor: int) -> CongealConfig:
         """The same options in pixels of a view that is reduced by ``factor``."""

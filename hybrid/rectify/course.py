@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import Float
 
 from hybrid.backward import BackwardMap
+from hybrid.errors import require_at_least
 from hybrid.film_view import FilmView
 from hybrid.rectify.cell_phases import AxisPhases
 from hybrid.rectify.cells import CellsConfig, Reading, read_cells
@@ -88,6 +89,9 @@ class RefineConfig:
     max_residual: float = 2.5
     """Where held-out sightings disagree with the spline by more than this, in their stated deviations, some of them are
     wrong together, as where cells were taken for their neighbours: the map is not believed."""
+
+    def __post_init__(self) -> None:
+        require_at_least(self, 64, "working_px")
 
     @property
     def outline_again(self) -> OutlineConfig:

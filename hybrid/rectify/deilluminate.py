@@ -51,6 +51,8 @@ class DeilluminateConfig:
 
     def __post_init__(self) -> None:
         require_at_least(self, 16, "work_px")
+        require_at_least(self, 1e-3, "gain_blur")
+        require_at_least(self, self.print_black + 0.05, "print_white")
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,7 +18,7 @@ from jaxtyping import Bool, Float, Float32, UInt8
 
 from hybrid.backward import BackwardMap, Orientation
 from hybrid.coords import centres_1d, film_from_pixel, film_nodes, pixel_from_film, sample_bilinear
-from hybrid.errors import FusionError, describe
+from hybrid.errors import FusionError, describe, require_at_least
 from hybrid.levels import LevelReader
 from hybrid.records import RectifyResult, SliceGrid, StageReport
 from hybrid.rectify import bspline
@@ -63,6 +63,10 @@ class FuseConfig:
     same: float = 0.4
     """Share of slices found in their place on both films, once registered, from which they are the same print."""
     merge: MergeConfig = field(default_factory=MergeConfig)
+
+    def __post_init__(self) -> None:
+        require_at_least(self, 8, "patch_px")
+        require_at_least(self, 1, "intervals")
 
 
 @dataclass(frozen=True, eq=False)

@@ -54,6 +54,7 @@ class InvertConfig:
     def __post_init__(self) -> None:
         require_at_least(self, 1, "intervals", "min_pixels")
         require_at_least(self, MIN_NODES, "nodes")
+        require_at_least(self, 0, "smoothing", "smoothing_per_variance")
 
 
 @dataclass(frozen=True, eq=False)

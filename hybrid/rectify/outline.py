@@ -20,6 +20,7 @@ from scipy.ndimage import gaussian_filter1d, uniform_filter1d
 
 from hybrid.backward import BackwardMap
 from hybrid.coords import film_centres_1d, linear_from_srgb
+from hybrid.errors import require_at_least
 from hybrid.rectify.curves import best_paths, parabola_peak, smooth_curve_weights
 from hybrid.rectify.sightings import Sightings
 from hybrid.strips import SIDES, Side, view_across
@@ -57,6 +58,9 @@ class OutlineConfig:
     """Fraction of the film's size at which going further costs as much as half a score."""
     read_near: float = 0.025
     """How near along the edge it must have been read, in film units."""
+
+    def __post_init__(self) -> None:
+        require_at_least(self, 4, "profiles")
 
 
 _NOWHERE = -10.0

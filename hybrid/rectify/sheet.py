@@ -14,6 +14,7 @@ from jaxtyping import Float
 
 from hybrid.backward import BackwardMap
 from hybrid.coords import film_centres, film_nodes
+from hybrid.errors import require_at_least
 from hybrid.rectify.bspline import axis_weights, design
 from hybrid.rectify.invert import fit_homography
 
@@ -69,6 +70,9 @@ class SheetConfig:
     """Standard deviation of the first radial distortion."""
     least_edges: int = 3
     """With fewer edges the sheet's shape is not determined."""
+
+    def __post_init__(self) -> None:
+        require_at_least(self, 0.1, "focal")
 
     @property
     def near(self) -> SheetConfig:

@@ -17,6 +17,7 @@ from jaxtyping import Float
 
 from hybrid.backward import BackwardMap
 from hybrid.coords import film_centres_1d
+from hybrid.errors import require_at_least
 from hybrid.film_view import view_film
 from hybrid.pyramid import Pyramid
 from hybrid.records import CoarseMaps, SliceGrid, StatusCode
@@ -74,6 +75,9 @@ class TrustConfig:
     stated: float = 0.57
     unsupported: float = 0.34
     out_of_step: float = 0.12
+
+    def __post_init__(self) -> None:
+        require_at_least(self, 0, "limit_px")
 
 
 @dataclass(frozen=True)
