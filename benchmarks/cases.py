@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -33,19 +33,19 @@ class Case:
     """A photo whose truth is known.
 
     source: its file, or its place in a data set. backward: the true map of the film that reads right, in pixels.
-    size: (height, width) to which the photo is resized; its own if None. held: the photo, where it is kept in memory.
+    size: (height, width) to which the photo is resized; its own if None. held: gives the photo where it is in memory.
     """
 
     name: str
     source: Path | Place
     backward: BackwardMap
     size: tuple[int, int] | None = None
-    held: UInt8[np.ndarray, "h w 3"] | None = None
+    held: Callable[[], UInt8[np.ndarray, "h w 3"]] | None = None
 
     def photo(self) -> UInt8[np.ndarray, "h w 3"]:
-        """The photo itself, RGB; the caller's own."""
+        """The photo itself, RGB; the caller's own, unless it is lent."""
         if self.held is not None:
-            return self.held.copy()
+            return self.held()
         photo = read_photo(self.source) if isinstance(self.source, Path) else photo_of(self.source)
         return photo if self.size is None else resized(photo, self.size)
 
@@ -63,8 +63,12 @@ class Case:
         return replace(self, backward=truth, size=size, held=None)
 
     def in_memory(self) -> Case:
-        """The case with its photo read once for all."""
-        return replace(self, held=self.photo())
+        """The case with its photo read once for all; it gives copies of it."""
+        return replace(self, held=self.photo().copy)
+
+    def lending(self, photo: UInt8[np.ndarray, "h w 3"]) -> Case:
+        """The case with this photo, which it gives as it is: no copy takes memory."""
+        return replace(self, held=lambda: photo)
 
     def film_size(self) -> tuple[int, int]:
         """Size (h, w) of the flat film: what the photo resolves, but no larger than ``hybrid`` makes it."""

@@ -17,7 +17,7 @@ from jaxtyping import Float
 
 from benchmarks.cases import Case, read_alike
 from benchmarks.machine import memory_mib, use_threads
-from benchmarks.methods import Flattened, Method, flattened, photo_of_case
+from benchmarks.methods import Flattened, Method, flattened
 from benchmarks.photos import load_photo
 from benchmarks.results import FilmScore, Forward, Measured, Memory
 from benchmarks.scores import score_map
@@ -58,6 +58,7 @@ def measure(method: Method, case: Case, megapixels: float, repeats: int, warm: b
         film=film_score(case, result) if scored else None,
         grid=result.grid,
         output=None if result.image is None else (result.image.shape[0], result.image.shape[1]),
+        claim=result.claim,
     )
 
 
@@ -87,8 +88,8 @@ def peak_memory(load: Callable[[], Case], make: Callable[[], Method], megapixels
     """What one call of a method takes at most, in a process that has done nothing before.
 
     load, make: are pickled into the process. The photo is read before the first look at the memory and the method
-    made after it, so that its weights count as its own and the photo does not. None where the process dies or the
-    system does not say.
+    made after it, so that its weights count as its own and the photo does not, whatever else the method is given. None
+    where the process dies or the system does not say.
     """
     context = multiprocessing.get_context("spawn")
     receiving, sending = context.Pipe(duplex=False)
@@ -108,12 +109,11 @@ def _call_once(
     load: Callable[[], Case], make: Callable[[], Method], megapixels: float, threads: int, answer: Connection
 ) -> None:
     use_threads(threads)
-    case = load().at(megapixels).in_memory()
+    case = load().at(megapixels)
     photo, size = case.photo(), case.film_size()
     before = memory_mib("VmRSS")
     method = make()
-    given = photo if method.given is photo_of_case else method.given(case)
-    flattened(method, given, photo, size)
+    flattened(method, method.given(case.lending(photo)), photo, size)
     peak = memory_mib("VmHWM")
     answer.send(None if before is None or peak is None else Memory(method.name, megapixels, peak, peak - before))
 

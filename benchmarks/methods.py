@@ -28,6 +28,7 @@ from jaxtyping import Float, UInt8
 from torch import nn
 
 from benchmarks.cases import Case, TrueShape, true_shape
+from benchmarks.claims import Claim, claim_of
 from hybrid.backward import BackwardMap
 from hybrid.errors import PhotoError
 from hybrid.learn.baselines import corrected, dewarpnet_map, in_pixels, published_image, published_map, recover
@@ -54,7 +55,8 @@ class Flattened:
 
     backward: its map, in pixels of the photo; None where it finds no film. image: the flat film with its light, RGB.
     film: the same without light, display grey in [0, 1], from methods that take it away. parts: seconds, by part.
-    message: what the method says of the photo. grid: the slices that it found, as ROWSxCOLS.
+    message: what the method says of the photo. grid: the slices that it found, as ROWSxCOLS. claim: what it says of its
+    result; None from methods that say nothing.
     """
 
     backward: BackwardMap | None = None
@@ -63,6 +65,7 @@ class Flattened:
     parts: Mapping[str, float] = field(default_factory=dict)
     message: str = ""
     grid: str = ""
+    claim: Claim | None = None
 
 
 @dataclass(frozen=True)
@@ -206,7 +209,8 @@ def of_rectifier(name: str, rectify: Callable[[Any], RectifyResult], label: str 
         result = rectify(photo)
         parts = {stage.name: stage.seconds for stage in result.stages}
         grid = "" if result.grid is None else f"{result.grid.rows}x{result.grid.cols}"
-        return Flattened(result.backward, result.rectified, result.film, parts, str(result.status), grid)
+        claim = claim_of(result, (photo.shape[0], photo.shape[1]))
+        return Flattened(result.backward, result.rectified, result.film, parts, str(result.status), grid, claim)
 
     return Method(name, lambda photo: rectify(photo).backward, flatten=flatten, says_up=True, label=label)
 

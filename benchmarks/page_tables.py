@@ -44,11 +44,15 @@ def efforts_of(report: Report) -> list[str]:
 
 def size_section(report: Report, megapixels: float) -> str:
     """All methods at one size, as a table."""
-    rows = rows_of(report, megapixels)
+    rows = [row for row in rows_of(report, megapixels) if row.method.name not in CONFIGURATIONS]
     floor = next((row for row in rows if row.method.name == FLOOR), None)
     head = ("", "photos", "lost", "upright", "error, px", "worst", "%", "distortion", "PSNR", "SSIM", "MS-SSIM")
     head += ("film, dB", "seconds", "processor s", "times the floor", "output, MP")
-    shown = [_cells(row, floor) for row in rows if row.method.name not in CONFIGURATIONS]
+    shown = [_cells(row, floor) for row in rows]
+    if any(row.ok is not None for row in rows):
+        head += ("`OK` (wrongly)",)
+        called = ("-" if row.ok is None else f"{row.ok} ({row.wrongly_ok})" for row in rows)
+        shown = [[*cells, cell] for cells, cell in zip(shown, called, strict=True)]
     return f"### {megapixels:g} megapixels\n\n" + table(head, shown)
 
 

@@ -77,6 +77,8 @@ def _in_short(report: Report) -> str:
         found = f"films lost: {row.lost} of {row.photos}"
         if row.error is not None:
             found = f"{row.error:.2f} px off on the median photo, {number(row.worst_px, 2)} px on the worst; {found}"
+        if row.ok is not None:
+            found += f", called `OK`: {row.ok}, of these off by more than the limit: {row.wrongly_ok}"
         times = "" if floor is None else f", {row.seconds[0] / floor.seconds[0]:.3g} times `cv2.remap` alone"
         lines.append(
             f"`{row.method.label}` on {row.photos} photos of {size:g} megapixels: {found}; {row.seconds[0]:.2g} s "
@@ -136,6 +138,13 @@ def _how(report: Report) -> str:
         "against its print after one gain and offset, without the light and (in brackets) with it. Medians over "
         "photos; films that were not found are counted, and stay out.",
     ]
+    limits = sorted({m.claim.limit_px for m in report.measured if m.claim and m.claim.ok and m.claim.limit_px})
+    if limits:
+        stated = ", ".join(dict.fromkeys(f"{limit:.3g}" for limit in limits))
+        lines.append(
+            "**Status.** *`OK` (wrongly)*: films that a method calls flattened and, in brackets, those of them whose "
+            f"end-point error is above the limit that it states for such films ({stated} px)."
+        )
     if timed:
         lines.append(
             f"**Run time of the paper's networks:** {'; '.join(timed)}. As wide as published, with random weights, on "

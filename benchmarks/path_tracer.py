@@ -49,9 +49,17 @@ LEAST_LLVM = (17,)
 
 @lru_cache(maxsize=1)
 def mitsuba(threads: int = 1) -> Any:
-    """The module with its vectorised CPU variant set and the film's BSDF known."""
-    import drjit  # pyright: ignore[reportMissingImports]  (an extra, "bench")
-    import mitsuba as mi  # pyright: ignore[reportMissingImports]
+    """The module with its vectorised CPU variant set and the film's BSDF known.
+
+    Raises:
+        ConfigError: no Mitsuba, which only an installation with the extra ``bench`` has, or an LLVM that is too old.
+    """
+    try:
+        import drjit  # pyright: ignore[reportMissingImports]  (an extra, "bench")
+        import mitsuba as mi  # pyright: ignore[reportMissingImports]
+    except ModuleNotFoundError as error:
+        do = "Install the package with its extra for that: pip install '.[bench]' in the project's folder."
+        raise ConfigError(describe(what="path tracer", got="no Mitsuba", do=do)) from error
 
     mi.set_variant("llvm_ad_rgb")
     version = drjit.detail.llvm_version()

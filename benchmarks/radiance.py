@@ -5,7 +5,7 @@ shaded by data_gen. Compared is linear RGB of the pixels well inside the film: t
 ``shading``: traced with light straight from lamps and room, as if the film hid none of it from itself: the error of the
 shading. ``shadows``: with the film's shadows on itself. ``full``: with light between parts of the film too.
 ``noise``: the same figure between the means of two halves of the trace, whose share in ``shading`` it is.
-Needs the extra ``bench``.
+Needs the extras ``data`` and ``bench``.
 """
 
 from __future__ import annotations
@@ -23,12 +23,13 @@ import tyro
 from jaxtyping import Bool, Float
 
 from benchmarks.command import run_command, write_figures
-from benchmarks.path_tracer import TraceConfig, trace
+from benchmarks.path_tracer import TraceConfig, mitsuba, trace
 from data_gen.lamps import Lamp
 from data_gen.lighting import Light, LightBox, Material
 from data_gen.rooms import Environment, load_environments, prefilter, procedural_room
 from data_gen.scene import Scene, SceneConfig, sample_scene
 from data_gen.shade import film_light
+from data_gen.work import check_open3d
 from hybrid.coords import pixel_from_film, sample_bilinear, srgb_from_linear
 from hybrid.errors import ConfigError, describe
 from hybrid.image_io import write_rgb
@@ -197,7 +198,13 @@ def difference(model: np.ndarray, traced: np.ndarray, inside: np.ndarray) -> flo
 
 
 def measured(options: Options) -> dict[str, Any]:
-    """The figures of every scene; the pictures are written."""
+    """The figures of every scene; the pictures are written.
+
+    Raises:
+        ConfigError: no scene of such a name; Mitsuba, its LLVM or Open3D is not there.
+    """
+    check_open3d()
+    mitsuba()
     if options.hdri:
         rooms = load_environments(options.hdri)
     else:

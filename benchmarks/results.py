@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+from benchmarks.claims import Claim
 from benchmarks.scores import MapScore
 
 
@@ -26,7 +27,8 @@ class Measured:
     megapixels: as asked for. size: (height, width) of the photo. seconds, cpu_seconds: of every call, from the photo
     in memory to the flat film; the second counts what all threads of the process worked. parts: median seconds of the
     parts that the method tells apart. score: None where no film was found or the method is not scored. film: None
-    where the print is not known. grid: slices found, ROWSxCOLS. output: (height, width) of the flat film.
+    where the print is not known. grid: slices found, ROWSxCOLS. output: (height, width) of the flat film. claim: what
+    the method says of its result; None from methods that say nothing, and in results older than this.
     """
 
     method: str
@@ -42,6 +44,12 @@ class Measured:
     film: FilmScore | None = None
     grid: str = ""
     output: tuple[int, int] | None = None
+    claim: Claim | None = None
+
+    @property
+    def wrongly_ok(self) -> bool:
+        """Whether the film is called flattened, and is further off than that allows."""
+        return self.claim is not None and self.score is not None and self.claim.broken_by(self.score.end_point_px)
 
 
 @dataclass(frozen=True)

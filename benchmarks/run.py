@@ -124,7 +124,7 @@ class Options:
 def run(options: Options, command: list[str]) -> Report:
     """Measure what is not measured yet; write and return the report."""
     settings = _settings(options)
-    keep_settings(options.out / "run_settings.json", settings)
+    keep_settings(options.out / "run_settings.json", settings, options.out / "measured", options.out / "memory")
     cases = load_cases(options)
     methods = make_methods(options)
     measured = tuple(_all_measured(options, methods, cases))

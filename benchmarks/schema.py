@@ -88,13 +88,14 @@ def write_record(path: Path, record: Any) -> None:
     write_bytes(path, (json.dumps(asdict(record), indent=1, allow_nan=False) + "\n").encode())
 
 
-def keep_settings(path: Path, settings: Any) -> None:
-    """Writes what decides the results beside it.
+def keep_settings(path: Path, settings: Any, *results: Path) -> None:
+    """Writes what decides the results beside them. results: their folders; until one holds any, all settings will do.
 
     Raises:
         ConfigError: results that were made otherwise are there; they are not put together with others.
     """
-    if path.exists() and read_record(path, type(settings)) != settings:
+    any_there = any(True for folder in results for _ in folder.glob("*.json"))
+    if any_there and path.exists() and read_record(path, type(settings)) != settings:
         do = "Name another folder by --out, or run with the options and the commit that are in that file."
         raise ConfigError(describe(what="--out", where=path, got="results of other settings", do=do))
     write_record(path, settings)
@@ -149,4 +150,4 @@ def _built(value: Any, kind: Any) -> Any:
     return float(value) if kind is float else value
 
 
-__all__ = ["kept", "problems", "read_record", "schema_of", "write_record"]
+__all__ = ["keep_settings", "kept", "problems", "read_record", "schema_of", "write_record"]

@@ -108,12 +108,14 @@ def run(options: Options, command: list[str]) -> StabilityReport:
 
     Raises:
         ConfigError: the results in ``options.out`` were made with other settings, or at another commit.
+        DataError: photos or weights that cannot be read.
     """
     source = shown_sources(*options.data) or "made for this"
     settings = StressSettings(options.seed, options.threads, source, shown_contents(options.weights), commit())
-    keep_settings(options.out / "stability_settings.json", settings)
+    keep_settings(options.out / "stability_settings.json", settings, options.out / "parts", options.out / "damaged")
+    folders = _readable_photos(options)
     parts = tuple(_part(options, name) for name in PROBLEMS) if options.problems else ()
-    report = StabilityReport(describe_run(command), options.seed, TRUTHFUL_PX, parts, tuple(_photos(options)))
+    report = StabilityReport(describe_run(command), options.seed, TRUTHFUL_PX, parts, tuple(_photos(options, folders)))
     write_record(options.out / "stability.json", report)
     return report
 
@@ -134,9 +136,17 @@ def _part(options: Options, name: str) -> Part:
 # ---------------------------------------------------------------- photos, in a process that is watched
 
 
-def _photos(options: Options) -> list[DamagedPhoto]:
+def _readable_photos(options: Options) -> tuple[Path, ...]:
+    """Folders of the photos. They and the weights are read once before any result is made: in the process that is
+    watched, what cannot be read ends every photo as a crash."""
     folders = options.data or (make_photos(options.out / "photos", OWN_PHOTOS, options.seed),)
-    watched = _Watched(tuple(folders), options)
+    sample_cases(folders)
+    Rectifier(RectifyConfig(weights=options.weights))
+    return folders
+
+
+def _photos(options: Options, folders: tuple[Path, ...]) -> list[DamagedPhoto]:
+    watched = _Watched(folders, options)
     results = []
     try:
         for number in tqdm(range(options.damaged), desc="damaged", unit="photo"):

@@ -36,7 +36,9 @@ FIGURES: dict[str, Callable[[Measured], float | None]] = {
 class Row:
     """A method at a size, over the photos. figures: medians over photos with a film; worst_px: of end_point_px.
 
-    seconds: median, first and third quartile, and least of all calls. output: median megapixels of the flat film.
+    seconds: median, first and third quartile, and least of all calls. output: median megapixels of the flat film. ok:
+    films that the method calls flattened, wrongly_ok: those of them that are further off than that allows; None for
+    methods that give no status.
     """
 
     method: MethodNote
@@ -49,6 +51,8 @@ class Row:
     seconds: tuple[float, float, float, float]
     cpu_seconds: float
     output: float | None
+    ok: int | None = None
+    wrongly_ok: int | None = None
 
     @property
     def error(self) -> float | None:
@@ -72,6 +76,7 @@ def row_of(method: MethodNote, measured: Sequence[Measured]) -> Row:
     low, middle, high = (float(q) for q in np.quantile(times, (0.25, 0.5, 0.75)))
     sizes = [m.output[0] * m.output[1] / 1e6 for m in measured if m.output is not None]
     values = {name: _known(figure, measured) for name, figure in FIGURES.items()}
+    claims = [m.claim for m in measured if m.claim is not None]
     return Row(
         method=method,
         megapixels=measured[0].megapixels,
@@ -83,6 +88,8 @@ def row_of(method: MethodNote, measured: Sequence[Measured]) -> Row:
         seconds=(middle, low, high, min(times)),
         cpu_seconds=statistics.median(t for m in measured for t in m.cpu_seconds),
         output=statistics.median(sizes) if sizes else None,
+        ok=sum(claim.ok for claim in claims) if claims else None,
+        wrongly_ok=sum(m.wrongly_ok for m in measured) if claims else None,
     )
 
 

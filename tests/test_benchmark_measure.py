@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
@@ -12,6 +13,7 @@ import numpy as np
 import pytest
 
 from benchmarks.cases import Case, photo_cases
+from benchmarks.claims import Claim
 from benchmarks.machine import describe_run, relative_command
 from benchmarks.measure import measure, peak_memory
 from benchmarks.methods import Method, of_rectifier
@@ -131,6 +133,20 @@ def test_a_film_that_is_not_found_has_no_score_and_a_reason(case: Case) -> None:
     assert "No film was found" in found.message
 
 
+@pytest.mark.parametrize(("shift", "code", "wrong"), [(1.9, "OK", False), (2.1, "OK", True), (2.1, "UNSURE", False)])
+def test_a_film_called_ok_that_is_off_by_more_than_the_limit_is_wrongly_so(
+    shift: float, code: str, wrong: bool, case: Case
+) -> None:
+    def rectify(photo: np.ndarray) -> RectifyResult:
+        return RectifyResult(Status(StatusCode[code]), backward=true_map(shift), expected_error_px=0.5, limit_px=2.0)
+
+    found = measure(of_rectifier("says", rectify), case, 0.128, repeats=1, warm=True)
+    scale = 1080 / max(SIZE)  # as in a photo of 1080 px
+    assert found.claim == Claim(code, 0.5 * scale, 2.0 * scale)
+    assert found.wrongly_ok == wrong
+    assert measure(Method("silent", lambda photo: true_map()), case, 0.128, repeats=1, warm=True).claim is None
+
+
 def test_a_photo_in_memory_is_everyones_own(case: Case) -> None:
     held = case.in_memory()
     photo = held.photo()
@@ -177,15 +193,20 @@ def test_real_photos_are_read() -> None:
 
 
 def _empty_case() -> Case:
-    return Case("empty", Path("none"), true_map(), held=np.zeros((3000, 4000, 3), np.uint8))
+    return Case("empty", Path("none"), true_map(), held=np.zeros((3000, 4000, 3), np.uint8).copy)
 
 
 def _idle() -> Method:
     return Method("idle", lambda photo: None)
 
 
-def test_the_photo_is_not_counted_as_a_methods_memory() -> None:
-    found = peak_memory(_empty_case, _idle, 12.0, threads=1)
+def _told() -> Method:
+    return Method("told", lambda known: None, lambda case: (case.photo(), case.photo().shape))
+
+
+@pytest.mark.parametrize("make", [_idle, _told])
+def test_the_photo_is_not_counted_as_a_methods_memory(make: Callable[[], Method]) -> None:
+    found = peak_memory(_empty_case, make, 12.0, threads=1)
     if found is None:
         pytest.skip("the system does not tell how much memory a process takes")
     assert found.own_mib < 8

@@ -16,11 +16,12 @@ import benchmarks.page_tables
 import benchmarks.published
 import benchmarks.run
 from benchmarks.cases import Case, sample_cases
+from benchmarks.claims import Claim
 from benchmarks.lineup import EFFORTS, LINEUP, MAIN, OWN, lineup
 from benchmarks.measure import forward_times, measure, peak_memory
 from benchmarks.methods import Method, flattened
 from benchmarks.page import BEGIN, END, read_results, readme_table, with_table
-from benchmarks.page_tables import duel_text, losses_text, photos_text
+from benchmarks.page_tables import duel_text, losses_text, photos_text, size_section
 from benchmarks.page_text import page_text
 from benchmarks.pictures import best_to_worst
 from benchmarks.published import TIME_ONLY, Prompt, PromptedFiReNet, true_dewarpnet_answer, true_firenet_answer
@@ -360,6 +361,46 @@ def test_photos_are_listed_and_drawn_from_best_to_worst(made: tuple[Options, Rep
     assert all("2x3" in row for row in rows)
 
 
+def claiming(report: Report, claims: list[Claim]) -> Report:
+    """The report with these claims of `middle`, photo by photo of the first size."""
+    told = iter(claims)
+    measured = tuple(
+        replace(m, claim=next(told)) if (m.method, m.megapixels) == ("middle", 0.003) else m for m in report.measured
+    )
+    return replace(report, measured=measured)
+
+
+def test_films_called_ok_are_counted_and_so_are_those_wrongly_called_so(
+    made: tuple[Options, Report], tmp_path: Path
+) -> None:
+    options, report = made
+    claims = [Claim("OK", 1.0, limit_px=1e-9), Claim("OK", 1.0, limit_px=1e9), Claim("UNSURE", 9.0, limit_px=1e-9)]
+    told = claiming(report, claims)
+    rows = {row.method.name: row for row in rows_of(told, 0.003)}
+    assert (rows["middle"].ok, rows["middle"].wrongly_ok) == (2, 1)
+    assert rows["remap"].ok is None
+    head, _, *cells = size_section(told, 0.003).splitlines()[2:]
+    assert head.endswith("| `OK` (wrongly) |")
+    assert [row.rpartition("| ")[2] for row in [line.removesuffix(" |") for line in cells]] == ["-", "-", "2 (1)"]
+    text = page_text(replace(read_results(options.out), run=told))
+    assert "above the limit that it states for such films (1e-09, 1e+09 px)" in text
+    write_record(tmp_path / "run.json", told)
+    assert read_record(tmp_path / "run.json", Report) == told
+
+
+def test_results_from_before_there_were_claims_are_read_and_shown_without(
+    made: tuple[Options, Report], tmp_path: Path
+) -> None:
+    _, report = made
+    write_record(tmp_path / "run.json", report)
+    value = json.loads((tmp_path / "run.json").read_text())
+    for one in value["measured"]:
+        del one["claim"]
+    (tmp_path / "run.json").write_text(json.dumps(value))
+    assert read_results(tmp_path).run == report
+    assert "`OK`" not in page_text(read_results(tmp_path))
+
+
 def test_published_figures_make_the_published_page() -> None:
     docs = Path(__file__).parents[1] / "docs"
     if not (docs / "benchmarks_run.json").exists():
@@ -385,6 +426,25 @@ def test_kept_results_are_not_made_twice(made: tuple[Options, Report], tmp_path:
     assert kept(path, type(note), lambda: None) is None
     write_record(path, note)
     assert read_record(path, type(note)) == note
+
+
+def test_a_run_that_failed_before_its_first_photo_decides_nothing(dataset: Path, mine: Path, tmp_path: Path) -> None:
+    wrong = Options(
+        tmp_path / "out",
+        data=(tmp_path,),
+        sizes=(0.003,),
+        counts=(1,),
+        repeats=1,
+        add=(mine,),
+        methods=("middle",),
+        memory=(),
+        networks=(),
+    )
+    with pytest.raises(DataError):
+        run(wrong, ["x"])
+    assert len(run(replace(wrong, data=(dataset,)), ["x"]).measured) == 1
+    with pytest.raises(ConfigError, match="other settings"):
+        run(wrong, ["x"])
 
 
 # ---------------------------------------------------------------- memory, networks, options

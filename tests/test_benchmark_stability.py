@@ -20,7 +20,7 @@ from benchmarks.stability import Options, _rectified, run
 from benchmarks.stress_records import DamagedPhoto, SoakReport, StabilityReport
 from hybrid.backward import BackwardMap
 from hybrid.coords import sample_bilinear
-from hybrid.errors import ConfigError, PhotoError
+from hybrid.errors import ConfigError, DataError, PhotoError
 from hybrid.image_io import read_photo
 from hybrid.records import RectifyResult, Status, StatusCode
 
@@ -199,6 +199,14 @@ def test_a_stability_run_is_whole_and_goes_on(dataset: Path, tmp_path: Path) -> 
         run(replace(options, seed=1), ["x"])
     with pytest.raises(ConfigError, match="--damaged -1"):
         Options(tmp_path, damaged=-1)
+
+
+def test_photos_and_weights_that_cannot_be_read_are_told_before_anything_is_kept(dataset: Path, tmp_path: Path) -> None:
+    options = Options(tmp_path / "out", data=(dataset,), damaged=1, problems=0, threads=1)
+    for wrong in (replace(options, data=(tmp_path,)), replace(options, weights=tmp_path / "none.safetensors")):
+        with pytest.raises(DataError):
+            run(wrong, ["x"])
+    assert len(run(options, ["x"]).photos) == 1
 
 
 def test_a_process_that_dies_is_a_crash(dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
