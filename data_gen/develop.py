@@ -97,8 +97,7 @@ def displayed(radiance: Float[np.ndarray, "h w 3"], lens: Lens, white: White) ->
 
 def vignetting(place: Float[np.ndarray, "h w 2"], lens: Lens) -> Float32[np.ndarray, "h w 1"]:
     """Share of the light that reaches points of the photo. place: in units of the photo's sides, 0 to 1."""
-    x, y = place[..., 0], place[..., 1]
-    fall = np.maximum(1 - lens.vignette / 2 * ((2 * x - 1) ** 2 + (2 * y - 1) ** 2), 0)
+    fall = np.maximum(1 - _lost_along(place[..., 0], lens) - _lost_along(place[..., 1], lens), 0)
     return fall[..., None].astype(np.float32)
 
 
@@ -109,9 +108,14 @@ def _gains(lens: Lens, white: White) -> Float[np.ndarray, "3"]:
 
 
 def _vignette(lens: Lens, size: tuple[int, int]) -> Float32[np.ndarray, "h w"]:
-    """Light that reaches each pixel: less towards the corners, where ``lens.vignette`` of it is lost."""
-    down, across = (lens.vignette / 2 * (2 * film_centres_1d(n) - 1) ** 2 for n in size)
+    """``vignetting`` of each pixel, a sum over rows and columns: ``lens.vignette`` is lost in the corners."""
+    down, across = (_lost_along(film_centres_1d(n), lens) for n in size)
     return (1 - down[:, None]).astype(np.float32) - across.astype(np.float32)
+
+
+def _lost_along(place: Float[np.ndarray, "*n"], lens: Lens) -> Float[np.ndarray, "*n"]:
+    """Share of the light that is lost towards the ends of one side of the photo. place: along it, 0 to 1."""
+    return lens.vignette / 2 * (2 * place - 1) ** 2
 
 
 def _noise(size: tuple[int, int], rng: np.random.Generator) -> Float32[np.ndarray, "h w 3"]:

@@ -58,11 +58,14 @@ class GenerateConfig:
 
     def __post_init__(self) -> None:
         per_film = self.sample.photos_per_film
-        require_at_least(self, 0, "seed")
-        if self.count < 1 or self.size < 32 or self.workers < 0 or not 16 <= self.maps <= self.size:
-            got = f"count {self.count}, size {self.size}, map size {self.maps}, workers {self.workers}"
-            allowed = "count >= 1, size >= 32, map size from 16 to size, workers >= 0"
-        elif self.shard_size < 1 or self.shard_size % per_film:
+        require_at_least(self, 0, "seed", "workers")
+        require_at_least(self, 1, "count", "shard_size")
+        require_at_least(self, 32, "size")
+        if self.map_size is not None:
+            require_at_least(self, 16, "map_size")
+        if self.maps > self.size:
+            got, allowed = f"map size {self.maps}", f"up to the {self.size} px of the photos"
+        elif self.shard_size % per_film:
             got, allowed = f"shard size {self.shard_size}", f"multiples of the {per_film} photos of a film"
         else:
             return
@@ -71,7 +74,7 @@ class GenerateConfig:
     @property
     def maps(self) -> int:
         """Side of the maps."""
-        return self.map_size or min(self.size, MAX_MAP_SIZE)
+        return min(self.size, MAX_MAP_SIZE) if self.map_size is None else self.map_size
 
     def sample_config(self) -> SampleConfig:
         """The samples' configuration with the command's options in it; paths absolute, as other machines need them."""

@@ -201,12 +201,14 @@ def _leave_with_parent() -> None:
 def _cluster(address: str) -> Iterator[Workers]:
     try:
         from distributed import Client
+        from distributed.comm.addressing import get_address_host_port
         from distributed.comm.core import CommClosedError
         from distributed.scheduler import KilledWorker
     except ModuleNotFoundError as error:
         do = "Install it: pip install 'hybrid[cluster]'."
         raise ConfigError(describe(what="--scheduler", got=error, do=do)) from error
     try:
+        get_address_host_port(address)  # a client that is refused an address is ended after 40 s only
         client = Client(address, timeout=CLUSTER_PATIENCE, set_as_default=False)
     except (OSError, ValueError) as error:
         do = "Give the address that the Dask scheduler shows, such as tcp://host:8786."

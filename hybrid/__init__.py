@@ -7,15 +7,21 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
-    from hybrid.errors import ConfigError, FusionError, HybridError, PhotoError
+    from hybrid.backward import BackwardMap, Orientation
+    from hybrid.errors import ConfigError, DataError, FusionError, HybridError, PhotoError
+    from hybrid.outputs import save_result
     from hybrid.pipeline import Rectifier, RectifyConfig, rectify
-    from hybrid.records import RectifyResult, SliceGrid, StageReport, Status
+    from hybrid.records import RectifyResult, SliceGrid, StageReport, Status, StatusCode
 
 _PLACES = {
+    "BackwardMap": "hybrid.backward",
+    "Orientation": "hybrid.backward",
     "ConfigError": "hybrid.errors",
+    "DataError": "hybrid.errors",
     "FusionError": "hybrid.errors",
     "HybridError": "hybrid.errors",
     "PhotoError": "hybrid.errors",
+    "save_result": "hybrid.outputs",
     "Rectifier": "hybrid.pipeline",
     "RectifyConfig": "hybrid.pipeline",
     "rectify": "hybrid.pipeline",
@@ -23,11 +29,15 @@ _PLACES = {
     "SliceGrid": "hybrid.records",
     "StageReport": "hybrid.records",
     "Status": "hybrid.records",
+    "StatusCode": "hybrid.records",
 }
 __all__ = [
+    "BackwardMap",
     "ConfigError",
+    "DataError",
     "FusionError",
     "HybridError",
+    "Orientation",
     "PhotoError",
     "Rectifier",
     "RectifyConfig",
@@ -35,7 +45,9 @@ __all__ = [
     "SliceGrid",
     "StageReport",
     "Status",
+    "StatusCode",
     "rectify",
+    "save_result",
 ]
 
 

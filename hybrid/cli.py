@@ -19,7 +19,8 @@ Photo of a bent CT film in, flat print out.
                                    train the network on data made by python -m data_gen.generate
   hybrid info                      versions, weights and machine, for a report of a defect
 
-  hybrid COMMAND --help            all options of a command
+  hybrid COMMAND --help            the options of a command; of rectify and fuse those that most need
+  hybrid COMMAND --help-all        every option of rectify or fuse, those of their stages too
   hybrid --version
 """
 

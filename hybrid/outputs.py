@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import tempfile
 import time
 import traceback
@@ -200,9 +201,15 @@ def reserved(out: Path, stem: str, about: dict[str, Any]) -> tuple[str, dict[str
 
 
 def is_result(path: Path) -> bool:
-    """Whether an earlier run wrote this file: the JSON beside it names it."""
-    stems = [path.name.removesuffix(suffix) for suffix in PICTURES if path.name.endswith(suffix)]
-    return any(path.name in _files_in(_read_record(path.with_name(f"{stem}.json"))) for stem in stems)
+    """Whether an earlier run wrote this file: the JSON beside it, of a slice the one beside its folder, names it."""
+    path = path.absolute()
+    records = [
+        at.with_name(f"{at.name.removesuffix(suffix)}.json")
+        for at in (path, path.parent)
+        for suffix in PICTURES
+        if at.name.endswith(suffix)
+    ]
+    return any(path.relative_to(record.parent).as_posix() in _files_in(_read_record(record)) for record in records)
 
 
 def _unfinished(about: dict[str, Any], known: dict[str, Any]) -> dict[str, Any]:
@@ -298,6 +305,28 @@ def write_result(
     return tuple(files)
 
 
+def save_result(
+    path: str | os.PathLike[str],
+    result: RectifyResult,
+    out: str | os.PathLike[str],
+    rectified_format: RectifiedFormat = "jpg",
+) -> tuple[Path, ...]:
+    """Write what ``hybrid rectify`` writes of a photo into the folder ``out``, which is made if need be; the files.
+
+    Args:
+        path: the photo that the result is of; of a fused film the one of ``result.photo``.
+        result: what ``rectify`` or a ``Rectifier`` gave; without a film the JSON alone is written, which says why.
+        out: results of the same photo there are replaced, and other photos of its name get a number.
+        rectified_format: of the rectified photo.
+
+    Raises:
+        PhotoError: the photo cannot be read. ConfigError: nothing can be written there.
+    """
+    photo, folder = read_photo(path), Path(out)
+    make_folder(folder, "the argument out")
+    return write_result(folder, [Path(path)], photo, result, rectified_format)
+
+
 def write_slices(folder: Path, result: RectifyResult) -> list[Path]:
     """Write the slices as 16-bit PNGs numbered row by row from 01."""
     slices = [cell for cell in result.slices() if cell.size]
@@ -357,6 +386,7 @@ __all__ = [
     "rectify_files",
     "report_lines",
     "result_record",
+    "save_result",
     "warnings_of",
     "write_result",
     "write_slices",

@@ -20,7 +20,7 @@ from hybrid.backward import BackwardMap, Orientation
 from hybrid.coords import film_nodes
 from hybrid.errors import ConfigError
 from hybrid.image_io import read_photo, write_rgb
-from hybrid.outputs import rectify_files, write_result
+from hybrid.outputs import is_result, rectify_files, write_result
 from hybrid.records import RectifyResult, SliceGrid, StageReport, Status, StatusCode
 
 Effort = Literal["fast", "default"]
@@ -150,6 +150,20 @@ def test_results_of_earlier_runs_are_no_photos(photo: Path, tmp_path: Path, caps
 
 
 @pytest.mark.usefixtures("_stand_in")
+def test_slices_of_earlier_runs_are_results(photo: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert cli.main(["rectify", str(photo), "-o", str(tmp_path)]) == 0
+    slices, foreign = tmp_path / "film_slices", tmp_path / "other_slices"
+    assert all(is_result(path) for path in slices.iterdir())
+    foreign.mkdir()
+    for path in (slices / "99.png", foreign / "01.png"):
+        write_rgb(path, read_photo(photo))
+        assert not is_result(path)
+    monkeypatch.chdir(slices)
+    assert is_result(Path("01.png"))
+    assert not is_result(Path("99.png"))
+
+
+@pytest.mark.usefixtures("_stand_in")
 def test_a_name_that_cannot_be_printed_costs_no_photo(
     photo: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -160,6 +174,23 @@ def test_a_name_that_cannot_be_printed_costs_no_photo(
     assert cli.main(["rectify", str(strange), str(photo), "-o", str(tmp_path / "out")]) == 0
     sys.stdout.flush()
     assert b"2 of 2 photos flattened" in told.getvalue()
+
+
+@pytest.mark.usefixtures("_stand_in")
+def test_a_result_is_saved_from_python_as_the_command_writes_it(photo: Path, tmp_path: Path) -> None:
+    commanded, saved = tmp_path / "commanded", tmp_path / "deep" / "saved"
+    assert cli.main(["rectify", str(photo), "-o", str(commanded)]) == 0
+    files = hybrid.save_result(str(photo), StandIn()(read_photo(photo)), str(saved))
+    assert {path.relative_to(saved): path.read_bytes() for path in files[:-1]} == {
+        path.relative_to(commanded): path.read_bytes()
+        for path in commanded.rglob("*")
+        if path.is_file() and path.suffix != ".json"
+    }
+    assert files[-1] == saved / "film.json"
+    told = hybrid.save_result(black_photo(tmp_path), RectifyResult(Status(StatusCode.NO_FILM)), saved)
+    assert told == (saved / "black.json",)
+    with pytest.raises(ConfigError, match="Nothing can be written there"):
+        hybrid.save_result(photo, StandIn()(read_photo(photo)), photo / "out")
 
 
 def record_of(out: Path) -> dict:
@@ -404,7 +435,9 @@ def test_user_errors_are_one_line(photo: Path, capsys: pytest.CaptureFixture[str
 
 def test_help_and_version(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["--help"]) == 0
-    assert "hybrid rectify PHOTO... -o DIR" in capsys.readouterr().out
+    shown = capsys.readouterr().out
+    assert "hybrid rectify PHOTO... -o DIR" in shown
+    assert "--help-all" in shown
     assert cli.main(["--version"]) == 0
     assert capsys.readouterr().out == f"hybrid {hybrid.__version__}\n"
 

@@ -72,6 +72,15 @@ def test_without_maps_edges_are_those_of_disturbed_true_ones(made: Path, tmp_pat
         open_edges([tmp_path])
 
 
+@pytest.mark.parametrize("kept", [0, 5, 60, 1000])
+def test_damaged_maps_are_an_error(made: Path, tmp_path: Path, kept: int) -> None:
+    for path in made.iterdir():
+        (tmp_path / path.name).write_bytes(path.read_bytes())
+    (tmp_path / FILM_MAPS).write_bytes((made / FILM_MAPS).read_bytes()[:kept])
+    with pytest.raises(DataError, match=r"FilmNet's maps .*Make the maps again"):
+        open_edges([tmp_path])
+
+
 def test_no_data_set_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sys.argv", ["film_maps", str(tmp_path)])
     with pytest.raises(SystemExit, match="error: "):

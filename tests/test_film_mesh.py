@@ -4,9 +4,15 @@ import numpy as np
 import pytest
 
 from hybrid.errors import ConfigError
-from hybrid.mesh.film import film_mesh
+from hybrid.mesh.film import FilmMesh, film_mesh
 
 GRID_U, GRID_V = np.array([0.03, 0.5, 0.97]), np.array([0.0, 0.3, 0.6, 1.0])
+
+
+def triangle_areas(mesh: FilmMesh) -> np.ndarray:
+    """Areas of the triangles as vectors along their normals, (t, 3)."""
+    a, b, c = (mesh.vertices.reshape(-1, 3)[mesh.triangles[:, k]] for k in range(3))
+    return np.cross(b - a, c - a) / 2
 
 
 @pytest.mark.parametrize("levels", [1, 2, 3])
@@ -25,10 +31,9 @@ def test_subdivision_halves_every_interval():
 
 def test_triangles_cover_the_sheet_once_and_are_wound_alike():
     mesh = film_mesh((430.0, 350.0), GRID_U, GRID_V)
-    a, b, c = (mesh.vertices.reshape(-1, 3)[mesh.triangles[:, k]] for k in range(3))
-    doubled = np.cross(b - a, c - a)[:, 2]
-    assert (np.sign(doubled) == np.sign(doubled[0])).all()
-    np.testing.assert_allclose(np.abs(doubled).sum() / 2, 430 * 350, rtol=1e-9)
+    areas = triangle_areas(mesh)
+    assert (np.sign(areas[:, 2]) == np.sign(areas[0, 2])).all()
+    np.testing.assert_allclose(np.linalg.norm(areas, axis=1).sum(), 430 * 350, rtol=1e-12)
 
 
 def test_surface_of_a_cylinder_has_the_cylinders_normals():
@@ -44,9 +49,8 @@ def test_surface_of_a_cylinder_has_the_cylinders_normals():
     np.testing.assert_allclose(mesh.bent(bent).edge_strain(), 0, atol=2e-4)
 
 
-def test_a_flat_sheet_has_exact_areas_and_no_angles():
+def test_a_flat_sheet_has_no_angles():
     mesh = film_mesh((430.0, 350.0), GRID_U, GRID_V, 1)
-    np.testing.assert_allclose(mesh.triangle_areas().sum(), 430 * 350, rtol=1e-12)
     np.testing.assert_allclose(mesh.dihedral_angles(), 0, atol=1e-9)
     np.testing.assert_allclose(mesh.angle_defects(), 0, atol=1e-9)
 
@@ -66,7 +70,8 @@ def test_angle_defects_of_a_cap_add_up_to_its_solid_angle():
     x, y = mesh.vertices[..., 0], mesh.vertices[..., 1]
     cap = mesh.bent(np.stack([x, y, np.sqrt(200.0**2 - x**2 - y**2)], axis=-1))
     inner = cap.angle_defects()
-    expected = cap.triangle_areas().sum() / 200.0**2 * inner.size / (x.size - sum(x.shape) + 1)
+    area = np.linalg.norm(triangle_areas(cap), axis=1).sum()
+    expected = area / 200.0**2 * inner.size / (x.size - sum(x.shape) + 1)
     assert inner.sum() == pytest.approx(expected, rel=0.02)
 
 

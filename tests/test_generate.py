@@ -231,10 +231,19 @@ def test_two_runs_do_not_write_into_one_folder(simple, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "options", [{"count": 0}, {"size": 8}, {"workers": -1}, {"map_size": 96}, {"shard_size": 0}, {"shard_size": 5}]
+    ("options", "told"),
+    [
+        ({"count": 0}, "count: got 0; allowed: >= 1"),
+        ({"size": 8}, "size: got 8; allowed: >= 32"),
+        ({"workers": -1}, "workers: got -1; allowed: >= 0"),
+        ({"map_size": 0}, "map_size: got 0; allowed: >= 16"),
+        ({"map_size": 96}, "map size 96; allowed: up to the 48 px"),
+        ({"shard_size": 0}, "shard_size: got 0; allowed: >= 1"),
+        ({"shard_size": 5}, "shard size 5; allowed: multiples of the 2"),
+    ],
 )
-def test_impossible_options_are_refused(tmp_path, options):
-    with pytest.raises(ConfigError, match="allowed"):
+def test_impossible_options_are_refused(tmp_path, options, told):
+    with pytest.raises(ConfigError, match=told):
         simple_config(tmp_path, **options)
 
 
@@ -242,6 +251,14 @@ def test_a_cluster_that_is_not_there_is_said(monkeypatch):
     pytest.importorskip("distributed")
     monkeypatch.setattr(data_gen.work, "CLUSTER_PATIENCE", "0.5s")
     with pytest.raises(ConfigError, match=r"tcp://host:8786"), workers(0, "tcp://127.0.0.1:9"):
+        pass
+
+
+@pytest.mark.parametrize("address", ["foo", "", "tcp://host", "http://host:8787", "tcp://host:port"])
+def test_what_is_no_address_is_refused_at_once(monkeypatch, address):
+    distributed = pytest.importorskip("distributed")
+    monkeypatch.setattr(distributed, "Client", None)  # one that is refused an address is ended after 40 s only
+    with pytest.raises(ConfigError, match=r"--scheduler.*tcp://host:8786"), workers(0, address):
         pass
 
 

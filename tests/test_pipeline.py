@@ -263,6 +263,7 @@ def test_what_rectifies_can_be_sent_to_other_processes(rectifier, photo, result)
 
 def test_public_names_are_listed_before_they_are_used():
     assert set(hybrid.__all__) <= set(dir(hybrid))
+    assert all(callable(getattr(hybrid, name)) for name in hybrid.__all__)
 
 
 def test_a_film_that_the_first_looks_miss_is_found_from_a_wider_one(rectifier, photo):

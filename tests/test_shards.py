@@ -224,6 +224,16 @@ def test_an_older_data_set_is_refused(tmp_path):
         open_dataset(tmp_path)
 
 
+@pytest.mark.parametrize(
+    ("name", "told"), [("000000.jpg", "--preset upright or"), ("000000.npz", "--preset light"), ("a.txt", "generate")]
+)
+def test_a_data_set_for_other_networks_is_named(folder, tmp_path, name, told):
+    (tmp_path / "dataset.json").write_bytes((folder / "dataset.json").read_bytes())
+    (tmp_path / name).touch()
+    with pytest.raises(DataError, match=f"no finished shard.*{told}"):
+        open_dataset(tmp_path)
+
+
 def test_a_shard_of_other_samples_than_listed_is_refused(samples, folder):
     write_shard(folder / "shard_00000.tar", 10, [sample_bytes(sample, 10 + k) for k, sample in enumerate(samples)])
     with pytest.raises(DataError, match="samples 10 to"):

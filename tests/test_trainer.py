@@ -106,6 +106,15 @@ def test_curves_of_steps_that_come_again_are_left_out(tmp_path):
     assert path.read_text() == "passes,loss\n100,3\n200,2\n"
 
 
+@pytest.mark.usefixtures("tiny")
+def test_curves_of_a_run_that_ended_before_its_first_checkpoint_are_begun_anew(dataset, tmp_path):
+    train(quick_run(dataset, tmp_path, passes=8, steps_per_test=1))
+    curves = (tmp_path / "curves.csv").read_text()
+    (tmp_path / "checkpoint.pt").unlink()
+    train(quick_run(dataset, tmp_path, passes=8, steps_per_test=1))
+    assert (tmp_path / "curves.csv").read_text() == curves
+
+
 # ---------------------------------------------------------------- averaged weights
 
 

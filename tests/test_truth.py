@@ -6,9 +6,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from simple_samples import simple_dataset
 
 from hybrid.coords import film_nodes, pixel_centres
-from hybrid.learn.samples import truth_at
+from hybrid.learn.samples import open_places, truth_at
 from hybrid.learn.shards import Shard
 
 
@@ -30,6 +31,14 @@ class OneSample(Shard):
 
     def record(self, index: int) -> dict[str, Any]:
         return {}
+
+
+def test_a_normal_is_known_wherever_film_is_seen(tmp_path):
+    """Also where the nearest pixel shows none, and film is seen by the three around it."""
+    place = open_places([simple_dataset(tmp_path, count=2, shard_size=2)])[0]
+    truth = truth_at(place, pixel_centres((48, 48)) + 0.37, (48, 48))
+    np.testing.assert_allclose(np.linalg.norm(truth.normal[truth.mask], axis=-1), 1.0, atol=1e-5)
+    assert not truth.normal[~truth.mask].any()
 
 
 @pytest.mark.parametrize("hole", [None, (slice(30, 50), slice(50, 80))])

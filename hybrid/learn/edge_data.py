@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float, UInt8
 
 from hybrid.backward import BackwardMap, Orientation, film_as_seen
 from hybrid.coords import film_centres_1d, rescale_points, sample_bilinear
-from hybrid.errors import DataError, describe
+from hybrid.errors import NPZ_ERRORS, DataError, describe
 from hybrid.learn.data import BEND_ERROR_NODES, disturbed, disturbed_map, log_uniform
 from hybrid.learn.samples import Place, film_mask, film_of, open_places, photo_of
 from hybrid.learn.views import plane_of
@@ -59,7 +59,7 @@ def open_edges(folders: Sequence[Path]) -> list[EdgePlace]:
     """All samples of some data sets, with FilmNet's maps where they lie beside them.
 
     Raises:
-        DataError: a data set that cannot be read, or maps that are not as many as its samples.
+        DataError: a data set or maps that cannot be read, or maps that are not as many as its samples.
     """
     return [one for folder in folders for one in _open_folder(folder)]
 
@@ -68,12 +68,19 @@ def _open_folder(folder: Path) -> list[EdgePlace]:
     places, path = open_places([folder]), folder / FILM_MAPS
     if not path.exists():
         return [EdgePlace(place, None) for place in places]
-    maps = np.load(path)
+    maps = _read_maps(path)
     if len(maps) != len(places):
-        got, do = f"{len(maps)} maps of {len(places)} samples", "Make the maps again."
-        raise DataError(describe(what="FilmNet's maps", where=path, got=got, do=do))
-    known = np.isfinite(maps).all(axis=(1, 2, 3))
+        got = f"{len(maps)} maps of {len(places)} samples"
+        raise DataError(describe(what="FilmNet's maps", where=path, got=got, do="Make the maps again."))
+    known = np.asarray(np.isfinite(maps).all(axis=(1, 2, 3)))
     return [EdgePlace(place, nodes if good else None) for place, nodes, good in zip(places, maps, known, strict=True)]
+
+
+def _read_maps(path: Path) -> Float[np.ndarray, "k n m 2"]:
+    try:
+        return np.load(path)
+    except NPZ_ERRORS as error:
+        raise DataError(describe(what="FilmNet's maps", where=path, got=error, do="Make the maps again.")) from error
 
 
 def edge_view(

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import Bool, Float, Int, UInt8
 
 from hybrid.backward import BackwardMap
 from hybrid.coords import inside_outline, opencv_from_photo, rescale_points
@@ -80,7 +80,7 @@ def film_mask(place: Place) -> Bool[np.ndarray, "h w"]:
 
 
 def truth_at(place: Place, points: Float[np.ndarray, "h w 2"], photo_size: tuple[int, int]) -> Truth:
-    """The maps of a sample at photo points: bilinear, of film pixels only; the normal of the nearest pixel.
+    """The maps of a sample at photo points: bilinear, of film pixels only; the normal of the nearest one.
 
     Only the four neighbours of each point are read: the maps stay on disk where nothing looks at them. Where some of
     the four are no film, the mean of the others stands for another place; uv and xyz are carried on from there.
@@ -137,12 +137,22 @@ def _carried_on(values: np.ndarray, off: np.ndarray, at: np.ndarray, seen: np.nd
 
 
 def _nearest_normal(place: Place, at: np.ndarray, seen: np.ndarray) -> np.ndarray:
-    """Normals at OpenCV coordinates of the maps, of the pixel there; stored normals cannot be averaged."""
+    """Normals at OpenCV coordinates of the maps, of the nearest pixel of film; stored normals cannot be averaged."""
     shard, index = place
     mask, stored = shard.stored("mask", index), shard.stored("normal", index)
     x, y = (np.clip(np.rint(at[..., k]).astype(np.int64), 0, mask.shape[1 - k] - 1) for k in (0, 1))
-    known = seen & mask[y, x]
-    return np.where(known[..., None], decode_normal(stored[y, x], known), np.float32(0))
+    beside = seen & ~mask[y, x]
+    x[beside], y[beside] = _nearest_film(mask, at[beside])
+    return np.where(seen[..., None], decode_normal(stored[y, x], seen), np.float32(0))
+
+
+def _nearest_film(mask: np.ndarray, at: Float[np.ndarray, "n 2"]) -> Int[np.ndarray, "2 n"]:
+    """Column and row of the nearest of the four pixels around a point that shows film; one of them must."""
+    around = np.floor(at)[:, None] + np.array([(0, 0), (1, 0), (0, 1), (1, 1)])
+    pixels = np.clip(around, 0, np.array(mask.shape[::-1]) - 1).astype(np.int64)
+    film = mask[pixels[..., 1], pixels[..., 0]]
+    nearest = np.where(film, np.square(around - at[:, None]).sum(axis=-1), np.inf).argmin(axis=1)
+    return pixels[np.arange(len(at)), nearest].T
 
 
 def _covered(place: Place, at: np.ndarray, photo_size: tuple[int, int]) -> Bool[np.ndarray, "h w"]:

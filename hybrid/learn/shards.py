@@ -234,8 +234,7 @@ def open_dataset(folder: Path, verify: bool = False) -> list[Shard]:
     read_description(folder)
     shards = [Shard(folder / entry.name, entry) for entry in read_manifest(folder)]
     if not shards:
-        do = "Run python -m data_gen.generate again."
-        raise DataError(describe(what="data set", where=folder, got="no finished shard", do=do))
+        raise DataError(describe(what="data set", where=folder, got="no finished shard", do=_without_shards(folder)))
     for shard in shards:
         size = shard.path.stat().st_size if shard.path.exists() else 0
         if size != shard.entry.bytes:
@@ -245,3 +244,12 @@ def open_dataset(folder: Path, verify: bool = False) -> list[Shard]:
         if verify and sha256_of(shard.path) != shard.entry.sha256:
             raise DataError(describe(what="shard", where=shard.path, got="another sha256 than listed", do=_AGAIN))
     return shards
+
+
+def _without_shards(folder: Path) -> str:
+    """What to do with a data set that has no shard: flat prints and lit films are numbered files."""
+    if any(folder.glob("[0-9]*.jpg")):
+        return "These are flat prints: train on them with --preset upright or --preset slices."
+    if any(folder.glob("[0-9]*.npz")):
+        return "These are flat films under many lights: train on them with --preset light."
+    return "Run python -m data_gen.generate again."

@@ -248,7 +248,7 @@ def _run(state: _State, loader: DataLoader, held_out: list[Any]) -> None:
             last = state.step == plan.steps
             if state.step % config.steps_per_test == 0 or last:
                 figures = _test(state, held_out)
-                _log(config.out / "curves.csv", {"passes": state.step * plan.batch} | terms | figures)
+                _log(state.curves, {"passes": state.step * plan.batch} | terms | figures)
                 bar.set_postfix({name.removeprefix("test_"): f"{value:.3g}" for name, value in figures.items()})
             if time.monotonic() - saved > 60 * config.minutes_per_save or last:
                 state.save()
@@ -311,8 +311,11 @@ class _State:
             self.network.parameters(), lr=plan.learning_rate, weight_decay=config.weight_decay, fused=True
         )
         self.path = config.out / "checkpoint.pt"
+        self.curves = config.out / "curves.csv"
         if self.path.exists():
             self._load()
+        elif rank.first:
+            self.curves.unlink(missing_ok=True)  # of a run that ended before its first checkpoint
         self.shared = nn.parallel.DistributedDataParallel(self.network) if rank.count > 1 else self.network
 
     def update(self, images: Tensor, targets: Any) -> dict[str, float]:
@@ -354,7 +357,7 @@ class _State:
                 raise ConfigError(describe(what="train", where=self.path.parent, got=got, allowed=began, do=do))
         self.step = stored["step"]
         if self.rank.first:
-            _cut_curves(self.path.with_name("curves.csv"), self.step * self.plan.batch)
+            _cut_curves(self.curves, self.step * self.plan.batch)
         for name in ("network", "averaged", "optimiser"):
             getattr(self, name).load_state_dict(stored[name])
 

@@ -72,11 +72,6 @@ class FilmMesh:
         """What two one-dimensional interpolations make of the vertices."""
         return np.stack([rows @ self.vertices[..., k] @ cols.T for k in range(3)], axis=-1)
 
-    def triangle_areas(self) -> Float[np.ndarray, " t"]:
-        """Area (mm^2) of each triangle."""
-        a, b, c = self._corners()
-        return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
-
     def dihedral_angles(self) -> Float[np.ndarray, "r1 c1"]:
         """Angle (rad) by which the two triangles of each lattice cell are bent against each other; 0 when flat."""
         a, b, c = self._corners()

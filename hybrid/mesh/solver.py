@@ -133,23 +133,6 @@ def step(network: MassSpring, frame: Frame, loads: Loads, config: StepConfig) ->
     return Frame(mesh, velocity, result.iterations, result.moved, largest, result.residual, status, acceleration)
 
 
-def advance(network: MassSpring, frame: Frame, loads: Loads, config: StepConfig, duration_s: float) -> Frame:
-    """The sheet ``duration_s`` later, by steps of at most ``config.dt_s`` that adapt.
-
-    A step that did not converge is taken again as two halves, down to a 64th; after one that did, the step doubles.
-    """
-    left, dt_s = duration_s, min(config.dt_s, duration_s)
-    while left > 1e-9 * duration_s:
-        dt_s = min(dt_s, left)
-        after = step(network, frame, loads, replace(config, dt_s=dt_s))
-        if after.status is FrameStatus.UNCONVERGED and dt_s > config.dt_s / 64:
-            dt_s *= 0.5
-            continue
-        left -= dt_s
-        frame, dt_s = after, min(2 * dt_s, config.dt_s)
-    return frame
-
-
 def settle(network: MassSpring, frame: Frame, loads: Loads, config: SettleConfig) -> Frame:
     """The shape in which the sheet comes to rest under steady loads (quasi-static: inertia only guides the way).
 
