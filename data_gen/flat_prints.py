@@ -1,7 +1,9 @@
-"""Flat prints alone, for the network that reads films: ``python -m data_gen.flat_prints --count N --out DIR``."""
+"""Flat prints alone, for networks that see which way is up: ``python -m data_gen.flat_prints --count N --out DIR``."""
 
 from __future__ import annotations
 
+import json
+import os
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -11,29 +13,30 @@ import tyro
 from tqdm import tqdm
 
 from data_gen.manifest import deciding, describe_dataset, described_sources, sole_writer
-from data_gen.prints import make_print
+from data_gen.prints import FilmPrint, make_print
 from data_gen.sources import SourceConfig, draw_volume
-from data_gen.work import source_names
+from data_gen.work import source_names, start_worker, workers
 from hybrid.errors import HybridError, require_at_least
 from hybrid.image_io import write_bytes
 
 
 @dataclass(frozen=True)
 class FlatPrintsConfig:
-    """Write flat prints as grey JPEG files.
+    """Write flat prints as grey JPEG files, and beside each a JSON that says where its slices are.
 
     count: prints to make; those that are there already stay. out: their folder, one for each seed. seed: the same seed
-    gives the same prints. sources: of CT volumes.
+    gives the same prints. workers: processes; 0 makes everything in this one. sources: of CT volumes.
     """
 
     count: int
     out: Path
     seed: int = 0
+    workers: int = os.cpu_count() or 1
     sources: tyro.conf.OmitArgPrefixes[SourceConfig] = field(default_factory=SourceConfig)
 
     def __post_init__(self) -> None:
         require_at_least(self, 1, "count")
-        require_at_least(self, 0, "seed")
+        require_at_least(self, 0, "seed", "workers")
 
 
 def flat_prints(config: FlatPrintsConfig) -> None:
@@ -46,20 +49,32 @@ def flat_prints(config: FlatPrintsConfig) -> None:
         sources = described_sources(config.sources, source_names(config.sources))
         options = deciding(sources=sources, seed=config.seed)
         describe_dataset(config.out, options, max(config.count, sum(1 for _ in config.out.glob("*.jpg"))))
-        for k in tqdm(range(config.count), unit="print"):
-            path = config.out / f"{k:06d}.jpg"
-            if not path.exists():
-                write_bytes(path, _print_bytes(config, k))
+        missing = [number for number in range(config.count) if not _path(config, number).exists()]
+        with workers(config.workers, None) as those, tqdm(total=len(missing), unit="print") as bar:
+            for _ in those.in_order(_write_print, ((config, number) for number in missing)):
+                bar.update()
 
 
-def _print_bytes(config: FlatPrintsConfig, number: int) -> bytes:
-    """The JPEG file of a print; no film of a data set of that seed."""
-    rng = np.random.default_rng([config.seed, number, 1])
-    film_print = make_print(draw_volume(config.sources, rng), rng)
-    while not film_print.parameters["text"]:
-        film_print = make_print(draw_volume(config.sources, rng), rng)
+def _path(config: FlatPrintsConfig, number: int) -> Path:
+    return config.out / f"{number:06d}.jpg"
+
+
+def _write_print(config: FlatPrintsConfig, number: int) -> None:
+    start_worker()
+    film_print, path = written_print(config.seed, number, config.sources), _path(config, number)
     pixels = np.rint(film_print.image * 255).astype(np.uint8)
-    return cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_QUALITY, 92])[1].tobytes()
+    about = {"vertices": film_print.vertices.tolist(), **film_print.parameters}
+    write_bytes(path.with_suffix(".json"), json.dumps(about).encode())
+    write_bytes(path, cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_QUALITY, 92])[1].tobytes())
+
+
+def written_print(seed: int, number: int, sources: SourceConfig) -> FilmPrint:
+    """Print ``number`` of a seed, with texts; no film of a data set of that seed."""
+    rng = np.random.default_rng([seed, number, 1])
+    film_print = make_print(draw_volume(sources, rng), rng)
+    while not film_print.parameters["text"]:
+        film_print = make_print(draw_volume(sources, rng), rng)
+    return film_print
 
 
 def main() -> None:

@@ -12,7 +12,7 @@ from data_gen._labels import Labels, draw_labels, random_labels
 from data_gen._layout import Layout, PrintConfig, coverage, random_layout
 from data_gen._slices import Deal, Look, anatomy, choose_slices, deal_slices, draw_scout, draw_slices, random_look
 from data_gen._typeset import FAMILIES, Font, stamp, text_sprite
-from data_gen.volumes import CtVolume
+from data_gen.volumes import CtVolume, Plane
 from hybrid.coords import film_from_pixel
 
 
@@ -40,6 +40,13 @@ class FilmPrint:
 
 DEFAULT_CONFIG = PrintConfig()
 
+PLANE_LETTERS: dict[Plane, dict[str, str]] = {
+    "axial": {},
+    "coronal": {"A": "H", "P": "F"},
+    "sagittal": {"A": "H", "P": "F", "R": "A", "L": "P"},
+}
+"""The patient's sides where an axial slice has others: head, feet."""
+
 
 def make_print(volume: CtVolume, rng: np.random.Generator, config: PrintConfig = DEFAULT_CONFIG) -> FilmPrint:
     """A print of the volume's slices, different for every random state; the same state gives the same print."""
@@ -57,14 +64,15 @@ def make_print(volume: CtVolume, rng: np.random.Generator, config: PrintConfig =
     labels: Labels | None = None
     if rng.random() < config.text_share:
         labels = random_labels(rng, volume, layout.cell_px, px_per_mm, config.marks_share)
-        labels = replace(labels, letters=_letters_as_drawn(labels.letters, look))
+        letters = tuple(PLANE_LETTERS[volume.plane].get(letter, letter) for letter in labels.letters)
+        labels = replace(labels, letters=_letters_as_drawn(letters, look))
         for k, (position, number) in enumerate(zip(deal.positions.tolist(), deal.windows, strict=True)):
             numbers = labels.numbers(k, position * volume.spacing_mm[0], look.windows[number])
             draw_labels(image, layout.cell(k + look.scout), labels, numbers)
     header = _draw_header(rng, image, layout, look) if layout.header_px else ""
     vertices = film_from_pixel(layout.vertices_px(), (image.shape[0], image.shape[1]))
-    parameters = {"volume": volume.label, "px_per_mm": px_per_mm, "header": header, **_layout_parameters(layout)}
-    parameters |= _look_parameters(look, deal, labels)
+    parameters = {"volume": volume.label, "plane": volume.plane, "px_per_mm": px_per_mm, "header": header}
+    parameters |= _layout_parameters(layout) | _look_parameters(look, deal, labels)
     return FilmPrint(image, layout.size_mm, layout.rows, layout.cols, vertices, layout.style, parameters)
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from data_gen.phantom import body_phantom, head_phantom
 from data_gen.rooms import Environment, load_environments, procedural_room
-from data_gen.volumes import CtVolume, load_volumes
+from data_gen.volumes import CtVolume, load_volumes, reformatted
 from hybrid.errors import ConfigError, DataError, describe
 
 PHANTOMS = 12
@@ -31,6 +31,7 @@ class SourceConfig:
     real_share: share of films (rooms) taken from those folders where they are given.
     only: names of the volumes and environments to use, * stands for anything; all if none is named.
     leave_out: names not to use. phantoms: first embedded phantom and the one after the last; rooms follow the seed.
+    reformatted_share: share of films whose slices are coronal or sagittal.
     """
 
     ct: Path | None = None
@@ -39,21 +40,30 @@ class SourceConfig:
     only: tuple[str, ...] = ()
     leave_out: tuple[str, ...] = ()
     phantoms: tuple[int, int] = (0, PHANTOMS)
+    reformatted_share: float = 0.0
 
     def __post_init__(self) -> None:
-        if not 0 <= self.real_share <= 1 or not 0 <= self.phantoms[0] < self.phantoms[1]:
+        shares = (self.real_share, self.reformatted_share)
+        if not all(0 <= share <= 1 for share in shares) or not 0 <= self.phantoms[0] < self.phantoms[1]:
             raise ConfigError(
                 describe(
                     what="sources",
-                    got=f"real_share {self.real_share}, phantoms {self.phantoms}",
-                    allowed="real_share in [0, 1], 0 <= first phantom < end",
+                    got=f"real_share, reformatted_share {shares}, phantoms {self.phantoms}",
+                    allowed="shares in [0, 1], 0 <= first phantom < end",
                     do="Change the option.",
                 )
             )
 
 
 def draw_volume(config: SourceConfig, rng: np.random.Generator) -> CtVolume:
-    """A CT volume of the given folder or an embedded phantom."""
+    """A CT volume of the given folder or an embedded phantom, of some cut in another plane."""
+    volume = _axial_volume(config, rng)
+    if config.reformatted_share > 0 and rng.random() < config.reformatted_share:
+        return reformatted(volume, "coronal" if rng.random() < 0.5 else "sagittal")
+    return volume
+
+
+def _axial_volume(config: SourceConfig, rng: np.random.Generator) -> CtVolume:
     if config.ct is not None and rng.random() < config.real_share:
         volumes, _ = loaded(config)
         return volumes[int(rng.integers(len(volumes)))]

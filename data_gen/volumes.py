@@ -1,12 +1,13 @@
-"""CT volumes: the record, the readers of ``.npz``, NIfTI and DICOM folders, and windowing to display grey."""
+"""CT volumes: the record, the readers of ``.npz``, NIfTI and DICOM folders, and slices in other planes."""
 
 from __future__ import annotations
 
 import hashlib
 import json
 import logging
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float, Int16
@@ -30,21 +31,27 @@ LEAST_SPAN_HU = 300
 
 NIFTI_SUFFIXES = (".nii", ".nii.gz")
 
+Plane = Literal["axial", "coronal", "sagittal"]
+"""How the slices of a volume lie in the patient."""
+
 
 @dataclass(frozen=True, eq=False)
 class CtVolume:
     """A CT series.
 
-    hu: (slices, rows, cols) Hounsfield units; slice 0 is caudal, row 0 anterior, column 0 the patient's right.
-    spacing_mm: (z, y, x) distances between voxel centres, all positive.
+    hu: (slices, rows, cols) Hounsfield units; slice 0 is caudal, row 0 anterior, column 0 the patient's right. Of other
+        planes see ``reformatted``.
+    spacing_mm: (z, y, x) distances between voxel centres, along hu's axes, all positive.
     name: for messages and to choose by; of a file, its own.
     label: what data sets call it, since a file's name may be a patient's; the name where none is given.
+    plane: of the slices.
     """
 
     hu: Int16[np.ndarray, "slices rows cols"]
     spacing_mm: tuple[float, float, float]
     name: str
     label: str = ""
+    plane: Plane = "axial"
 
     def __post_init__(self) -> None:
         if self.hu.ndim != 3 or self.hu.dtype != np.int16 or min(self.hu.shape) < 1:
@@ -73,12 +80,15 @@ class CtVolume:
         object.__setattr__(self, "label", self.label or self.name)
 
 
-def window(hu: np.ndarray, level: float, width: float) -> Float[np.ndarray, "*shape"]:
-    """Display grey in [0, 1] (float32) of Hounsfield units: level - width / 2 is black, level + width / 2 white."""
-    if not width > 0:
-        raise ValueError(f"window: got width {width}; allowed: > 0 HU")
-    low = np.float32(level - width / 2)
-    return np.clip((hu.astype(np.float32) - low) * np.float32(1.0 / width), 0.0, 1.0)
+def reformatted(volume: CtVolume, plane: Plane) -> CtVolume:
+    """An axial volume cut in another plane, the head at the top. Coronal: slice 0 anterior, column 0 the patient's
+    right; sagittal: slice 0 the patient's right, column 0 anterior."""
+    if plane == volume.plane:
+        return volume
+    axes = {"coronal": (1, 0, 2), "sagittal": (2, 0, 1)}[plane]
+    hu = np.ascontiguousarray(volume.hu.transpose(axes)[:, ::-1])
+    down, across = volume.spacing_mm[axes[1]], volume.spacing_mm[axes[2]]
+    return replace(volume, hu=hu, spacing_mm=(volume.spacing_mm[axes[0]], down, across), plane=plane)
 
 
 def tissue_width_mm(volume: CtVolume) -> float:

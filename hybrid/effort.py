@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Literal
 
 from hybrid.errors import ConfigError, describe, require_numbers
+from hybrid.learn.orientation import UprightConfig
 from hybrid.learn.predict import PredictConfig
-from hybrid.learn.upright import UprightConfig
 from hybrid.rectify.cover import CoverConfig
 from hybrid.rectify.deilluminate import DeilluminateConfig
 from hybrid.rectify.edge_paths import EdgeConfig

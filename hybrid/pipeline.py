@@ -19,12 +19,13 @@ from hybrid.learn.edges import edge_reader
 from hybrid.learn.inference import ready
 from hybrid.learn.light import level_reader
 from hybrid.learn.network import FilmNet, FilmNetConfig
-from hybrid.learn.upright import UprightNet, orientation_chances, upright_way
+from hybrid.learn.orientation import OrientationReader, orientation_chances, upright_way
 from hybrid.learn.weights import (
     load_weights,
     packaged_edge_net,
     packaged_film_net,
     packaged_light_net,
+    packaged_slice_net,
     packaged_upright_net,
 )
 from hybrid.levels import LevelReader
@@ -61,7 +62,7 @@ class Rectifier:
             packaged_film_net() if weights is None else load_weights(weights, FilmNet, FilmNetConfig)
         )
         self._edges: EdgeReader = edge_reader(ready(packaged_edge_net()))
-        self._reader: UprightNet = ready(packaged_upright_net())
+        self._reader = OrientationReader(ready(packaged_upright_net()), ready(packaged_slice_net()))
         self._levels: LevelReader = level_reader(ready(packaged_light_net()))
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -178,7 +179,7 @@ class Rectifier:
             flat = rectify_photo(pyramid, backward, size, self.config.resample)
             report.reason = f"to {size[1]} x {size[0]} pixels"
         with clock.stage("upright") as report:
-            way, probability = self._read(flat, report)
+            way, probability = self._read(flat, grid, report)
             if way.index:
                 flat, backward, grid = flat.turned(way), backward.turned(way), grid and grid.turned(way)
         with clock.stage("cover") as report:
@@ -203,17 +204,19 @@ class Rectifier:
             confidence=light.confidence,
         )
 
-    def _read(self, flat: Rectified, report: Report) -> tuple[Orientation, float | None]:
-        """How the flat film has to be moved to read right, by what is written on it, and how sure that is then."""
+    def _read(self, flat: Rectified, grid: SliceGrid | None, report: Report) -> tuple[Orientation, float | None]:
+        """How the flat film has to be moved to read right, by what it shows, and how sure that is then."""
         config = self.config.upright
         if config.given is not None:
             report.reason = f"turned by {config.turn} degrees{' after mirroring' * config.mirror}, as was asked for"
             return config.given, None
-        if max(flat.valid.shape) < config.min_film_px:
-            report.ran, report.reason = False, "left as it lies: writing this small cannot be read"
+        vertices = None if grid is None else grid.vertices
+        chances, read = orientation_chances(self._reader, flat.image, vertices, config)
+        if chances is None:
+            report.ran, report.reason = False, "left as it lies: so small a film cannot be read"
             return Orientation(0, False), None
-        chances = orientation_chances(self._reader, flat.image, config)
-        way, report.reason = upright_way(chances, config)
+        way, said = upright_way(chances, config)
+        report.reason = f"{said} ({read})"
         return way, float(chances[way.index])
 
 

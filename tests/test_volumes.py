@@ -1,4 +1,4 @@
-"""Volumes: windowing, the .npz reader and its refusals."""
+"""Volumes: other planes, the .npz reader and its refusals."""
 
 import json
 import os
@@ -11,7 +11,7 @@ nibabel = pytest.importorskip("nibabel", reason="nibabel is not installed")
 
 from data_gen.nifti import NotCtError, read_nifti  # noqa: E402
 from data_gen.prints import PrintConfig, make_print  # noqa: E402
-from data_gen.volumes import CtVolume, is_body, load_volumes, read_npz, tissue_width_mm, window  # noqa: E402
+from data_gen.volumes import CtVolume, is_body, load_volumes, read_npz, reformatted, tissue_width_mm  # noqa: E402
 from hybrid.errors import DataError  # noqa: E402
 
 SHARED = os.environ.get("HYBRID_SHARED_DATA")
@@ -30,21 +30,17 @@ def save(path: Path, **arrays: object) -> Path:
     return path
 
 
-def test_window_maps_its_ends_to_black_and_white_and_is_monotone():
-    hu = np.arange(-1024, 3072, dtype=np.int16)
-    grey = window(hu, 40.0, 80.0)
-    assert grey.dtype == np.float32
-    assert grey[hu == 0] == 0.0
-    assert grey[hu == 80] == 1.0
-    assert grey[hu == 40] == 0.5
-    assert np.all(np.diff(grey) >= 0)
-    assert grey.min() == 0.0
-    assert grey.max() == 1.0
-
-
-def test_window_of_no_width_is_refused():
-    with pytest.raises(ValueError, match="width"):
-        window(np.zeros(3, np.int16), 0.0, 0.0)
+def test_other_planes_have_the_head_at_the_top():
+    """One voxel, told by its values along the axes: caudal to cranial, front to back, right to left."""
+    hu = np.full((3, 5, 7), -1000, np.int16)
+    hu[2, 1, 6] = 500  # cranial, near the front, at the left
+    volume = CtVolume(hu, (3.0, 2.0, 1.0), "one")
+    coronal, sagittal = reformatted(volume, "coronal"), reformatted(volume, "sagittal")
+    assert (coronal.hu.shape, coronal.spacing_mm) == ((5, 3, 7), (2.0, 3.0, 1.0))
+    assert coronal.hu[1, 0, 6] == 500
+    assert (sagittal.hu.shape, sagittal.spacing_mm) == ((7, 3, 5), (1.0, 3.0, 2.0))
+    assert sagittal.hu[6, 0, 1] == 500
+    assert reformatted(volume, "axial") is volume
 
 
 @pytest.mark.parametrize("diameter_mm", [150.0, 400.0])

@@ -33,6 +33,8 @@ from hybrid.learn.paper_data import PaperView, paper_batch
 from hybrid.learn.paper_targets import PaperTargets
 from hybrid.learn.pictures import PICTURE_VIEWS, Picture, lines_of_backward, lines_of_uv, sample_sheet
 from hybrid.learn.samples import open_places
+from hybrid.learn.slice_data import SliceAugment, slice_batch, sliced_prints
+from hybrid.learn.slices import SliceNetConfig
 from hybrid.learn.upright import UprightNetConfig
 from hybrid.learn.upright_data import PrintAugment, print_paths, read_print, upright_view
 
@@ -186,17 +188,23 @@ def _paper_picture(images: Tensor, targets: PaperTargets, output: Any) -> Pictur
     return sample_sheet(images, true, found)
 
 
-# ---------------------------------------------------------------- UprightNet
+# ---------------------------------------------------------------- UprightNet, SliceNet
 
 
-def _open_prints(folders: Sequence[Path]) -> list[Path]:
-    return [path for folder in folders for path in print_paths(folder)]
+def _open_all(those_of: Callable[[Path], list[Path]], folders: Sequence[Path]) -> list[Path]:
+    return [path for folder in folders for path in those_of(folder)]
 
 
 def print_feed(config: UprightNetConfig) -> Feed:
     """Patches of flat prints, for a network of that configuration."""
     batch = partial(_print_batch, config)
-    return Feed(_open_prints, batch, partial(_print_test, batch))
+    return Feed(partial(_open_all, print_paths), batch, partial(_votes_test, batch))
+
+
+def slice_feed(config: SliceNetConfig) -> Feed:
+    """Slices of flat prints, for a network of that configuration."""
+    batch = partial(_slice_batch, config)
+    return Feed(partial(_open_all, sliced_prints), batch, partial(_votes_test, batch))
 
 
 def _print_batch(
@@ -207,13 +215,20 @@ def _print_batch(
     return torch.from_numpy(np.stack(views)), torch.zeros(len(views), dtype=torch.int64)
 
 
+def _slice_batch(
+    config: SliceNetConfig, paths: Sequence[Path], px: int, rngs: Sequence[np.random.Generator]
+) -> tuple[Tensor, Tensor]:
+    views = slice_batch(paths, replace(config, input_px=px), rngs, SliceAugment())
+    return torch.from_numpy(views), torch.zeros(len(views), dtype=torch.int64)
+
+
 @torch.inference_mode()
-def _print_test(
+def _votes_test(
     batch: Callable[..., tuple[Tensor, Tensor]], network: nn.Module, paths: Sequence[Path], px: int, device: str
 ) -> dict[str, float]:
-    """Shares of films and of patches that are read right, and the mean -log2 of the films' probabilities.
+    """Shares of films and of patches (or slices) that are read right, and the mean -log2 of the films' probabilities.
 
-    Patches without writing score alike in every way and are left out; a film of such alone is not read right.
+    Empty ones score alike in every way and are left out; a film of such alone is not read right.
     """
     rng, films, patches = np.random.default_rng(0), [], []
     for part in _test_batches(paths):

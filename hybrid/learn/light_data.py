@@ -237,18 +237,23 @@ def drawn_pattern(px: int, rng: np.random.Generator) -> UInt8[np.ndarray, "n n"]
     rows, cols = (int(n) for n in rng.integers(1, 8, 2))
     side = max(_FINE * px // max(rows, cols), 8)
     ground, alike, empty = int(rng.integers(0, 30)), rng.random() < 0.5, rng.uniform(0, 0.3)
-    kinds = rng.permutation(4)[: int(rng.integers(1, 4))]
-    one = _pattern_cell(side, kinds, ground, rng)
+    kinds = pattern_kinds(rng)
+    one = pattern_cell(side, kinds, ground, rng)
     film = np.full((rows * side, cols * side), ground, np.uint8)
     for row in range(rows):
         for col in range(cols):
             if rng.random() >= empty:
-                cell = one if alike else _pattern_cell(side, kinds, ground, rng)
+                cell = one if alike else pattern_cell(side, kinds, ground, rng)
                 film[row * side : (row + 1) * side, col * side : (col + 1) * side] = cell
     return cv2.resize(film, (px, px), interpolation=cv2.INTER_AREA)
 
 
-def _pattern_cell(side: int, kinds: np.ndarray, ground: int, rng: np.random.Generator) -> UInt8[np.ndarray, "s s"]:
+def pattern_kinds(rng: np.random.Generator) -> np.ndarray:
+    """Which kinds of patterns a print shows."""
+    return rng.permutation(4)[: int(rng.integers(1, 4))]
+
+
+def pattern_cell(side: int, kinds: np.ndarray, ground: int, rng: np.random.Generator) -> UInt8[np.ndarray, "s s"]:
     """One cell with a pattern of these kinds on it, and strokes as of writing in a corner."""
     kind, v, u = int(rng.choice(kinds)), *np.meshgrid(*(2 * [np.linspace(-1, 1, side)]), indexing="ij")
     half, low, high = rng.uniform(0.4, 0.9, 2), *np.sort(rng.uniform(0.1, 1, 2))

@@ -13,12 +13,13 @@ from hybrid.errors import ConfigError, describe
 from hybrid.learn import paper_losses
 from hybrid.learn.dewarpnet import NODES, BackwardNet, DewarpNet, DewarpNetConfig, ShapeNet, coordinate_code
 from hybrid.learn.edges import EdgeNet, EdgeNetConfig, edge_losses
-from hybrid.learn.feeds import FILM_FEED, LIGHT_FEED, Feed, edge_feed, paper_feed, print_feed
+from hybrid.learn.feeds import FILM_FEED, LIGHT_FEED, Feed, edge_feed, paper_feed, print_feed, slice_feed
 from hybrid.learn.firenet import MULTI_MAP, UV_ONLY, FiReNet, FiReNetConfig
 from hybrid.learn.light import LightNet, LightNetConfig, light_losses
 from hybrid.learn.losses import LossWeights, loss_terms
 from hybrid.learn.network import FilmNet, FilmNetConfig
 from hybrid.learn.paper_targets import PaperTargets
+from hybrid.learn.slices import SliceNet, SliceNetConfig
 from hybrid.learn.upright import UprightNet, UprightNetConfig, upright_losses
 from hybrid.learn.uvbw import NetBw, NetUv, UvBwConfig
 
@@ -62,7 +63,7 @@ class Preset:
     precision, or that two cores can train, if that is less. batch, learning_rate: as published.
     """
 
-    config: FilmNetConfig | UprightNetConfig | EdgeNetConfig | LightNetConfig | PaperConfig
+    config: FilmNetConfig | UprightNetConfig | SliceNetConfig | EdgeNetConfig | LightNetConfig | PaperConfig
     build: Callable[[Any], nn.Module]
     losses: Callable[[Any, Any], dict[str, Tensor]]
     weights: Mapping[str, float] = field(default_factory=dict)
@@ -146,6 +147,15 @@ PRESETS: dict[str, Preset] = {
         batch=16,
         learning_rate=3e-3,
         px_multiple=8,
+    ),
+    "slices": Preset(
+        SliceNetConfig(),
+        SliceNet,
+        upright_losses,
+        own_feed=slice_feed(SliceNetConfig()),
+        batch=32,
+        learning_rate=3e-3,
+        px_multiple=16,
     ),
     "edges": Preset(
         EdgeNetConfig(),

@@ -8,22 +8,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
 
-import cv2
-import numpy as np
 import torch
-from jaxtyping import Bool, Float, Float32, Int64, UInt8
+from jaxtyping import Bool, Float, Int64
 from torch import Tensor, nn
 from torch.nn import functional
 
 from hybrid.backward import Orientation
-from hybrid.errors import ConfigError, describe
 from hybrid.learn.network import ConvNorm
-from hybrid.learn.upright_patches import PatchConfig, text_patches
+from hybrid.learn.upright_patches import PatchConfig
 
-AT_ONCE = 16
-"""Patches that are read before it is asked whether that was enough."""
 WAYS = tuple(Orientation.from_index(index) for index in range(8))
 
 
@@ -45,17 +39,18 @@ class UprightNetConfig:
 
 @dataclass(frozen=True)
 class PatchVotes:
-    """votes: for each patch the log-probability that it has to be moved in each of the eight ways to read right.
-    written: which patches show anything. alike: correlation of the patches of one film, which do not err independently.
+    """votes: for each patch the log-probability that it has to be moved in each of some ways to read right: the eight
+    of WAYS, or the first four. written: which patches show anything. alike: correlation of the patches of one film,
+    which do not err independently.
     """
 
-    votes: Float[Tensor, "b n 8"]
+    votes: Float[Tensor, "b n ways"]
     written: Bool[Tensor, "b n"]
     alike: Float[Tensor, ""]
 
     @property
-    def films(self) -> Float[Tensor, "b 8"]:
-        """Logits of the eight ways for each film: n patches count as n / (1 + (n - 1) alike) that knew nothing of each
+    def films(self) -> Float[Tensor, "b ways"]:
+        """Logits of the ways for each film: n patches count as n / (1 + (n - 1) alike) that knew nothing of each
         other would (the design effect of samples in clusters, Kish 1965)."""
         others = (self.written.sum(dim=1, keepdim=True) - 1).clamp(min=0)
         return self.votes.sum(dim=1) / (1 + others * self.alike)
@@ -67,7 +62,7 @@ def joined(parts: Sequence[PatchVotes]) -> PatchVotes:
     return replace(parts[0], votes=votes, written=written)
 
 
-class _Mix(nn.Module):
+class Mix(nn.Module):
     """A 3 x 3 convolution beside an identity."""
 
     def __init__(self, channels: int) -> None:
@@ -89,7 +84,7 @@ class UprightNet(nn.Module):
         self.config = config
         w2, w4, w8 = config.widths
         self.stages = nn.Sequential(
-            ConvNorm(1, w2, 5, 2), ConvNorm(w2, w4, 3, 2), _Mix(w4), ConvNorm(w4, w8, 3, 2), _Mix(w8), _Mix(w8)
+            ConvNorm(1, w2, 5, 2), ConvNorm(w2, w4, 3, 2), Mix(w4), ConvNorm(w4, w8, 3, 2), Mix(w8), Mix(w8)
         )
         self.score = nn.Conv2d(w8, 1, 1)
         self.alike_logit = nn.Parameter(torch.tensor(-2.0))
@@ -114,71 +109,3 @@ def upright_losses(output: PatchVotes, truth: Int64[Tensor, " b"]) -> dict[str, 
         "patch": -output.votes.gather(2, every).mean(),
         "film": functional.cross_entropy(output.films, truth),
     }
-
-
-@dataclass(frozen=True)
-class UprightConfig:
-    """When a film is turned or mirrored.
-
-    turned, mirrored: shares of films that are photographed turned by quarters, and from behind.
-    min_probability: a film is moved only where it is this sure, these shares counted in. enough: reading ends where it
-    is this probable that a film reads right as it lies; one to be moved is read to its end. min_film_px: nothing is
-    read on films whose longer side is less. turn: how far every film is turned clockwise, if not as it reads; mirror:
-    whether it is mirrored left to right before that.
-    """
-
-    turned: float = 0.1
-    mirrored: float = 0.02
-    min_probability: float = 0.95
-    enough: float = 0.9995
-    min_film_px: int = 400
-    turn: Literal["read", "0", "90", "180", "270"] = "read"
-    mirror: bool = False
-
-    def __post_init__(self) -> None:
-        if self.mirror and self.turn == "read":
-            do = "Name the turn as well: 0, 90, 180 or 270."
-            raise ConfigError(describe(what="UprightConfig.mirror", got="no turn beside it", do=do))
-
-    @property
-    def given(self) -> Orientation | None:
-        """How every film is moved; None where each is moved as it reads."""
-        return None if self.turn == "read" else Orientation(int(self.turn) // 90, self.mirror)
-
-    @property
-    def prior(self) -> Float[np.ndarray, " 8"]:
-        """Probability of each of the eight ways before anything was read; turning and mirroring are independent."""
-        turns = np.array([1 - self.turned, *[self.turned / 3] * 3])
-        return np.concatenate([(1 - self.mirrored) * turns, self.mirrored * turns])
-
-
-@torch.inference_mode()
-def orientation_chances(
-    network: UprightNet, film: UInt8[np.ndarray, "h w 3"], config: UprightConfig
-) -> Float32[np.ndarray, " 8"]:
-    """Probabilities that a flat film (sRGB) has to be moved in each of the eight ways to read right.
-
-    Its patches are read a few at a time, those most written on first, until it surely reads right as it lies.
-    """
-    patches = torch.from_numpy(text_patches(cv2.cvtColor(film, cv2.COLOR_RGB2GRAY), network.config.cut))
-    before = torch.from_numpy(config.prior).log().float()  # of what cannot be: minus infinity
-    read: list[PatchVotes] = []
-    chances = before.exp()
-    for part in patches[patches.flatten(1).any(dim=1)].split(AT_ONCE):
-        read.append(network(part[None]))
-        chances = functional.softmax(joined(read).films[0] + before, dim=0)
-        if chances[0] >= config.enough:
-            break
-    return chances.numpy()
-
-
-def upright_way(chances: Float32[np.ndarray, " 8"], config: UprightConfig) -> tuple[Orientation, str]:
-    """How to move a film with those ``orientation_chances``, and why, in words."""
-    best = WAYS[int(chances.argmax())]
-    probability = float(chances[best.index])
-    said = ", ".join([f"turned by {90 * best.turns} degrees"] * (best.turns > 0) + ["mirrored"] * best.mirrored)
-    if best.index == 0:
-        return best, f"left as it lies, which reads right: {probability:.1%} probable"
-    if probability < config.min_probability:
-        return WAYS[0], f"left as it lies: {said} it would read right, but that is only {probability:.0%} probable"
-    return best, f"{said} to read right: {probability:.1%} probable"

@@ -19,6 +19,7 @@ from hybrid.image_io import write_bytes
 from hybrid.learn.edges import EdgeNet, EdgeNetConfig
 from hybrid.learn.light import LightNet, LightNetConfig
 from hybrid.learn.network import FilmNet, FilmNetConfig
+from hybrid.learn.slices import SliceNet, SliceNetConfig
 from hybrid.learn.tensors import Network
 from hybrid.learn.upright import UprightNet, UprightNetConfig
 
@@ -82,6 +83,11 @@ def packaged_film_net() -> FilmNet:
 def packaged_upright_net() -> UprightNet:
     """The UprightNet that the package ships."""
     return load_weights(packaged_path("upright"), UprightNet, UprightNetConfig)
+
+
+def packaged_slice_net() -> SliceNet:
+    """The SliceNet that the package ships."""
+    return load_weights(packaged_path("slices"), SliceNet, SliceNetConfig)
 
 
 def packaged_edge_net() -> EdgeNet:

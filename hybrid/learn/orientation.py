@@ -1,0 +1,122 @@
+"""Which way a flat film reads right: what its slices and its writing say together, and what was to be expected."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import cv2
+import numpy as np
+import torch
+from jaxtyping import Float, Float32, UInt8
+from torch import Tensor
+from torch.nn import functional
+
+from hybrid.backward import Orientation
+from hybrid.errors import ConfigError, describe, require_at_least
+from hybrid.learn.slices import SliceNet, least_side, turn_logits
+from hybrid.learn.upright import WAYS, PatchVotes, UprightNet, joined
+from hybrid.learn.upright_patches import text_patches
+
+AT_ONCE = 16
+"""Patches that are read before it is asked whether that was enough."""
+TURNS_OF_WAYS = tuple(-way.turns % 4 if way.mirrored else way.turns for way in WAYS)
+"""The turn that makes the slices lie as after each way: mirroring, which comes first, swaps quarters to both sides."""
+
+
+@dataclass(frozen=True)
+class OrientationReader:
+    """The networks that see which way is up: by what is written, and by what slices show."""
+
+    writing: UprightNet
+    slices: SliceNet
+
+
+@dataclass(frozen=True)
+class UprightConfig:
+    """When a film is turned or mirrored.
+
+    turned, mirrored: shares of films that are photographed turned by quarters, and from behind.
+    min_probability: a film is moved only where it is this sure, these shares counted in, that it then reads right, or
+    that it does not as it lies. enough: reading ends where it is this probable that a film reads right as it lies; one
+    to be moved is read to its end. min_film_px: writing is not read on films whose longer side is less, min_slice_px:
+    nor are slices where a cell's shorter side is. turn: how far every film is turned clockwise, if not as it reads;
+    mirror: whether it is mirrored left to right before that.
+    """
+
+    turned: float = 0.1
+    mirrored: float = 0.02
+    min_probability: float = 0.95
+    enough: float = 0.9995
+    min_film_px: int = 400
+    min_slice_px: int = 24
+    turn: Literal["read", "0", "90", "180", "270"] = "read"
+    mirror: bool = False
+
+    def __post_init__(self) -> None:
+        require_at_least(self, 1, "min_slice_px")
+        if self.mirror and self.turn == "read":
+            do = "Name the turn as well: 0, 90, 180 or 270."
+            raise ConfigError(describe(what="UprightConfig.mirror", got="no turn beside it", do=do))
+
+    @property
+    def given(self) -> Orientation | None:
+        """How every film is moved; None where each is moved as it reads."""
+        return None if self.turn == "read" else Orientation(int(self.turn) // 90, self.mirror)
+
+    @property
+    def prior(self) -> Float[np.ndarray, " 8"]:
+        """Probability of each of the eight ways before anything was read; turning and mirroring are independent."""
+        turns = np.array([1 - self.turned, *[self.turned / 3] * 3])
+        return np.concatenate([(1 - self.mirrored) * turns, self.mirrored * turns])
+
+
+def orientation_chances(
+    reader: OrientationReader, film: UInt8[np.ndarray, "h w 3"], vertices: Float[np.ndarray, "r c 2"] | None,
+    config: UprightConfig,
+) -> tuple[Float32[np.ndarray, " 8"] | None, str]:  # fmt: skip
+    """Probabilities that a flat film (sRGB) has to be moved in each of the eight ways to read right, and what was read;
+    None where all is too small.
+
+    Slices come first. Then patches are read a few at a time, those most written on first, until the film surely reads
+    right as it lies. vertices: film uv of the grid's corners, where one was found.
+    """
+    sliced = vertices is not None and least_side(vertices, film.shape) >= config.min_slice_px
+    written = max(film.shape[:2]) >= config.min_film_px
+    read = ", ".join(["slices"] * sliced + ["writing"] * written)
+    if not read:
+        return None, read
+    grey = cv2.cvtColor(film, cv2.COLOR_RGB2GRAY)
+    logits = torch.from_numpy(config.prior).log().float()  # of what cannot be: minus infinity
+    if vertices is not None and sliced:
+        logits = logits + turn_logits(reader.slices, grey, vertices)[list(TURNS_OF_WAYS)]
+    if written:
+        logits = _with_writing(reader.writing, grey, logits, config.enough)
+    return functional.softmax(logits, dim=0).numpy(), read
+
+
+@torch.inference_mode()
+def _with_writing(
+    network: UprightNet, grey: UInt8[np.ndarray, "h w"], before: Float[Tensor, " 8"], enough: float
+) -> Float[Tensor, " 8"]:
+    """Logits of the eight ways once as much was read as it takes."""
+    patches, logits = torch.from_numpy(text_patches(grey, network.config.cut)), before
+    read: list[PatchVotes] = []
+    for part in patches[patches.flatten(1).any(dim=1)].split(AT_ONCE):
+        read.append(network(part[None]))
+        logits = joined(read).films[0] + before
+        if logits.softmax(dim=0)[0] >= enough:
+            break
+    return logits
+
+
+def upright_way(chances: Float32[np.ndarray, " 8"], config: UprightConfig) -> tuple[Orientation, str]:
+    """How to move a film with those ``orientation_chances``, and why, in words."""
+    best = WAYS[int(chances.argmax())]
+    probability = float(chances[best.index])
+    said = ", ".join([f"turned by {90 * best.turns} degrees"] * (best.turns > 0) + ["mirrored"] * best.mirrored)
+    if best.index == 0:
+        return best, f"left as it lies, which reads right: {probability:.1%} probable"
+    if probability < config.min_probability and chances[0] > 1 - config.min_probability:
+        return WAYS[0], f"left as it lies: {said} it would read right, but that is only {probability:.0%} probable"
+    return best, f"{said} to read right: {probability:.1%} probable"
