@@ -2,10 +2,12 @@
 
 from threading import Barrier, Thread
 
+import cv2
+import numpy as np
 import pytest
 from threadpoolctl import threadpool_info
 
-from hybrid.threads import one_thread
+from hybrid.threads import in_strips, one_thread
 
 
 def blas_threads() -> set[int]:
@@ -49,3 +51,25 @@ def test_an_error_inside_gives_the_threads_back():
     assert blas_threads() == before
     with one_thread():
         assert blas_threads() == {1}
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+def test_strips_cover_a_picture_once_and_their_errors_are_told(threads: int):
+    before, counted = cv2.getNumThreads(), np.zeros(131)
+
+    def count(rows: slice) -> None:
+        assert rows.stop - rows.start <= 32
+        counted[rows] += 1
+
+    def refuse(rows: slice) -> None:
+        if rows.start:
+            raise ZeroDivisionError
+
+    try:
+        cv2.setNumThreads(threads)
+        in_strips(count, 131, 32)
+        with pytest.raises(ZeroDivisionError):
+            in_strips(refuse, 131, 32)
+    finally:
+        cv2.setNumThreads(before)
+    assert (counted == 1).all()

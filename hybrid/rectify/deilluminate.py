@@ -9,7 +9,6 @@ nothing is known, and nothing is made up.
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import cv2
@@ -20,6 +19,7 @@ from hybrid.coords import srgb_from_linear
 from hybrid.errors import require_at_least
 from hybrid.levels import CLIPPED, LEAST_CONTRAST, LevelReader, Levels, grey_table
 from hybrid.rectify.survey import survey_light
+from hybrid.threads import in_strips
 
 CLIPPED_CONTRAST = 50 / 255
 """Display grey between black and white below which what is clipped is lost; above, it is white print. More than
@@ -260,8 +260,7 @@ def _apply(
     fields = (1.0 / levels.gain, least - levels.black / levels.gain)
     rows = [cv2.resize(x.astype(np.float32), (x.shape[1], height), interpolation=cv2.INTER_LINEAR) for x in fields]
 
-    def strip(top: int) -> None:
-        part = slice(top, min(top + STRIP_ROWS, height))
+    def apply(part: slice) -> None:
         even = _linear_grey(rectified[part], table)
         scale, shift = (cv2.resize(x[part], even.shape[::-1], interpolation=cv2.INTER_LINEAR) for x in rows)
         cv2.add(cv2.multiply(even, scale, dst=even), shift, dst=even)
@@ -269,8 +268,7 @@ def _apply(
         cv2.addWeighted(even, tone.straight, cv2.sqrt(even), tone.root, tone.black, dst=film[part])
         np.clip(film[part], 0.0, 1.0, out=film[part])  # rounding leaves a hair below black
 
-    with ThreadPoolExecutor(max_workers=2) as pool:
-        list(pool.map(strip, range(0, height, STRIP_ROWS)))
+    in_strips(apply, height, STRIP_ROWS)
     return film
 
 
