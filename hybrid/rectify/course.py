@@ -123,9 +123,8 @@ class Course:
     displacement: of the start; zero where no better is believed. layout: of the grid. evidence: what was seen, through
     the start. before, after: held-out residual of the start and of the end, in stated deviations. believed: whether
     what was seen bears the end out. sheet: that it goes on from, if that explains the print. verdict: why or why
-    not. edges: number of the sheet's edges that were seen, those that all else speaks against left out. apart: mean
-    distance between where the rounds and where that sheet end, but for a shift, in parts of the film; None where there
-    is no such sheet.
+    not. apart: mean distance between where the rounds and where that sheet end, but for a shift, in parts of the film;
+    None where there is no such sheet.
     """
 
     scene: Scene
@@ -137,7 +136,6 @@ class Course:
     believed: bool
     sheet: FittedSheet | None
     verdict: str
-    edges: int = 0
     apart: float | None = None
 
     @cached_property
@@ -149,6 +147,11 @@ class Course:
     def half_view(self) -> FilmView:
         """The film through that map, at half the size."""
         return half_view(self.scene, self.film)
+
+    @property
+    def edges(self) -> int:
+        """Number of the sheet's edges that were seen."""
+        return sum(e.source is None for e in self.evidence)
 
     @property
     def moves(self) -> bool:
@@ -293,14 +296,7 @@ def ended(progress: Progress, config: RefineConfig, watch: Stopwatch) -> Course:
         believed = True
     shift = moved if believed else still
     watch.lap("spline")
-    edges = sum(_edges_seen(attempt, config))
-    return Course(scene, shift, progress.layout, attempt.evidence, before, after, believed, sheet, verdict, edges)
-
-
-def _edges_seen(attempt: _Attempt, config: RefineConfig) -> list[bool]:
-    """Of the sheet's edges that were found, whether most of each counts in what was fitted."""
-    pairs = zip(attempt.evidence, attempt.weights, strict=True)
-    return [bool(np.median(weights) > config.counts) for e, weights in pairs if e.source is None]
+    return Course(scene, shift, progress.layout, attempt.evidence, before, after, believed, sheet, verdict)
 
 
 def agreement(course: Course, layouts: Sequence[Layout]) -> float:
