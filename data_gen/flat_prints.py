@@ -10,12 +10,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 import tyro
-from tqdm import tqdm
 
 from data_gen.manifest import deciding, describe_dataset, described_sources, sole_writer
 from data_gen.prints import FilmPrint, make_print
 from data_gen.sources import SourceConfig, draw_volume
-from data_gen.work import source_names, start_worker, workers
+from data_gen.work import source_names, start_worker, write_missing
 from hybrid.errors import HybridError, require_at_least
 from hybrid.image_io import write_bytes
 
@@ -49,10 +48,7 @@ def flat_prints(config: FlatPrintsConfig) -> None:
         sources = described_sources(config.sources, source_names(config.sources))
         options = deciding(sources=sources, seed=config.seed)
         describe_dataset(config.out, options, max(config.count, sum(1 for _ in config.out.glob("*.jpg"))))
-        missing = [number for number in range(config.count) if not _path(config, number).exists()]
-        with workers(config.workers, None) as those, tqdm(total=len(missing), unit="print") as bar:
-            for _ in those.in_order(_write_print, ((config, number) for number in missing)):
-                bar.update()
+        write_missing(_write_print, config, _path, "print")
 
 
 def _path(config: FlatPrintsConfig, number: int) -> Path:

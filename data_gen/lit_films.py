@@ -15,7 +15,6 @@ import cv2
 import numpy as np
 import tyro
 from jaxtyping import Float, UInt8
-from tqdm import tqdm
 
 from data_gen.composite import print_levels
 from data_gen.develop import REFERENCE_SIDE, develop, scattered
@@ -26,7 +25,7 @@ from data_gen.sample import SampleConfig, black_and_white, metered, on_sensor, s
 from data_gen.scene import Scene, sample_scene
 from data_gen.shade import FilmLight
 from data_gen.sources import SourceConfig, draw_environment, draw_volume
-from data_gen.work import check_open3d, source_names, start_worker, workers
+from data_gen.work import check_open3d, source_names, start_worker, write_missing
 from hybrid.coords import linear_from_srgb, rgb_from_bgr, srgb_from_linear
 from hybrid.errors import HybridError, require_at_least
 from hybrid.image_io import write_bytes
@@ -73,10 +72,7 @@ def lit_films(config: LitFilmsConfig) -> None:
         sources = described_sources(config.sources, source_names(config.sources))
         options = deciding(sources=sources, seed=config.seed, photos=config.photos)
         describe_dataset(config.out, options, max(config.count, sum(1 for _ in config.out.glob("*.npz"))))
-        missing = [number for number in range(config.count) if not _path(config, number).exists()]
-        with workers(config.workers, None) as those, tqdm(total=len(missing), unit="film") as bar:
-            for _ in those.in_order(_write_film, ((config, number) for number in missing)):
-                bar.update()
+        write_missing(_write_film, config, _path, "film")
 
 
 def lit_film(seed: int, number: int, photos: int, sources: SourceConfig) -> LitFilm:

@@ -18,10 +18,12 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib.util import find_spec
+from pathlib import Path
 from typing import Any
 
 import cv2
 from threadpoolctl import threadpool_limits
+from tqdm import tqdm
 
 from data_gen._clutter import draw_sprites
 from data_gen.sample import SampleConfig, film_samples
@@ -135,6 +137,16 @@ def workers(count: int, scheduler: str | None) -> Iterator[Workers]:
     else:
         with _processes(count) as those:
             yield those
+
+
+def write_missing(
+    write: Callable[[Any, int], None], config: Any, path_of: Callable[[Any, int], Path], unit: str
+) -> None:
+    """``write(config, number)`` for the first ``config.count`` files that are not there, with a progress bar."""
+    missing = [number for number in range(config.count) if not path_of(config, number).exists()]
+    with workers(config.workers, None) as those, tqdm(total=len(missing), unit=unit) as bar:
+        for _ in those.in_order(write, ((config, number) for number in missing)):
+            bar.update()
 
 
 def _done_here(task: Callable[..., Any], *arguments: Any) -> Future[Any]:

@@ -33,7 +33,7 @@ from hybrid.learn.paper_data import PaperView, paper_batch
 from hybrid.learn.paper_targets import PaperTargets
 from hybrid.learn.pictures import PICTURE_VIEWS, Picture, lines_of_backward, lines_of_uv, sample_sheet
 from hybrid.learn.samples import open_places
-from hybrid.learn.slice_data import SliceAugment, slice_batch, sliced_prints
+from hybrid.learn.slice_data import SliceAugment, slice_view, sliced_prints
 from hybrid.learn.slices import SliceNetConfig
 from hybrid.learn.upright import UprightNetConfig
 from hybrid.learn.upright_data import PrintAugment, print_paths, read_print, upright_view
@@ -197,29 +197,34 @@ def _open_all(those_of: Callable[[Path], list[Path]], folders: Sequence[Path]) -
 
 def print_feed(config: UprightNetConfig) -> Feed:
     """Patches of flat prints, for a network of that configuration."""
-    batch = partial(_print_batch, config)
-    return Feed(partial(_open_all, print_paths), batch, partial(_votes_test, batch))
+    return _votes_feed(print_paths, _print_view, config)
 
 
 def slice_feed(config: SliceNetConfig) -> Feed:
     """Slices of flat prints, for a network of that configuration."""
-    batch = partial(_slice_batch, config)
-    return Feed(partial(_open_all, sliced_prints), batch, partial(_votes_test, batch))
+    return _votes_feed(sliced_prints, _slice_view, config)
 
 
-def _print_batch(
-    config: UprightNetConfig, paths: Sequence[Path], px: int, rngs: Sequence[np.random.Generator]
+def _votes_feed(paths_of: Callable[[Path], list[Path]], view: Callable[..., np.ndarray], config: Any) -> Feed:
+    """Views of flat prints, which are upright; paths_of: the prints of a folder."""
+    batch = partial(_votes_batch, view, config)
+    return Feed(partial(_open_all, paths_of), batch, partial(_votes_test, batch))
+
+
+def _print_view(path: Path, config: UprightNetConfig, rng: np.random.Generator) -> np.ndarray:
+    return upright_view(read_print(path), config, rng, PrintAugment())
+
+
+def _slice_view(path: Path, config: SliceNetConfig, rng: np.random.Generator) -> np.ndarray:
+    return slice_view(path, config, rng, PrintAugment(), SliceAugment())
+
+
+def _votes_batch(
+    view: Callable[..., np.ndarray], config: Any, paths: Sequence[Path], px: int, rngs: Sequence[np.random.Generator]
 ) -> tuple[Tensor, Tensor]:
-    cut, pairs = replace(config, input_px=px), zip(paths, rngs, strict=True)
-    views = [upright_view(read_print(path), cut, rng, PrintAugment()) for path, rng in pairs]
+    cut = replace(config, input_px=px)
+    views = [view(path, cut, rng) for path, rng in zip(paths, rngs, strict=True)]
     return torch.from_numpy(np.stack(views)), torch.zeros(len(views), dtype=torch.int64)
-
-
-def _slice_batch(
-    config: SliceNetConfig, paths: Sequence[Path], px: int, rngs: Sequence[np.random.Generator]
-) -> tuple[Tensor, Tensor]:
-    views = slice_batch(paths, replace(config, input_px=px), rngs, SliceAugment())
-    return torch.from_numpy(views), torch.zeros(len(views), dtype=torch.int64)
 
 
 @torch.inference_mode()

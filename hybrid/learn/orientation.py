@@ -81,14 +81,15 @@ def orientation_chances(
     Slices come first. Then patches are read a few at a time, those most written on first, until the film surely reads
     right as it lies. vertices: film uv of the grid's corners, where one was found.
     """
-    sliced = vertices is not None and least_side(vertices, film.shape) >= config.min_slice_px
+    if vertices is not None and least_side(vertices, film.shape) < config.min_slice_px:
+        vertices = None
     written = max(film.shape[:2]) >= config.min_film_px
-    read = ", ".join(["slices"] * sliced + ["writing"] * written)
+    read = ", ".join(["slices"] * (vertices is not None) + ["writing"] * written)
     if not read:
         return None, read
     grey = cv2.cvtColor(film, cv2.COLOR_RGB2GRAY)
     logits = torch.from_numpy(config.prior).log().float()  # of what cannot be: minus infinity
-    if vertices is not None and sliced:
+    if vertices is not None:
         logits = logits + turn_logits(reader.slices, grey, vertices)[list(TURNS_OF_WAYS)]
     if written:
         logits = _with_writing(reader.writing, grey, logits, config.enough)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -132,12 +131,4 @@ def _hide(picture: UInt8[np.ndarray, "p p"], rng: np.random.Generator) -> None:
     cv2.ellipse(picture, ellipse, int(rng.integers(40, 256)), -1)
 
 
-def slice_batch(
-    paths: Sequence[Path], config: SliceNetConfig, rngs: Sequence[np.random.Generator], augment: SliceAugment
-) -> Float32[np.ndarray, "b n p p"]:
-    """Views of some prints."""
-    pairs = zip(paths, rngs, strict=True)
-    return np.stack([slice_view(path, config, rng, PrintAugment(), augment) for path, rng in pairs])
-
-
-__all__ = ["SliceAugment", "slice_batch", "sliced_prints"]
+__all__ = ["SliceAugment", "grid_of", "slice_view", "sliced_prints"]
