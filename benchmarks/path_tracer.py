@@ -21,7 +21,7 @@ from data_gen.rooms import Environment, sample_environment
 from data_gen.scene import Scene
 from data_gen.shade import light_box_lamp
 from hybrid.coords import film_centres, node_centres_1d
-from hybrid.errors import ConfigError, describe
+from hybrid.errors import ConfigError, describe, install_extra
 from hybrid.mesh.camera import Camera
 from hybrid.mesh.film import FilmMesh, lattice_triangles
 
@@ -58,8 +58,7 @@ def mitsuba(threads: int = 1) -> Any:
         import drjit  # pyright: ignore[reportMissingImports]  (an extra, "bench")
         import mitsuba as mi  # pyright: ignore[reportMissingImports]
     except ModuleNotFoundError as error:
-        do = "Install the package with its extra for that: pip install '.[bench]' in the project's folder."
-        raise ConfigError(describe(what="path tracer", got="no Mitsuba", do=do)) from error
+        raise ConfigError(describe(what="path tracer", got="no Mitsuba", do=install_extra("bench"))) from error
 
     mi.set_variant("llvm_ad_rgb")
     version = drjit.detail.llvm_version()

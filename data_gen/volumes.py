@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float, Int16
 
-from hybrid.errors import NPZ_ERRORS, DataError, describe
+from hybrid.errors import NPZ_ERRORS, DataError, describe, install_extra
 
 LOG = logging.getLogger(__name__)
 
@@ -231,5 +231,5 @@ def _read_dicom(source: Path) -> list[CtVolume]:
 
 
 def _not_installed(what: str, source: Path, package: str) -> DataError:
-    do = "Install it with: pip install 'hybrid[data]'"
-    return DataError(describe(what=what, where=source, got=f"{package} is not installed", do=do))
+    got = f"{package} is not installed"
+    return DataError(describe(what=what, where=source, got=got, do=install_extra("data")))

@@ -29,7 +29,7 @@ from data_gen._clutter import draw_sprites
 from data_gen.sample import SampleConfig, film_samples
 from data_gen.shards import sample_bytes
 from data_gen.sources import SourceConfig, loaded
-from hybrid.errors import ConfigError, DataError, HybridError, describe
+from hybrid.errors import ConfigError, DataError, HybridError, describe, install_extra
 
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
@@ -54,8 +54,7 @@ def check_open3d() -> None:
         ConfigError: no Open3D, which only an installation with the extra ``data`` has.
     """
     if find_spec("open3d") is None:
-        do = "Install the package with its extra for that: pip install '.[data]' in the project's folder."
-        raise ConfigError(describe(what="Making data", got="no Open3D", do=do))
+        raise ConfigError(describe(what="Making data", got="no Open3D", do=install_extra("data")))
 
 
 # ---------------------------------------------------------------- tasks
@@ -217,8 +216,7 @@ def _cluster(address: str) -> Iterator[Workers]:
         from distributed.comm.core import CommClosedError
         from distributed.scheduler import KilledWorker
     except ModuleNotFoundError as error:
-        do = "Install it: pip install 'hybrid[cluster]'."
-        raise ConfigError(describe(what="--scheduler", got=error, do=do)) from error
+        raise ConfigError(describe(what="--scheduler", got=error, do=install_extra("cluster"))) from error
     try:
         get_address_host_port(address)  # a client that is refused an address is ended after 40 s only
         client = Client(address, timeout=CLUSTER_PATIENCE, set_as_default=False)

@@ -106,8 +106,6 @@ def sample_bilinear(image: np.ndarray, xy: np.ndarray) -> np.ndarray:
 
     Exact for 1, 3 or 4 channels; OpenCV rounds the points to 1/32 px for 2 channels and for float64.
     """
-    import cv2
-
     # x and y apart: an empty second map, which the signature also allows, gives wrong values in OpenCV 5.0.0.
     at = opencv_from_photo(np.asarray(xy, dtype=np.float32))
     x, y = np.ascontiguousarray(at[..., 0]), np.ascontiguousarray(at[..., 1])
@@ -123,8 +121,6 @@ def rescale_points(
 
 def inside_outline(outline: Float[np.ndarray, "n 2"], size: tuple[int, int]) -> Bool[np.ndarray, "h w"]:
     """Which pixels of a picture of ``size`` (height, width) lie within a closed line of photo points."""
-    import cv2
-
     at = opencv_from_photo(outline)
     # fillPoly takes integers with fractional bits; beyond some picture widths nothing is lost by clipping
     fixed = np.rint(np.clip(at, -10.0 * max(size), 10.0 * max(size)) * 16).astype(np.int32)

@@ -44,6 +44,11 @@ def describe(*, what: str, where: object = None, got: object = None, allowed: ob
     return f"{head}: {facts}. {do}" if facts else f"{head}. {do}"
 
 
+def install_extra(extra: str) -> str:
+    """What to do where a package is missing that only an installation with an extra has."""
+    return f"Install the package with its extra for that: pip install '.[{extra}]' in the project's folder."
+
+
 def require_at_least(config: Any, least: int | float, *names: str) -> None:
     """Refuse options, numbers or tuples of them, that are less than they have to be.
 

@@ -10,7 +10,7 @@ from synthetic_film import FilmDrawing, disturbed, make_photo
 
 from hybrid.backward import BackwardMap, end_point_error
 from hybrid.coords import film_nodes
-from hybrid.rectify.course import Course, Stopwatch
+from hybrid.rectify.course import Course, Progress, Stopwatch, unstretched
 from hybrid.rectify.layout import Layout
 from hybrid.rectify.refine import RefineConfig, _apart, _better, refine
 from hybrid.rectify.scene import scene_of
@@ -148,6 +148,21 @@ def test_the_less_doubtful_end_counts(monkeypatch, residuals, alike, sheet_count
     monkeypatch.setattr("hybrid.rectify.refine.agreement", lambda course, _: alike[course is bound])
     assert (_better(free, bound, CONFIG, Stopwatch()) is bound) == sheet_counts
     assert _better(free, replace(bound, believed=False), CONFIG, Stopwatch()) is free
+
+
+def test_a_sheet_counts_though_a_further_one_fails(monkeypatch):
+    photo, true = make_photo(FilmDrawing(margin=0.03), np.random.default_rng(6))
+    fitted: list[Progress | None] = []
+
+    def once(progress: Progress, config: RefineConfig, watch: Stopwatch) -> Progress | None:
+        fitted.append(None if fitted else unstretched(progress, config, watch))
+        return fitted[-1]
+
+    monkeypatch.setattr("hybrid.rectify.refine.unstretched", once)
+    monkeypatch.setattr("hybrid.rectify.refine._better", lambda free, bound, *_: bound)
+    refined = refine(photo, disturbed(true, 4.0, np.random.default_rng(6)), None, CONFIG)
+    assert len(fitted) == 2
+    assert refined.aspect is not None
 
 
 def test_refining_twice_gives_the_same_bits():

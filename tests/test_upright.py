@@ -1,6 +1,7 @@
 """Which way is up: where films are written on, what the patches say together, and what the packaged network reads."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -9,11 +10,12 @@ import torch
 from synthetic_film import FilmDrawing, draw_print
 
 from hybrid.backward import Orientation
+from hybrid.errors import DataError
 from hybrid.learn.inference import ready
 from hybrid.learn.orientation import OrientationReader, UprightConfig, orientation_chances, upright_way
 from hybrid.learn.slices import SliceNet, SliceNetConfig
 from hybrid.learn.upright import WAYS, PatchVotes, UprightNet, UprightNetConfig, joined, upright_losses
-from hybrid.learn.upright_data import PrintAugment, upright_view
+from hybrid.learn.upright_data import PrintAugment, print_paths, upright_view
 from hybrid.learn.upright_patches import PatchConfig, standardised, text_patches, text_places
 from hybrid.learn.weights import packaged_upright_net, parameter_count
 
@@ -119,6 +121,13 @@ def test_empty_patches_do_not_count():
         [PatchVotes(part, torch.tensor([[k == 0]]), torch.tensor(0.5)) for k, part in enumerate(votes.split(1, dim=1))]
     )
     np.testing.assert_array_equal(again.films, alone)
+
+
+def test_a_contact_sheet_is_no_print(tmp_path: Path):
+    (tmp_path / "contact_sheet.jpg").touch()
+    (tmp_path / "shard_00000.tar").touch()
+    with pytest.raises(DataError, match=r"data set of photos.*flat_prints"):
+        print_paths(tmp_path)
 
 
 def test_a_view_shows_the_prints_letters_upright():

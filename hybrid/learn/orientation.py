@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -47,7 +48,7 @@ class UprightConfig:
     turned: float = 0.1
     mirrored: float = 0.02
     min_probability: float = 0.95
-    enough: float = 0.9995
+    enough: float = 0.995
     min_film_px: int = 400
     min_slice_px: int = 24
     turn: Literal["read", "0", "90", "180", "270"] = "read"
@@ -78,37 +79,49 @@ def orientation_chances(
     """Probabilities that a flat film (sRGB) has to be moved in each of the eight ways to read right, and what was read;
     None where all is too small.
 
-    Slices come first. Then patches are read a few at a time, those most written on first, until the film surely reads
-    right as it lies. vertices: film uv of the grid's corners, where one was found.
+    It is read until it surely reads right as it lies. vertices: film uv of the grid's corners, where one was found.
     """
     if vertices is not None and least_side(vertices, film.shape) < config.min_slice_px:
         vertices = None
     written = max(film.shape[:2]) >= config.min_film_px
-    read = ", ".join(["slices"] * (vertices is not None) + ["writing"] * written)
-    if not read:
-        return None, read
-    grey = cv2.cvtColor(film, cv2.COLOR_RGB2GRAY)
-    logits = torch.from_numpy(config.prior).log().float()  # of what cannot be: minus infinity
-    if vertices is not None:
-        logits = logits + turn_logits(reader.slices, grey, vertices)[list(TURNS_OF_WAYS)]
+    if vertices is None and not written:
+        return None, ""
+    chances, read = None, ""
+    before = torch.from_numpy(config.prior).log().float()  # of what cannot be: minus infinity
+    for logits, of in _readings(reader, cv2.cvtColor(film, cv2.COLOR_RGB2GRAY), vertices, written):
+        chances, read = functional.softmax(logits + before, dim=0).numpy(), of
+        if chances[0] >= config.enough:
+            break
+    return chances, read
+
+
+def _readings(
+    reader: OrientationReader, grey: UInt8[np.ndarray, "h w"], vertices: Float[np.ndarray, "r c 2"] | None,
+    written: bool,
+) -> Iterator[tuple[Float[Tensor, " 8"], str]]:  # fmt: skip
+    """Logits of the eight ways by ever more of the film, and what that is: the patches that are most written on, which
+    mostly are enough; the slices, where there is a grid; then the other patches, a few at a time."""
+    by_writing, by_slices = torch.zeros(8), torch.zeros(8)
+    parts: Sequence[Tensor] = ()
     if written:
-        logits = _with_writing(reader.writing, grey, logits, config.enough)
-    return functional.softmax(logits, dim=0).numpy(), read
+        patches = torch.from_numpy(text_patches(grey, reader.writing.config.cut))
+        parts = patches[patches.flatten(1).any(dim=1)].split(AT_ONCE)
+    votes: list[PatchVotes] = []
+    for part in parts[:1]:
+        by_writing = _by_writing(reader.writing, part, votes)
+        yield by_writing, "writing"
+    if vertices is not None:
+        by_slices = turn_logits(reader.slices, grey, vertices)[list(TURNS_OF_WAYS)]
+        yield by_writing + by_slices, "writing, slices" if votes else "slices"
+    for part in parts[1:]:
+        yield _by_writing(reader.writing, part, votes) + by_slices, "writing" if vertices is None else "writing, slices"
 
 
 @torch.inference_mode()
-def _with_writing(
-    network: UprightNet, grey: UInt8[np.ndarray, "h w"], before: Float[Tensor, " 8"], enough: float
-) -> Float[Tensor, " 8"]:
-    """Logits of the eight ways once as much was read as it takes."""
-    patches, logits = torch.from_numpy(text_patches(grey, network.config.cut)), before
-    read: list[PatchVotes] = []
-    for part in patches[patches.flatten(1).any(dim=1)].split(AT_ONCE):
-        read.append(network(part[None]))
-        logits = joined(read).films[0] + before
-        if logits.softmax(dim=0)[0] >= enough:
-            break
-    return logits
+def _by_writing(network: UprightNet, patches: Float32[Tensor, "n p p"], votes: list[PatchVotes]) -> Float[Tensor, " 8"]:
+    """Logits of the eight ways by some more patches and by the ``votes`` of those before, to which theirs are added."""
+    votes.append(network(patches[None]))
+    return joined(votes).films[0]
 
 
 def upright_way(chances: Float32[np.ndarray, " 8"], config: UprightConfig) -> tuple[Orientation, str]:

@@ -46,13 +46,13 @@ def print_paths(folder: Path) -> list[Path]:
     """The flat prints of a folder made by ``python -m data_gen.flat_prints``, in order.
 
     Raises:
-        DataError: there are none.
+        DataError: there are none, or it is a data set of photos, whose contact sheet is no print.
     """
     paths = sorted(folder.glob("*.jpg"))
-    if not paths:
-        raise DataError(
-            describe(what="prints", where=folder, got="no .jpg", do="Make some: python -m data_gen.flat_prints.")
-        )
+    shards = any(folder.glob("*.tar"))
+    if shards or not paths:
+        got = "a data set of photos" if shards else "no .jpg"
+        raise DataError(describe(what="prints", where=folder, got=got, do="Make some: python -m data_gen.flat_prints."))
     return paths
 
 

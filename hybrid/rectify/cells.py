@@ -142,7 +142,8 @@ def read_cells(
     """
     scale = config.side_px / max(grey.shape)
     if scale < 1:
-        grey = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+        size = [round(scale * n) for n in grey.shape[::-1]]  # not fx and fy: these leave odd pixels over
+        grey = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
     if min(grey.shape) < 4 * MAX_CELLS:
         return None
     weights = config.untold if told is None else config.weights

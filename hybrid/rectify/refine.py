@@ -167,14 +167,18 @@ def _course(begun: Progress, config: RefineConfig, watch: Stopwatch) -> Course |
     progress = followed(begun, config, watch)
     if progress is None:
         return None
-    sheet: Progress | None = progress
+    sheet = progress
     for _ in range(config.sheet_rounds):
-        sheet = unstretched(sheet, config, watch)
-        if sheet is None or sheet.settled:
+        further = unstretched(sheet, config, watch)
+        if further is None:
             break
-    free, bound = ended(progress, config, watch), sheet and ended(sheet, config, watch)
-    if bound is None:
+        sheet = further
+        if sheet.settled:
+            break
+    free = ended(progress, config, watch)
+    if sheet is progress:
         return free
+    bound = ended(sheet, config, watch)
     return replace(_better(free, bound, config, watch), apart=_apart(free, bound))
 
 
