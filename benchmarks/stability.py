@@ -247,7 +247,7 @@ def _rectified(number: int, it: Damaged, rectify: Rectify, find_anyway: FindAnyw
     seconds = time.perf_counter() - start
     message = str(result.status)
     if not result.status.has_film:
-        unseen = result.status.code in (StatusCode.NO_FILM, StatusCode.FOLDED)
+        unseen = result.status.code in (StatusCode.NO_FILM, StatusCode.CUT_OFF, StatusCode.FOLDED)
         if unseen and it.visible_share() >= WHOLE and (found := find_anyway(it.photo)) is not None:
             error, allowed = _error_and_limit(found, it)
             outcome = "lost" if error <= allowed else "refused"

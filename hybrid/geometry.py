@@ -110,7 +110,7 @@ def see(network: FilmNet, pyramid: Pyramid, config: RectifyConfig, clock: Clock,
 
 def check(pyramid: Pyramid, seen: LastLook, config: SurveyConfig) -> Verdict:
     """Whether what the network saw is one sheet, seen whole, and printed as films are."""
-    verdict = survey_maps(seen.maps, seen.inversion, config)
+    verdict = survey_maps(seen.maps, seen.inversion, pyramid.photo.shape, config)
     if not verdict.ok or isinstance(seen.inversion, NotInverted):
         return verdict
     printed = survey_print(pyramid, seen.inversion.backward, config)
@@ -127,7 +127,7 @@ def checked(
     """
     with clock.stage("check") as report:
         verdict = check(pyramid, seen, config.survey)
-        if verdict.code in (StatusCode.NO_FILM, StatusCode.PAPER):
+        if verdict.code in (StatusCode.NO_FILM, StatusCode.CUT_OFF, StatusCode.PAPER):
             other = see(network, pyramid, config, Clock(), WIDER)
             second = check(pyramid, other, config.survey)
             if second.ok and _lies_within(other.inversion, pyramid.photo.shape):

@@ -99,6 +99,10 @@ class StatusCode(Enum):
         "No film was found in the photo. Photograph the whole sheet, edges included, "
         "so that it fills at least a third of the picture; one film to a photo."
     )
+    CUT_OFF = (
+        "A film was seen, but a large part of the sheet lies outside the photo. "
+        "Step back, so that all four edges are in the picture."
+    )
     PAPER = (
         "What is seen is printed dark on bright, as paper is, and not bright on dark, as CT films are. "
         "Photograph a film; of a negative, invert the picture first."

@@ -279,7 +279,7 @@ def test_a_film_that_the_first_looks_miss_is_found_from_a_wider_one(rectifier, p
     seen, verdict = checked(
         rectifier._network, cut, see(rectifier._network, cut, rectifier.config, clock), rectifier.config, clock
     )
-    assert verdict.code is StatusCode.NO_FILM
+    assert verdict.code is StatusCode.CUT_OFF
 
 
 def test_the_room_named_rectify_answers_as_the_shortcut(photo, result):

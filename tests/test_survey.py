@@ -18,7 +18,7 @@ from hybrid.rectify.survey import mask_overlap, survey_light, survey_maps, surve
 
 
 def verdict(maps: CoarseMaps):
-    return survey_maps(maps, fit_backward(maps))
+    return survey_maps(maps, fit_backward(maps), (1024, 1024))
 
 
 def noise_maps(rng: np.random.Generator, correlation: float) -> CoarseMaps:
@@ -51,6 +51,17 @@ def test_a_film_partly_outside_the_picture_is_a_film():
     assert verdict(maps_of(BackwardMap.from_function(lambda uv: photo(uv) + np.array([260.0, 0.0])))).ok
 
 
+def test_of_a_film_that_lies_largely_outside_the_photo_it_is_said_so():
+    """The picture that the network saw reaches beyond the photo, and shows nothing there."""
+    maps = maps_of(BackwardMap.from_function(bent_sheet(0.5)[0]))
+    shown = maps.photo_points[..., 0] < 600
+    seen = replace(maps, mask=np.where(shown, maps.mask, 0.0))
+    inversion = fit_backward(maps)
+    assert survey_maps(maps, inversion, (1024, 600)).ok
+    assert survey_maps(seen, inversion, (1024, 600)).code is StatusCode.CUT_OFF
+    assert survey_maps(seen, inversion, (1024, 1024)).code is StatusCode.NO_FILM
+
+
 @pytest.mark.parametrize("correlation", [0.7, 2.0, 5.0, 10.0, 20.0])
 def test_noise_is_never_a_film(correlation: float):
     rng = np.random.default_rng(4)
@@ -74,7 +85,7 @@ def test_a_folded_map_is_named():
     maps = maps_of(BackwardMap.from_function(bent_sheet(0.3)[0]))
     folded = BackwardMap.from_function(lambda uv: 300 + 500 * np.stack([np.sin(2.2 * uv[..., 0]), uv[..., 1]], -1))
     result = fit_backward(replace(maps, photo_points=points))
-    found = survey_maps(replace(maps, photo_points=points), replace(result, backward=folded))
+    found = survey_maps(replace(maps, photo_points=points), replace(result, backward=folded), (1024, 1024))
     assert not found.ok
 
 

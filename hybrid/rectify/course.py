@@ -124,7 +124,7 @@ class Course:
     the start. before, after: held-out residual of the start and of the end, in stated deviations. believed: whether
     what was seen bears the end out. sheet: that it goes on from, if that explains the print. verdict: why or why
     not. apart: mean distance between where the rounds and where that sheet end, but for a shift, in parts of the film;
-    None where there is no such sheet.
+    None where there is no such sheet, 0 where none is tried (trust.py is calibrated so).
     """
 
     scene: Scene

@@ -176,6 +176,8 @@ def _course(begun: Progress, config: RefineConfig, watch: Stopwatch) -> Course |
         if sheet.settled:
             break
     free = ended(progress, config, watch)
+    if not config.sheet_rounds:
+        return replace(free, apart=0.0)
     if sheet is progress:
         return free
     bound = ended(sheet, config, watch)

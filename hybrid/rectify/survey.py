@@ -5,6 +5,7 @@ Every decision carries the one line of evidence that the user sees in the stage 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -83,14 +84,19 @@ def survey_photo(photo: UInt8[np.ndarray, "H W 3"], config: SurveyConfig | None 
     return Verdict(StatusCode.OK, f"{width} x {height} pixels over {spread:.0f} of 255 grey levels")
 
 
-def survey_maps(maps: CoarseMaps, inversion: Inversion | NotInverted, config: SurveyConfig | None = None) -> Verdict:
-    """Whether what the network saw is a film: one sheet, seen once, most of it, with an outline that fits the mask."""
+def survey_maps(
+    maps: CoarseMaps, inversion: Inversion | NotInverted, size: Sequence[int], config: SurveyConfig | None = None
+) -> Verdict:
+    """Whether what the network saw is a film: one sheet, seen once, most of it, with an outline that fits the mask.
+
+    size: height and width of the photo. Of what fits a film as far as the photo reaches, too much lies outside.
+    """
     config = config or SurveyConfig()
     if isinstance(inversion, NotInverted):
         return Verdict(StatusCode.NO_FILM, inversion.reason)
     share = float(np.mean(maps.film))
-    size = float(np.sqrt(np.prod(inversion.backward.mean_film_pixels())))
-    residual = inversion.residual_px / max(size, 1e-9)
+    film_px = float(np.sqrt(np.prod(inversion.backward.mean_film_pixels())))
+    residual = inversion.residual_px / max(film_px, 1e-9)
     overlap = mask_overlap(maps, inversion.backward)
     unsure = expected_error(maps)
     evidence = (
@@ -98,16 +104,18 @@ def survey_maps(maps: CoarseMaps, inversion: Inversion | NotInverted, config: Su
         f"{inversion.inlier_share:.0%} to {residual:.1%} of its size, outline and mask agree to {overlap:.0%}, "
         f"{unsure:.1%} error expected"
     )
-    failed = (
+    if (
         share < config.min_mask_share
         or inversion.inlier_share < config.min_inlier_share
         or residual > config.max_residual
         or inversion.coverage < config.min_coverage
-        or overlap < config.min_overlap
         or unsure > config.max_expected_error
-    )
-    if failed:
+    ):
         return Verdict(StatusCode.NO_FILM, evidence)
+    if overlap < config.min_overlap:
+        within = mask_overlap(maps, inversion.backward, size)
+        code = StatusCode.NO_FILM if within < config.min_overlap else StatusCode.CUT_OFF
+        return Verdict(code, f"{evidence}, {within:.0%} within the photo")
     return _shape_verdict(inversion.backward, evidence, config)
 
 
@@ -154,11 +162,17 @@ def _shape_verdict(backward: BackwardMap, evidence: str, config: SurveyConfig) -
     return Verdict(StatusCode.OK, evidence)
 
 
-def mask_overlap(maps: CoarseMaps, backward: BackwardMap) -> float:
-    """Intersection over union of the mask with the film's outline, within the picture that the network saw."""
+def mask_overlap(maps: CoarseMaps, backward: BackwardMap, size: Sequence[int] | None = None) -> float:
+    """Intersection over union of the mask with the film's outline, within the picture that the network saw.
+
+    size: height and width of the photo, if only what it reaches counts.
+    """
     mask: Bool[np.ndarray, "h w"] = maps.film
     outline = np.stack(index_in_grid(maps.photo_points, backward.outline()), axis=-1)
     inside = inside_outline(photo_from_opencv(outline), (mask.shape[0], mask.shape[1]))
+    if size is not None:
+        reached = ((maps.photo_points >= 0) & (maps.photo_points <= (size[1], size[0]))).all(axis=-1)
+        mask, inside = mask & reached, inside & reached
     union = np.count_nonzero(mask | inside)
     return np.count_nonzero(mask & inside) / union if union else 0.0
 
