@@ -156,6 +156,8 @@ class Rectifier:
         verdict, expected = trusted(
             self._network, self._edges, pyramid, seen, refinement, flat is not None, self.config, clock
         )
+        if verdict.code is StatusCode.NO_FILM:
+            return RectifyResult(Status(verdict.code), clock.reports)
         result = self._finish(pyramid, maps, refinement, flat is not None, clock)
         limit = largest_error_px(max(photo.shape[:2]), self.config.trust)
         status = Status(verdict.code, verdict.doubts)

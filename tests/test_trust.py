@@ -54,6 +54,14 @@ def test_each_doubt_is_told(change: dict, text: str) -> None:
     assert any(text in doubt for doubt in found.doubts)
 
 
+def test_what_has_neither_edges_nor_cells_nor_anything_that_fits_is_no_film() -> None:
+    signs = {"grid": False, "corrected": False, "support": 0.1}
+    assert film_verdict(replace(SURE, **signs)).code is StatusCode.NO_FILM
+    for name in signs:
+        others = {key: value for key, value in signs.items() if key != name}
+        assert film_verdict(replace(SURE, **others)).code is StatusCode.UNSURE
+
+
 @pytest.mark.parametrize(
     ("name", "worse"),
     [("overlap_before", 0.9), ("overlap_after", 0.9), ("shift", 0.01), ("held_out", 3.0), ("alike", 0.2),
