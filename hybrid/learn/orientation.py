@@ -112,9 +112,10 @@ def _readings(
         yield by_writing, "writing"
     if vertices is not None:
         by_slices = turn_logits(reader.slices, grey, vertices)[list(TURNS_OF_WAYS)]
-        yield by_writing + by_slices, "writing, slices" if votes else "slices"
+        yield by_writing + by_slices, "writing, slices" if written else "slices"
     for part in parts[1:]:
-        yield _by_writing(reader.writing, part, votes) + by_slices, "writing" if vertices is None else "writing, slices"
+        by_writing = _by_writing(reader.writing, part, votes)
+        yield by_writing + by_slices, "writing" if vertices is None else "writing, slices"
 
 
 @torch.inference_mode()

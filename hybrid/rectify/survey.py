@@ -89,7 +89,7 @@ def survey_maps(
 ) -> Verdict:
     """Whether what the network saw is a film: one sheet, seen once, most of it, with an outline that fits the mask.
 
-    size: height and width of the photo. Of what fits a film as far as the photo reaches, too much lies outside.
+    size: height and width of the photo: what fits a film as far as that reaches, and not beyond, is cut off.
     """
     config = config or SurveyConfig()
     if isinstance(inversion, NotInverted):
