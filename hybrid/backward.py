@@ -32,16 +32,18 @@ def _lattice_weights(n_nodes: int, n: int) -> tuple[Float[np.ndarray, "n g"], Fl
 
 def spline_weights(n_nodes: int, t: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n g"]:
     """Weights of the g node values in the cubic spline through them, at film coordinates ``t`` of one axis; beyond
-    [0, 1] it goes on linearly, as BackwardMap does."""
-    spline, slope = _node_splines(n_nodes)
-    inside = np.clip(t, 0.0, 1.0)
-    return spline(inside) + (t - inside)[:, None] * slope(inside)
+    [0, 1] it goes on linearly, as BackwardMap does. Read-only: the same few ``t`` come again and again."""
+    return _weights_at(n_nodes, np.asarray(t, dtype=np.float64).tobytes())
 
 
 @lru_cache(maxsize=32)
-def _pixel_weights(n_nodes: int, n_pixels: int) -> Float[np.ndarray, "n g"]:
-    """Spline weights at the pixel centres of one axis; the same few sizes come again and again."""
-    return spline_weights(n_nodes, film_centres_1d(n_pixels))
+def _weights_at(n_nodes: int, t: bytes) -> Float[np.ndarray, "n g"]:
+    spline, slope = _node_splines(n_nodes)
+    at = np.frombuffer(t)
+    inside = np.clip(at, 0.0, 1.0)
+    weights = spline(inside) + (at - inside)[:, None] * slope(inside)
+    weights.setflags(write=False)
+    return weights
 
 
 def _points(values: Float[np.ndarray, "*n 2"], what: str) -> Float[np.ndarray, "*n 2"]:
@@ -160,9 +162,10 @@ class BackwardMap:
     def dense(self, size: tuple[int, int]) -> Float[np.ndarray, "h w 2"]:
         """Photo points (float32) of all pixel centres of a film image of ``size`` (height, width)."""
         gh, gw = self.nodes.shape[:2]
-        weights_v, weights_u = _pixel_weights(gh, size[0]), _pixel_weights(gw, size[1]).astype(np.float32)
+        weights_v, weights_u = (spline_weights(n, film_centres_1d(px)) for n, px in ((gh, size[0]), (gw, size[1])))
         columns = np.tensordot(weights_v, self.nodes, axes=(1, 0)).astype(np.float32)  # (h, gw, 2)
-        return np.stack([columns[..., k] @ weights_u.T for k in range(2)], axis=-1)
+        across = weights_u.astype(np.float32).T
+        return np.stack([columns[..., k] @ across for k in range(2)], axis=-1)
 
     def lattice(self, size: tuple[int, int]) -> Float[np.ndarray, "h w 2"]:
         """``photo_from_film(film_nodes(size))``: quicker, as rows and columns are interpolated one after the other."""

@@ -47,12 +47,13 @@ def view_film(
     """The photo (grey or RGB) at the film points (u[j], v[i]), bilinear."""
     # The nodes' weights add up to 1: what is converted at the nodes is converted everywhere.
     x, y = _lattice_xy(opencv_from_photo(backward.nodes), u, v)
-    image = cv2.remap(photo, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
+    image = cv2.remap(photo, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     low, right, bottom = opencv_from_photo(np.array([0.0, photo.shape[1], photo.shape[0]])).tolist()
     if min(x.min(), y.min()) >= low and x.max() <= right and y.max() <= bottom:  # nearly always, and quicker to tell
         inside = np.ones(x.shape, dtype=bool)
     else:
         inside = (x >= low) & (x <= right) & (y >= low) & (y <= bottom)
+        image[~inside] = 0
     return FilmView(np.atleast_3d(image).astype(np.float32), u, v, inside)
 
 

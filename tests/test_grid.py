@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from synthetic_film import FilmDrawing, draw_print, make_photo
 
-from hybrid.backward import spline_weights
-from hybrid.coords import film_centres_1d
+from hybrid.backward import BackwardMap, spline_weights
+from hybrid.coords import film_centres_1d, film_nodes
 from hybrid.film_view import FilmView, _lattice_xy, view_film
 from hybrid.rectify.cells import Reading
 from hybrid.rectify.follow import follow_comb
@@ -83,13 +83,13 @@ def test_noise_has_no_grid():
     noise = np.random.default_rng(3).normal(60, 4, (500, 400)).astype(np.float32)
     for axis in (0, 1):
         assert find_comb(noise, axis, GRID) is None
-        assert find_repeats(noise, axis, REPEAT) is None
+    assert find_repeats(noise, REPEAT) == (None, None)
 
 
 @pytest.mark.parametrize(("rows", "cols"), [(3, 3), (4, 3), (6, 5)])
 def test_cells_that_repeat_are_counted(rows, cols):
     view = flat_view(FilmDrawing(rows, cols, rules=False), 4)
-    columns, rows_found = (find_repeats(view.image[..., 0], axis, REPEAT) for axis in (0, 1))
+    columns, rows_found = find_repeats(view.image[..., 0], REPEAT)
     assert columns is not None
     assert rows_found is not None
     assert (rows_found.cells, columns.cells) == (rows, cols)
@@ -97,7 +97,7 @@ def test_cells_that_repeat_are_counted(rows, cols):
 
 def test_matches_see_a_moved_cell_and_agreement_falls():
     view = flat_view(FilmDrawing(4, 3, rules=False), 5)
-    columns, rows = (find_repeats(view.image[..., 0], axis, REPEAT) for axis in (0, 1))
+    columns, rows = find_repeats(view.image[..., 0], REPEAT)
     assert columns is not None
     assert rows is not None
     moved = view.image.copy()
@@ -148,3 +148,13 @@ def test_a_view_shows_what_the_map_says():
     assert np.abs(np.stack(_lattice_xy(true.nodes, u, v), axis=-1) - expected)[on_one].max() < 0.05  # float32
     assert np.abs(spline_weights(9, u).sum(axis=1) - 1.0).max() < 1e-9
     assert view_film(photo, true, u, v).image.shape == (11, 13, 3)
+
+
+def test_a_view_shows_all_of_the_photos_outermost_pixels_and_black_beyond():
+    photo = np.full((40, 60, 3), 200, np.uint8)
+    at = (np.arange(-2.0, 64.0, 0.25) + 0.01) / 60  # of a film that is 60 pixels long and fills the photo
+    view = view_film(photo, BackwardMap(film_nodes((9, 9)) * [60.0, 60.0]), at, at)
+    within = (at > 0) & (at < 1), (at > 0) & (at < 40 / 60)
+    assert (view.inside == within[1][:, None] & within[0]).all()
+    assert (view.image[view.inside] == 200).all()
+    assert (view.image[~view.inside] == 0).all()

@@ -13,8 +13,8 @@ from hybrid.coords import film_nodes
 from hybrid.rectify.course import Course, Progress, Stopwatch, unstretched
 from hybrid.rectify.layout import Layout
 from hybrid.rectify.refine import RefineConfig, _apart, _better, refine
-from hybrid.rectify.scene import scene_of
-from hybrid.rectify.sightings import Sightings, SplineConfig, fit_displacement, no_displacement
+from hybrid.rectify.scene import half_view, scene_of, view_of
+from hybrid.rectify.sightings import Sightings, SplineConfig, fit_displacement, group_medians, no_displacement
 
 CONFIG = RefineConfig()
 
@@ -163,6 +163,45 @@ def test_a_sheet_counts_though_a_further_one_fails(monkeypatch):
     refined = refine(photo, disturbed(true, 4.0, np.random.default_rng(6)), None, CONFIG)
     assert len(fitted) == 2
     assert refined.aspect is not None
+
+
+@pytest.mark.parametrize(("settled_end", "most"), [(1.0, 2), (0.0, 3)])
+def test_a_sheet_that_hardly_moves_the_film_is_the_last(monkeypatch, settled_end, most):
+    photo, true = make_photo(FilmDrawing(margin=0.03), np.random.default_rng(6))
+    fitted: list[Progress | None] = []
+
+    def counted(progress: Progress, config: RefineConfig, watch: Stopwatch) -> Progress | None:
+        fitted.append(unstretched(progress, config, watch))
+        return fitted[-1]
+
+    monkeypatch.setattr("hybrid.rectify.refine.unstretched", counted)
+    config = replace(CONFIG, settled_sheet=0.0, settled_end=settled_end)
+    refine(photo, disturbed(true, 4.0, np.random.default_rng(6)), None, config)
+    assert len(fitted) == most
+
+
+def test_no_displacement_leaves_maps_and_sightings_as_they_are():
+    still, rng = no_displacement(CONFIG.spline), np.random.default_rng(8)
+    coarse = disturbed(BackwardMap(film_nodes((9, 9)) * 400.0 + 50.0), 4.0, rng)
+    assert np.abs(still.composed(coarse).nodes - coarse.photo_from_film(film_nodes((33, 33)))).max() < 1e-9
+    seen = scattered_sightings(0, lambda uv: 0.01 * uv[:, 1], rng)
+    assert (still.lift(seen).seen == seen.seen).all()
+
+
+def test_medians_of_groups_of_any_size():
+    values, group = np.array([3.0, 1.0, 2.0, 8.0, 4.0, 7.0]), np.array([0, 0, 0, 2, 2, 4])
+    assert group_medians(values, group).tolist() == [2.0, 0.0, 6.0, 0.0, 7.0]
+    assert group_medians(np.zeros(0), np.zeros(0, int)).tolist() == []
+
+
+def test_both_views_of_a_photo_of_odd_size_show_the_same_film():
+    x, y = np.meshgrid(np.arange(401.0), np.arange(301.0))
+    photo = np.repeat((120 + 60 * np.sin(x / 30) * np.cos(y / 25)).astype(np.uint8)[..., None], 3, axis=2)
+    scene = scene_of(photo, BackwardMap(film_nodes((9, 9)) * [307.0, 211.0] + [40.0, 30.0]))
+    full, half = view_of(scene, scene.coarse).image[..., 0], half_view(scene, scene.coarse).image[..., 0]
+    assert full.shape == (216, 312)  # near the film's size, and whole when halved and divided by three and eight
+    assert np.abs(full.reshape(108, 2, 156, 2).mean(axis=(1, 3)) - half).max() < 1.5
+    assert scene.aspect == pytest.approx(211 / 307)
 
 
 def test_refining_twice_gives_the_same_bits():

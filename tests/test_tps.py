@@ -7,7 +7,7 @@ from kornia.geometry.transform import get_tps_transform, warp_points_tps
 from scipy.interpolate import RBFInterpolator
 
 from hybrid.coords import film_nodes
-from hybrid.rectify.tps import SplineError, choose_smoothing, fit_tps, fit_tps_robust, lattice_spline
+from hybrid.rectify.tps import SplineError, choose_smoothing, fit_tps, fit_tps_robust, lattice_spline, mad_sigma
 
 EXACT = 1e-9
 """Dense solves of up to 150 unknowns in float64."""
@@ -135,6 +135,12 @@ def test_robust_fit_survives_30_percent_outliers(seed):
 def test_impossible_input_is_refused_with_a_reason(points, values, match):
     with pytest.raises(SplineError, match=match):
         fit_tps(points, values)
+
+
+@pytest.mark.parametrize("count", [1, 2, 7, 1000])
+def test_the_spread_is_that_of_numpys_median(count):
+    residuals = np.random.default_rng(count).normal(size=count)
+    assert mad_sigma(residuals) == pytest.approx(1.4826 * np.median(np.abs(residuals)))
 
 
 def test_lattice_spline_is_the_spline_through_its_node_values():

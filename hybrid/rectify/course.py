@@ -16,7 +16,7 @@ from time import perf_counter
 import numpy as np
 from jaxtyping import Float
 
-from hybrid.backward import BackwardMap
+from hybrid.backward import BackwardMap, end_point_error
 from hybrid.errors import require_at_least
 from hybrid.film_view import FilmView
 from hybrid.rectify.cell_phases import AxisPhases
@@ -67,6 +67,9 @@ class RefineConfig:
     """A round that moves the film by less than this is the last, in film units."""
     settled_sheet: float = 1e-3
     """The same for the rounds from an unstretched sheet."""
+    settled_end: float = 5e-4
+    """Nor does another sheet count where one moved the film by less than this from where the one before left it: at the
+    mean, in parts of the film."""
     matched: bool = True
     """Whether the cells are matched to their mean in a round of its own, which reaches farther, before they are
     registered."""
@@ -153,11 +156,6 @@ class Course:
         """Number of the sheet's edges that were seen."""
         return sum(e.source is None for e in self.evidence)
 
-    @property
-    def moves(self) -> bool:
-        """Whether the start is displaced at all."""
-        return bool(np.any(self.displacement.values))
-
 
 @dataclass(frozen=True, eq=False)
 class _Attempt:
@@ -184,6 +182,11 @@ class Progress:
     settled: bool = False
     sheet: FittedSheet | None = None
     sheets: int = 0
+
+    @cached_property
+    def film(self) -> BackwardMap:
+        """The map that it has come to, into the scene's photo."""
+        return self.attempt.displacement.composed(self.scene.coarse)
 
 
 def begin(scene: Scene, outline: Sequence[Sightings], config: RefineConfig) -> Progress:
@@ -214,10 +217,10 @@ def _round(
     """One more round: what is printed is looked for through the improved map, and all is fitted anew."""
     scene, outline, displacement = progress.scene, progress.outline, progress.attempt.displacement
     looking = number < config.line_rounds
-    near = displacement.composed(scene.coarse)
+    near = progress.film
     view, known = view_of(scene, near), progress.layout
     if number == 0:
-        known = replace(known, read=read_view(view, known, phases_along(scene, near), config))
+        known = replace(known, read=read_view(view, known, phases_along(scene, near), scene.aspect, config))
     layout, lines = find_layout(view, known, looking, config.grid, config.repeat)
     found = _observe_print(view, layout, lines, matcher, outline, config)
     watch.lap("grid")
@@ -246,7 +249,7 @@ def unstretched(progress: Progress, config: RefineConfig, watch: Stopwatch) -> P
     seen = tuple(e.subset(w > config.counts) for e, w in zip(attempt.evidence, attempt.weights, strict=True))
     if sum(e.source is None for e in attempt.evidence) < config.sheet.least_edges:
         return None
-    near = attempt.displacement.composed(scene.coarse)
+    near = progress.film
     size = (scene.photo.shape[0], scene.photo.shape[1])
 
     def fit(sightings: Sequence[Sightings], before: FittedSheet | None) -> FittedSheet | None:
@@ -271,7 +274,11 @@ def unstretched(progress: Progress, config: RefineConfig, watch: Stopwatch) -> P
     watch.lap("sheet")
     still = _Attempt(no_displacement(config.spline))
     begun = Progress(scene, outline, still, layout, sheet=sheet, sheets=progress.sheets + 1)
-    return _round(begun, max(config.line_rounds, 1), _matchers(config)[-1], config, watch)
+    after = _round(begun, max(config.line_rounds, 1), _matchers(config)[-1], config, watch)
+    if after is None or progress.sheet is None:
+        return after
+    moved = end_point_error(after.film, near.nodes).mean() / max(near.mean_film_pixels())
+    return replace(after, settled=after.settled or bool(moved < config.settled_end))
 
 
 def ended(progress: Progress, config: RefineConfig, watch: Stopwatch) -> Course:
@@ -310,14 +317,12 @@ def read_view(
     view: FilmView,
     layout: Layout,
     told: tuple[AxisPhases, AxisPhases] | None,
+    aspect: float,
     config: RefineConfig,
-    aspect: float | None = None,
 ) -> Reading | None:
     """The cells of the film in a view of it. told: what the network tells of them, through the same map. aspect: the
-    film's height over its width, where the view does not tell it."""
-    grey = view.image[..., 0]
-    shape = grey.shape[0] / grey.shape[1] if aspect is None else aspect
-    return read_cells(grey, shape, layout.pitches(), told, config.grid, config.cells)
+    film's height over its width."""
+    return read_cells(view.image[..., 0], aspect, layout.pitches(), told, config.grid, config.cells)
 
 
 # ---------------------------------------------------------------- steps

@@ -41,7 +41,8 @@ def glance(
     size = (max(64, round(down * scale)), max(64, round(across * scale)))
     grey = cv2.cvtColor(photo, cv2.COLOR_RGB2GRAY)
     view = view_film(grey, backward, film_centres_1d(size[1]), film_centres_1d(size[0]))
-    reading = read_view(view, Layout(), phases and phases.inside(backward).axes(), config)
+    told = phases and phases.inside(backward).axes()
+    reading = read_view(view, Layout(), told, down / across, config)
     layout, _ = find_layout(view, Layout(read=reading), True, config.grid, config.repeat)
     grid = layout.slice_grid(reading, backward, expected)
     seconds = perf_counter() - start

@@ -166,9 +166,10 @@ def line_response(image: Float[np.ndarray, "h n"], width: int) -> Float[np.ndarr
     flank = max(2, width // 2 + 1)
     offset = (width + flank + 1) // 2 + 1
     centre = cv2.blur(image, (1, width)) if width % 2 else cv2.sepFilter2D(image, -1, np.ones(1), _even_box(width))
-    side = np.pad(cv2.blur(image, (1, 2 * (flank // 2) + 1)), ((offset, offset), (0, 0)), mode="edge")
+    side = cv2.blur(image, (1, 2 * (flank // 2) + 1))
+    side = cv2.copyMakeBorder(side, offset, offset, 0, 0, cv2.BORDER_REPLICATE)
     above, below = centre - side[: -2 * offset], centre - side[2 * offset :]
-    return np.where(above * below > 0, np.sign(above) * np.minimum(np.abs(above), np.abs(below)), 0.0)
+    return np.maximum(np.minimum(above, below), 0.0) + np.minimum(np.maximum(above, below), 0.0)
 
 
 def _even_box(width: int) -> Float[np.ndarray, " n"]:

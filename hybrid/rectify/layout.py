@@ -118,7 +118,8 @@ def find_layout(
     """
     grey = view.image[..., 0]
     read = (None, None) if known.read is None or not known.read.is_likely else (known.read.columns, known.read.rows)
-    repeats = [r or _as_read(find_repeats(grey, axis, repeat), read[axis]) for axis, r in enumerate(known.repeats)]
+    repeating = known.repeats if all(known.repeats) else find_repeats(grey, repeat)
+    repeats = [r or _as_read(new, told) for r, new, told in zip(known.repeats, repeating, read, strict=True)]
     combs, followed = list(known.combs), []
     for axis, repeated in enumerate(repeats):
         comb = combs[axis]

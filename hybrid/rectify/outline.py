@@ -65,6 +65,8 @@ class OutlineConfig:
 
 _NOWHERE = -10.0
 """Score of rows that may not be chosen: so low that no path goes there while there is another way."""
+_ALL = np.ones(3, np.float32)
+"""Sums over the colours by a product, which is quicker along so short an axis."""
 RULE_HALF_PX = 0.35
 """Distance from the middle of a thin rule printed on the edge to the edge itself: half of such a rule's width."""
 
@@ -148,8 +150,9 @@ def edge_score(strip: Strip, config: OutlineConfig) -> Float[np.ndarray, "d p"]:
 
     Half of the score lets a gap between the windows, where a rule printed on the very edge may hide.
     """
-    near = [_window_score(strip.image, w, 1, config.noise_levels) for w in config.windows_px]
-    apart = _window_score(strip.image, config.gap_windows_px, config.gap_px, config.noise_levels)
+    levels = strip.image - strip.image.mean(axis=(0, 1))  # float32 holds sums of the squares of these well enough
+    near = [_window_score(levels, w, 1, config.noise_levels) for w in config.windows_px]
+    apart = _window_score(levels, config.gap_windows_px, config.gap_px, config.noise_levels)
     score = 0.5 * np.mean([np.minimum(s, 6.0) for s in near], axis=0) + 0.5 * np.minimum(apart, 6.0)
     usable = uniform_filter1d(strip.inside.astype(np.float32), 2 * min(config.windows_px) + 1, axis=0) > 0.999
     return np.where(usable, score, 0.0)
@@ -159,14 +162,12 @@ def _window_score(image: Float[np.ndarray, "d p 3"], width: int, gap: int, noise
     """Difference of the means of ``width`` rows that end ``gap`` rows before and after each row, over their spread."""
     d, p = image.shape[:2]
     margin = width + gap
-    # Squares of grey levels less a typical one: float32 holds their sums well enough.
-    rows = (image - image.mean(axis=(0, 1))).reshape(d, -1)
     box = {"ddepth": -1, "ksize": (1, width), "anchor": (0, 0), "borderType": cv2.BORDER_REPLICATE}
-    padded = np.pad(rows, ((margin, margin), (0, 0)), mode="edge")
+    padded = cv2.copyMakeBorder(image.reshape(d, -1), margin, margin, 0, 0, cv2.BORDER_REPLICATE)
     mean, square = (f(padded, **box).reshape(-1, p, 3) for f in (cv2.boxFilter, cv2.sqrBoxFilter))
     outer, inner = slice(1, 1 + d), slice(margin + gap, margin + gap + d)
-    variance = np.maximum(square.sum(axis=2) - np.square(mean).sum(axis=2), 0.0)
-    difference = np.linalg.norm(mean[outer] - mean[inner], axis=2)
+    variance = np.maximum(square @ _ALL - np.square(mean) @ _ALL, 0.0)
+    difference = np.sqrt(np.square(mean[outer] - mean[inner]) @ _ALL)
     return difference / np.sqrt(variance[outer] + variance[inner] + noise**2)
 
 

@@ -20,7 +20,7 @@ from hybrid.rectify.outline import find_outline
 from hybrid.rectify.refine import RefineConfig, Refinement
 from hybrid.rectify.sightings import Sightings, carried
 from hybrid.rectify.survey import survey_plane
-from hybrid.rectify.tps import MAD_TO_SIGMA, tukey_weights
+from hybrid.rectify.tps import mad_sigma, tukey_weights
 from hybrid.strips import SIDES
 
 PARTS = 8
@@ -119,7 +119,7 @@ def edge_line(side: Sightings) -> EdgeLine:
     for _ in range(5):
         fit = np.linalg.lstsq(rows * weight[:, None], across * weight, rcond=None)[0]
         residual = across - rows @ fit
-        scale = max(MAD_TO_SIGMA * float(np.median(np.abs(residual))), 1e-6)
+        scale = max(mad_sigma(residual), 1e-6)
         weight = np.sqrt(tukey_weights(residual / scale))
     part = np.clip((along * PARTS).astype(int), 0, PARTS - 1)
     middles = [abs(float(np.median(residual[part == k]))) for k in range(PARTS) if np.count_nonzero(part == k) >= 3]

@@ -119,7 +119,7 @@ def refine(
     if course is None:
         return _unchanged(coarse, "no edge, rule, gutter or repeated text was seen", watch)
     is_bent = course.scene is not scene
-    changed = course.believed and (is_bent or course.moves)
+    changed = course.believed and (is_bent or course.displacement.moves)
     backward = coarse
     if changed:
         rows, columns = (max(33, n) for n in coarse.nodes.shape[:2])
@@ -127,7 +127,8 @@ def refine(
         backward = course.displacement.composed(course.scene.coarse, (rows, columns)) if fine else course.film
     aspect = None if course.sheet is None else float(np.exp(-course.sheet.sheet.log_aspect))
     told = phases_along(course.scene, course.film)
-    reading = read_view(course.half_view, course.layout, told, config, aspect)
+    seen_aspect = course.scene.aspect if aspect is None else aspect
+    reading = read_view(course.half_view, course.layout, told, seen_aspect, config)
     share = _expected_share(course)
     grid = course.layout.slice_grid(reading, course.film, share if course.believed else np.inf)
     if grid is not None and is_bent and not changed:  # it was seen through a map that is not believed

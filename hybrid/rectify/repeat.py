@@ -77,10 +77,14 @@ def detail(image: Float[np.ndarray, "h w"], fine: float, coarse: float) -> Float
     return np.clip(band, -cap, cap)
 
 
-def find_repeats(grey: Float[np.ndarray, "h w"], axis: int, config: RepeatConfig) -> Repeats | None:
-    """The pitch at which the flat film looks like itself along one axis; None where it does not."""
+def find_repeats(grey: Float[np.ndarray, "h w"], config: RepeatConfig) -> tuple[Repeats | None, Repeats | None]:
+    """The pitch at which the flat film looks like itself along u and along v; None where it does not."""
     band = detail(shrunk(grey, 2), 2.0, 8.0)
-    curve = autocorrelation(band if axis == 0 else band.T)
+    return _repeats_along(0, autocorrelation(band), config), _repeats_along(1, autocorrelation(band.T), config)
+
+
+def _repeats_along(axis: int, curve: Float[np.ndarray, " n"], config: RepeatConfig) -> Repeats | None:
+    """The cells whose pitch an autocorrelation shows; None where it shows none."""
     found = []
     for cells in range(2, MAX_CELLS + 1):
         chain = _peak_chain(curve, cells, config)

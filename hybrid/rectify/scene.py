@@ -14,19 +14,25 @@ from hybrid.film_view import FilmView, view_film
 from hybrid.rectify.cell_phases import AxisPhases, CellPhases
 from hybrid.rectify.sightings import Sightings
 
+VIEW_STEP = 24
+"""Sides of views are multiples of so many pixels: their halves, thirds and eighths are whole, and OpenCV averages whole
+numbers of pixels ten times as fast."""
+
 
 @dataclass(frozen=True, eq=False)
 class Scene:
     """A photo, or the copy of it that is large enough, the map to start from, and what the networks tell of the film.
 
     coarse: maps into ``photo``. grey: the photo without colour. film_size: (height, width) of a view of the film.
-    phases: of the cells. edges: the sheet's, as they were read, through ``coarse``.
+    aspect: height over width of the film as the photo shows it. phases: of the cells. edges: the sheet's, as they were
+    read, through ``coarse``.
     """
 
     photo: UInt8[np.ndarray, "H W 3"]
     grey: UInt8[np.ndarray, "H W"]
     coarse: BackwardMap
     film_size: tuple[int, int]
+    aspect: float
     phases: CellPhases | None = None
     edges: tuple[Sightings, ...] = ()
 
@@ -37,10 +43,11 @@ def scene_of(
     phases: CellPhases | None = None,
     edges: tuple[Sightings, ...] = (),
 ) -> Scene:
-    """The scene in which a view of the film has as many pixels as the photo has of it."""
+    """The scene in which a view of the film has about as many pixels as the photo has of it."""
     down, across = coarse.mean_film_pixels()
-    film_size = (int(np.clip(round(down), 64, 4096)), int(np.clip(round(across), 64, 4096)))
-    return Scene(photo, cv2.cvtColor(photo, cv2.COLOR_RGB2GRAY), coarse, film_size, phases, edges)
+    height, width = (VIEW_STEP * int(np.clip(round(n / VIEW_STEP), 3, 170)) for n in (down, across))
+    grey = cv2.cvtColor(photo, cv2.COLOR_RGB2GRAY)
+    return Scene(photo, grey, coarse, (height, width), down / across, phases, edges)
 
 
 def view_of(scene: Scene, film: BackwardMap) -> FilmView:
@@ -50,10 +57,9 @@ def view_of(scene: Scene, film: BackwardMap) -> FilmView:
 
 def half_view(scene: Scene, film: BackwardMap) -> FilmView:
     """The same at half the size, in a copy of the photo of half the size."""
-    height, width = scene.grey.shape
-    size = (max(1, width // 2), max(1, height // 2))
-    grey = cv2.resize(scene.grey, size, interpolation=cv2.INTER_AREA)
-    small = film.cropped((0.0, 0.0), (size[0] / width, size[1] / height))
+    height, width = (n // 2 for n in scene.grey.shape)
+    grey = cv2.resize(scene.grey[: 2 * height, : 2 * width], (width, height), interpolation=cv2.INTER_AREA)
+    small = film.cropped((0.0, 0.0), (0.5, 0.5))
     return _view(grey, small, (scene.film_size[0] // 2, scene.film_size[1] // 2))
 
 

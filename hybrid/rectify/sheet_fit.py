@@ -63,7 +63,8 @@ def fit_sheet(
     try:
         if before is not None:
             problem = replace(problem, bending=before.bending, config=config.near)
-            return _result(minimised(problem, problem.begun(before.sheet), config.steps[2]), frame, sightings, problem)
+            found = minimised(problem, problem.begun(before.sheet), config.steps[2], near=True)
+            return _result(found, frame, sightings, problem)
         state, problem = _bent_either_way(problem, near, frame)
     except LinAlgError:
         return None
@@ -109,7 +110,7 @@ def _as_bent_as_needed(problem: Problem, start: State) -> tuple[State, Problem]:
         if bending_cost(state.sheet, problem.bending) <= config.bent_share * state.cost:
             break
         softer = replace(problem, bending=weight)
-        sharper = minimised(softer, state, config.steps[2])
+        sharper = minimised(softer, state, config.steps[2], near=True)
         if sharper.cost >= config.sharper * state.cost:
             break
         state, problem = sharper, softer

@@ -11,7 +11,7 @@ from jaxtyping import Float, Int
 from hybrid.backward import BackwardMap
 from hybrid.rectify.bspline import design
 from hybrid.rectify.sheet import Frame, Sheet, SheetConfig, inner, project, surface
-from hybrid.rectify.sightings import Sightings, group_noise
+from hybrid.rectify.sightings import Sightings, group_medians, group_noise
 from hybrid.rectify.tps import MAD_TO_SIGMA
 
 NOTHING = Sightings(0, np.zeros((0, 2)), np.zeros(0), np.zeros(0), np.zeros((0, 0)), np.zeros(0))
@@ -112,10 +112,8 @@ def slid(
     residual = inner(project(sheet, weights @ sheet.control).point - seen.point, normal)
     if near and (seen.group >= 0).any():
         sigma = group_noise(sigma, seen.group, residual)
-    tolerance = np.ones(len(along))
-    for k in np.unique(seen.number):
-        own = seen.number == k
-        tolerance[own] = max(1.0, 2.0 * MAD_TO_SIGMA * float(np.median(np.abs(residual[own]) / sigma[own])))
+    typical = MAD_TO_SIGMA * group_medians(np.abs(residual) / sigma, seen.number)
+    tolerance = np.maximum(1.0, 2.0 * typical)[seen.number]
     return Curves(weights, place[rows, 1 - seen.across], normal / sigma[:, None], pull / sigma, tolerance, constants)
 
 

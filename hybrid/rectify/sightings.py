@@ -18,7 +18,7 @@ from scipy.linalg import eigvalsh, get_lapack_funcs
 
 from hybrid.backward import BackwardMap
 from hybrid.coords import film_nodes
-from hybrid.rectify.tps import MAD_TO_SIGMA, LatticeSpline, lattice_spline, tukey_weights
+from hybrid.rectify.tps import MAD_TO_SIGMA, LatticeSpline, lattice_spline, mad_sigma, tukey_weights
 
 PRIOR_COUNT = 4.0
 """Residuals of a group that the stated deviations count as."""
@@ -101,13 +101,22 @@ class Displacement:
     lattice: LatticeSpline
     values: Float[np.ndarray, "n 2"]
 
+    @property
+    def moves(self) -> bool:
+        """Whether anything is displaced at all."""
+        return bool(self.values.any())
+
     def __call__(self, uv: Float[np.ndarray, "*m 2"]) -> Float[np.ndarray, "*m 2"]:
         """Displaced film points; beyond the edges the displacement is that of the nearest edge point."""
+        if not self.moves:
+            return np.array(uv, dtype=np.float64)
         flat = np.asarray(uv, dtype=np.float64).reshape(-1, 2)
         return (flat + self.lattice.evaluate(np.clip(flat, 0.0, 1.0), self.values)).reshape(np.shape(uv))
 
     def composed(self, coarse: BackwardMap, size: tuple[int, int] = (33, 33)) -> BackwardMap:
         """``coarse.photo_from_film(uv + d(uv))`` on nodes."""
+        if not self.moves:
+            return coarse.resized(size)
         at = film_nodes(size) + (_rows_at_nodes(self.lattice.size, size) @ self.values).reshape(*size, 2)
         return BackwardMap(coarse.photo_from_film(at))
 
@@ -245,27 +254,31 @@ def _solve_robust(system: _System, config: SplineConfig) -> tuple[np.ndarray, np
 
     It begins as stiff as can be: only then does the noise of what differs from cell to cell show, and is not followed.
     """
-    low, high, count = config.stiffness
-    candidates = np.geomspace(low, high, count)
+    candidates = _geometric(*config.stiffness)
     weights = np.ones(len(system.right))
-    stiffness = float(candidates[-1])
-    noise = max(1.0, MAD_TO_SIGMA * float(np.median(np.abs(system.right) / system.sigma)))
+    stiffness = candidates[-1]
+    noise = max(1.0, mad_sigma(system.right / system.sigma))
     solution = np.zeros(system.rows.shape[1])
     sigma = system.sigma
     for step in range(config.reweightings):
         scaled = weights / (noise * sigma) ** 2
         precision = system.precision(scaled, config)
         right = system.rows.T @ (scaled * system.right)
-        if step % 2 == 1 and count > 1:
-            stiffness = max(candidates.tolist(), key=lambda c: _log_evidence(system, precision, right, c, config))
+        if step % 2 == 1 and len(candidates) > 1:
+            stiffness = max(candidates, key=lambda c: _log_evidence(system, precision, right, c, config))
         solution, _ = _solve(system.stiffened(precision, stiffness), right)
         residual = system.rows @ solution - system.right
         sigma = group_noise(system.sigma, system.group, residual)
         residual = residual / sigma
-        spread = MAD_TO_SIGMA * float(np.median(np.abs(residual)))
-        noise = max(1.0, min(0.5 * noise, 1.5 * spread))
+        noise = max(1.0, min(0.5 * noise, 1.5 * mad_sigma(residual)))
         weights = tukey_weights(residual / noise)
     return solution, weights, stiffness
+
+
+@lru_cache(maxsize=4)
+def _geometric(low: float, high: float, count: int) -> tuple[float, ...]:
+    """Numbers from low to high, each as many times the one before."""
+    return tuple(np.geomspace(low, high, count).tolist())
 
 
 def group_noise(
@@ -278,20 +291,19 @@ def group_noise(
     """
     grouped = groups >= 0
     group, size = groups[grouped], np.bincount(groups[grouped])
-    spread = MAD_TO_SIGMA * _group_medians(np.abs(residual[grouped] / stated[grouped]), group, size)
+    spread = MAD_TO_SIGMA * group_medians(np.abs(residual[grouped] / stated[grouped]), group)
     variance = (size * spread**2 + PRIOR_COUNT) / (size + PRIOR_COUNT)
     sigma = stated.copy()
     sigma[grouped] *= np.where(size > 2, np.sqrt(variance), LONE_FACTOR)[group]
     return sigma
 
 
-def _group_medians(
-    values: Float[np.ndarray, " n"], group: Int[np.ndarray, " n"], size: Int[np.ndarray, " g"]
-) -> Float[np.ndarray, " g"]:
-    """Median of the values of each group; none of the groups is empty."""
-    ordered = values[np.lexsort((values, group))]
+def group_medians(values: Float[np.ndarray, " n"], group: Int[np.ndarray, " n"]) -> Float[np.ndarray, " g"]:
+    """Median of the values of each group, which are numbered from 0; 0 of one that is empty."""
+    size = np.bincount(group)
+    ordered = np.append(values[np.lexsort((values, group))], 0.0)
     first = np.cumsum(size) - size
-    return 0.5 * (ordered[first + (size - 1) // 2] + ordered[first + size // 2])
+    return np.where(size > 0, 0.5 * (ordered[first + (size - 1) // 2] + ordered[first + size // 2]), 0.0)
 
 
 def _solve(matrix: Float[np.ndarray, "m m"], right: Float[np.ndarray, " m"]) -> tuple[Float[np.ndarray, " m"], float]:
@@ -327,6 +339,7 @@ __all__ = [
     "SplineConfig",
     "carried",
     "fit_displacement",
+    "group_medians",
     "group_noise",
     "no_displacement",
 ]
