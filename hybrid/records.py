@@ -168,7 +168,7 @@ class RectifyResult:
     expected_error_px: mean distance, in pixels of the photo, by which film points are expected to be off; the true one
         is as often larger as smaller.
     limit_px: largest distance, in pixels of the photo, that a film whose status is OK may be off in truth; effort fast
-        allows more. Such a film must be expected to be off by far less (``TrustConfig.safety``), and nothing else may
+        allows more. That it is off by less must be 94 % probable (``TrustConfig.least_chance``), and nothing else may
         speak against it (``status.doubts``).
     photo: of a film fused from several photos the index of the one that rectified, backward and the grid's vertices in
         the photo are of: the first in which a film was found.

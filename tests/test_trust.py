@@ -14,13 +14,14 @@ from hybrid.pyramid import Pyramid
 from hybrid.records import SliceGrid, StatusCode
 from hybrid.rectify.flat import already_flat, frame_of
 from hybrid.rectify.refine import Refinement
-from hybrid.rectify.trust import Signs, TrustConfig, cells_alike, expected_error_px, film_verdict
+from hybrid.rectify.trust import Signs, TrustConfig, cells_alike, chance_right, expected_error_px, film_verdict
 
 TOO_FAR = f"px of error expected, {TrustConfig().safety * TrustConfig().limit_px:.1f} allowed"
 
 SURE = Signs(
     overlap_before=0.99, overlap_after=0.995, shift=0.001, held_out=0.9, alike=0.7, oblong=0.02, grid=True,
     corrected=True, edges=4, film_px=700.0, photo_px=1080, stated=0.0008, support=0.97, in_step=0.98,
+    seen_beside=0.003, cells_beside=0.005, confidence=0.95, mean_support=0.98,
 )  # fmt: skip
 
 
@@ -41,10 +42,14 @@ def test_a_film_that_all_signs_speak_for_is_flattened() -> None:
         ({"support": 0.3}, "an edge reads as one to 30% only"),
         ({"alike": 0.05}, "cells are not alike"),
         ({"in_step": 0.3}, "the network sees other cells"),
-        ({"overlap_before": 0.6, "overlap_after": 0.6, "alike": 0.15}, TOO_FAR),
-        ({"held_out": 6.0, "alike": 0.1, "stated": 0.01}, TOO_FAR),
-        ({"shift": float("inf"), "overlap_after": 0.0}, TOO_FAR),
+        ({"overlap_after": 0.6}, "fills the sheet to 60% only"),
+        ({"held_out": 6.0, "alike": 0.15, "stated": 0.01}, TOO_FAR),
+        ({"shift": float("inf"), "overlap_before": 0.6, "oblong": 0.6}, TOO_FAR),
         ({"stated": 0.05, "held_out": 3.0}, TOO_FAR),
+        ({"seen_beside": float("inf")}, "right to 5.0 px with"),
+        ({"seen_beside": 0.02}, "right to 5.0 px with"),
+        ({"cells_beside": 0.04, "stated": 0.004}, "right to 5.0 px with"),
+        ({"mean_support": 0.6, "confidence": 0.3}, "right to 5.0 px with"),
     ],
 )
 def test_each_doubt_is_told(change: dict, text: str) -> None:
@@ -71,8 +76,23 @@ def test_every_worse_sign_raises_the_expected_error(name: str, worse: float) -> 
     assert expected_error_px(replace(SURE, **{name: worse})) > expected_error_px(SURE)
 
 
+@pytest.mark.parametrize(
+    ("name", "worse"),
+    [("seen_beside", 0.01), ("cells_beside", 0.02), ("stated", 0.01), ("confidence", 0.3), ("mean_support", 0.7),
+     ("film_px", 1000.0)],
+)  # fmt: skip
+def test_every_worse_sign_makes_a_right_map_less_probable(name: str, worse: float) -> None:
+    assert chance_right(replace(SURE, **{name: worse})) < chance_right(SURE)
+
+
+def test_the_more_error_is_allowed_the_more_probable_is_a_right_map() -> None:
+    assert chance_right(SURE, TrustConfig(limit_px=10.0)) > chance_right(SURE) > 0.94
+    assert chance_right(replace(SURE, flat=True)) == 1.0
+
+
 def test_the_expected_error_scales_with_the_photo_and_the_verdict_does_not_change() -> None:
     twice = replace(SURE, film_px=1400.0, photo_px=2160)
+    assert chance_right(twice) == pytest.approx(chance_right(SURE))
     assert expected_error_px(twice) == pytest.approx(2 * expected_error_px(SURE))
     for overlap in np.linspace(0.85, 1.0, 16):
         one, two = (film_verdict(replace(s, overlap_before=overlap, overlap_after=overlap)) for s in (SURE, twice))
@@ -81,11 +101,9 @@ def test_the_expected_error_scales_with_the_photo_and_the_verdict_does_not_chang
 
 def test_in_a_tiny_photo_one_pixel_is_allowed() -> None:
     """Five pixels of 1080 would be half a pixel there."""
-    tiny = replace(SURE, film_px=70.0, photo_px=108)
-    most = TrustConfig().safety / 70
-    unit = expected_error_px(replace(tiny, film_px=1.0))
-    assert film_verdict(replace(tiny, film_px=0.99 * most * 70 / unit)).ok
-    assert not film_verdict(replace(tiny, film_px=1.01 * most * 70 / unit)).ok
+    tiny, larger = (replace(SURE, film_px=70.0, photo_px=px) for px in (108, 216))
+    assert chance_right(tiny) == chance_right(larger)
+    assert film_verdict(tiny).code is film_verdict(larger).code
 
 
 def grid_over(true: BackwardMap, rows: int, cols: int) -> SliceGrid:

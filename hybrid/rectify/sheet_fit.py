@@ -63,8 +63,7 @@ def fit_sheet(
     try:
         if before is not None:
             problem = replace(problem, bending=before.bending, config=config.near)
-            found = minimised(problem, problem.begun(before.sheet), config.steps[2], near=True)
-            return _result(found, frame, sightings, problem)
+            return _result(minimised(problem, problem.begun(before.sheet), config.steps[2]), frame, sightings, problem)
         state, problem = _bent_either_way(problem, near, frame)
     except LinAlgError:
         return None
@@ -110,7 +109,7 @@ def _as_bent_as_needed(problem: Problem, start: State) -> tuple[State, Problem]:
         if bending_cost(state.sheet, problem.bending) <= config.bent_share * state.cost:
             break
         softer = replace(problem, bending=weight)
-        sharper = minimised(softer, state, config.steps[2], near=True)
+        sharper = minimised(softer, state, config.steps[2])
         if sharper.cost >= config.sharper * state.cost:
             break
         state, problem = sharper, softer

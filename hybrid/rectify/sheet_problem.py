@@ -80,15 +80,13 @@ class Problem:
         return total
 
 
-def minimised(problem: Problem, state: State, steps: int, near: bool = False) -> State:
-    """The state after at most so many Gauss-Newton steps. near: whether it begins near its end, so that what disagrees
-    there tells at once how exact sightings are.
+def minimised(problem: Problem, state: State, steps: int) -> State:
+    """The state after at most so many Gauss-Newton steps.
 
     Raises LinAlgError where the normal equations cannot be solved.
     """
     damping = 1e-3
-    curves = slid(problem.seen, state.sheet, state.constants, problem.seen.along, near)
-    least = 1 if near else 2  # costs tell the end from one another only with deviations that are known
+    curves = slid(problem.seen, state.sheet, state.constants, problem.seen.along, near=False)
     for step in range(steps):
         total = problem.normal_equations(state, curves)
         better = None
@@ -103,9 +101,9 @@ def minimised(problem: Problem, state: State, steps: int, near: bool = False) ->
         if better is None:
             return replace(state, cost=total.cost)
         state, damping = better, max(damping / 5.0, 1e-7)
-        if step >= least and total.cost - state.cost < problem.config.settled * total.cost:
+        if step > 1 and total.cost - state.cost < problem.config.settled * total.cost:
             break
-        curves = slid(problem.seen, state.sheet, state.constants, curves.along, near or step > 0)
+        curves = slid(problem.seen, state.sheet, state.constants, curves.along, near=step > 0)
     return state
 
 

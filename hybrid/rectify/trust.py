@@ -2,9 +2,9 @@
 
 The networks look once more, at the finished map: what FilmNet sees as film, flattened as a plane sheet would be, must
 fill the sheet, and its cells must lie where the grid has them; across the map's edges EdgeNet must read edges. Cells
-must be alike, about as wide as they are high, and what was seen of edges and print must agree. A regression over photos
-with truth turns these signs into an error.
-Seven signs are musts: without them, photos exist on which all the others speak for a map that is wrong.
+must be alike, about as wide as they are high, and what was seen of edges and print must agree. Regressions over photos
+with truth turn these signs into an error and into a probability that it is small.
+Eight signs are musts: without them, photos exist on which all the others speak for a map that is wrong.
 """
 
 from __future__ import annotations
@@ -41,19 +41,46 @@ UNKNOWN_HELD_OUT = 3.0
 UNKNOWN_STATED = 0.01
 """Stands for the error that refinement expects where it left the map as it was: the network's, in parts of the film."""
 
+UNKNOWN_BESIDE = 0.04
+"""Stands for how far cells lie beside those that the network sees where there is no grid, in film units."""
+
+
+@dataclass(frozen=True)
+class ChanceConfig:
+    """How probable it is that a map is right to a limit: a logistic regression over 934 maps of simulated photos of the
+    training scans, with limits of 4, 5 and 6 pixels of a photo of 1080.
+
+    Each sign but the limit counts by its logarithm, as Signs has it: limit: of the error, in parts of the film.
+    seen_beside, cells_beside, stated: as they are. unsure: what the grid's confidence lacks to 1. unsupported: what the
+    mean over the sides of the probability that an edge is there lacks to 1.
+    """
+
+    constant: float = -12.215
+    limit: float = 0.633
+    seen_beside: float = -1.648
+    cells_beside: float = -0.929
+    stated: float = -0.330
+    unsure: float = -0.368
+    unsupported: float = -0.964
+
 
 @dataclass(frozen=True)
 class TrustConfig:
-    """From which error on a film is not called flattened, and how that error is predicted.
+    """From which error on a film is not called flattened, and how an error is predicted.
 
     The weights are those of a fit (of absolute deviations) of the logarithm of the error, in parts of the film, to
-    photos of training scans with truth, as they are and damaged.
+    photos of training scans with truth, as they are and damaged. The typical error tells little of how probable a large
+    one is: for that ``chance`` has weights of its own.
     """
 
     limit_px: float = 5.0
     """Largest error of a film that is called flattened, in pixels of a photo of 1080; at least one of its own."""
-    safety: float = 0.18
-    """The expected error must be below this part of the limit: single errors are up to several times as large."""
+    safety: float = 0.4
+    """The expected error must be below this part of the limit."""
+    least_chance: float = 0.94
+    """Least probability that the error is below the limit."""
+    chance: ChanceConfig = ChanceConfig()
+    """How that is told."""
     min_edges: int = 4
     """Least number of the sheet's edges that are seen: what only repeats tells neither place nor size, and a printed
     line may be taken for the edge that is not seen."""
@@ -62,6 +89,8 @@ class TrustConfig:
     least_support: float = 0.2
     """Below that, what has no grid and is not corrected by anything that is seen on it is no film, but part of a room:
     of 1,110 films that were found in simulated photos that holds of one, which is 59 px off."""
+    min_overlap: float = 0.9
+    """Least intersection over union of what the network sees as film with the finished map's outline."""
     min_in_step: float = 0.88
     """Least agreement of the grid with what the network tells of the cells."""
     min_alike: float = 0.12
@@ -90,6 +119,7 @@ class Signs:
     overlap_before: intersection over union of the network's mask with the sheet's outline before refinement.
     overlap_after: the same of the mask seen in one more look, with the outline of the finished map.
     shift: mean displacement between the finished map and what that look sees, in parts of the film's size.
+    seen_beside: root mean square over the film of that displacement, smoothed to a quadratic function of film points.
     held_out: residual of sightings that the correction was not fitted to, in stated deviations.
     alike: share of the detail that the cells have in common beyond what chance gives, 0 without a grid.
     oblong: absolute logarithm of the ratio of a cell's sides.
@@ -101,6 +131,8 @@ class Signs:
     levels: number of grey levels, of 255, that the photo makes use of.
     support: least mean probability, over the sides, that the sheet's edge lies where the finished map puts it.
     in_step: agreement of the grid with what the last look tells of the cells, along the worse axis; 0 without a grid.
+    cells_beside: how far the grid lies beside these cells, in film units, both axes together.
+    confidence: of the grid, 0 without one. mean_support: as support, but the mean.
     """
 
     overlap_before: float
@@ -119,6 +151,10 @@ class Signs:
     levels: float = 255.0
     support: float = 1.0
     in_step: float = 1.0
+    seen_beside: float = 0.0
+    cells_beside: float = 0.0
+    confidence: float = 1.0
+    mean_support: float = 1.0
 
 
 def signs_of(
@@ -138,10 +174,12 @@ def signs_of(
     backward, grid = refinement.backward, refinement.grid
     held_out = UNKNOWN_HELD_OUT if refinement.held_out is None else refinement.held_out
     film_px = float(np.sqrt(np.prod(backward.mean_film_pixels())))
+    shift, beside = (apart / max(film_px, 1e-9) for apart in _seen_beside(again, backward))
+    in_step, cells_beside = (0.0, UNKNOWN_BESIDE) if grid is None else _cells_seen(again, backward, grid)
     return Signs(
         overlap_before=mask_overlap(seen, coarse),
         overlap_after=mask_overlap(again, backward),
-        shift=_shift(again, backward) / max(film_px, 1e-9),
+        shift=shift,
         held_out=held_out,
         alike=0.0 if grid is None else cells_alike(pyramid, backward, grid),
         oblong=NO_GRID_OBLONG if grid is None else _oblong(backward, grid, refinement.aspect),
@@ -154,7 +192,11 @@ def signs_of(
         stated=UNKNOWN_STATED if refinement.expected_px is None else refinement.expected_px / max(film_px, 1e-9),
         levels=grey_spread(pyramid.photo),
         support=float(support.min()),
-        in_step=0.0 if grid is None else _in_step(again, backward, grid),
+        in_step=in_step,
+        seen_beside=beside,
+        cells_beside=cells_beside,
+        confidence=0.0 if grid is None else grid.confidence,
+        mean_support=float(support.mean()),
     )
 
 
@@ -178,6 +220,24 @@ def expected_error_px(signs: Signs, config: TrustConfig | None = None) -> float:
     return float(np.exp(sum(terms))) * signs.film_px
 
 
+def chance_right(signs: Signs, config: TrustConfig | None = None) -> float:
+    """Probability that the mean error is below the largest of a film that is called flattened."""
+    config = config or TrustConfig()
+    if signs.flat:
+        return 1.0
+    weights = config.chance
+    odds = (
+        weights.constant,
+        weights.limit * float(np.log(largest_error_px(signs.photo_px, config) / max(signs.film_px, 1e-9))),
+        weights.seen_beside * float(np.log(min(signs.seen_beside, 1.0) + 1e-3)),
+        weights.cells_beside * float(np.log(signs.cells_beside + 1e-3)),
+        weights.stated * float(np.log(np.clip(signs.stated, 3e-4, 0.05))),
+        weights.unsure * float(np.log(1.001 - signs.confidence)),
+        weights.unsupported * float(np.log(1.03 - min(signs.mean_support, 1.0))),
+    )
+    return float(1.0 / (1.0 + np.exp(-sum(odds))))
+
+
 def largest_error_px(photo_px: int, config: TrustConfig) -> float:
     """Of a film that is called flattened, in pixels of a photo whose longer side has ``photo_px``."""
     return max(config.limit_px / REFERENCE_PX * photo_px, 1.0)
@@ -189,8 +249,8 @@ def film_verdict(signs: Signs, config: TrustConfig | None = None) -> Verdict:
     config = config or TrustConfig()
     if signs.flat:
         return Verdict(StatusCode.OK, f"the photo is the flat film itself: cells are alike to {signs.alike:.0%}")
-    allowed = config.safety * largest_error_px(signs.photo_px, config)
-    expected = expected_error_px(signs, config)
+    limit, chance = largest_error_px(signs.photo_px, config), chance_right(signs, config)
+    allowed, expected = config.safety * limit, expected_error_px(signs, config)
     doubts = [
         text
         for text, doubtful in (
@@ -198,15 +258,21 @@ def film_verdict(signs: Signs, config: TrustConfig | None = None) -> Verdict:
             ("no grid seen", not signs.grid),
             (f"only {signs.levels:.0f} of 255 grey levels", signs.levels < config.min_levels),
             (f"an edge reads as one to {signs.support:.0%} only", signs.support < config.min_support),
+            (
+                f"the network's film fills the sheet to {signs.overlap_after:.0%} only",
+                signs.overlap_after < config.min_overlap,
+            ),
             ("the network sees other cells", signs.grid and signs.in_step < config.min_in_step),
             ("cells are not alike", signs.grid and signs.alike < config.min_alike),
             ("not corrected by what is seen on the film", not signs.corrected),
             (f"{expected:.1f} px of error expected, {allowed:.1f} allowed", expected > allowed),
+            (f"right to {limit:.1f} px with {chance:.0%} only", chance < config.least_chance),
         )
         if doubtful
     ]
     evidence = (
-        f"expected to be off by {expected:.1f} px; mask and outline agree to {signs.overlap_before:.1%} before and "
+        f"right to {limit:.1f} px with {chance:.0%}, expected to be off by {expected:.1f} px; "
+        f"mask and outline agree to {signs.overlap_before:.1%} before and "
         f"{signs.overlap_after:.1%} after refinement, edges read as such to {signs.support:.0%} at least, "
         f"cells are alike to {signs.alike:.0%} and agree with what the network sees to {signs.in_step:.0%}"
     )
@@ -234,14 +300,16 @@ def cells_alike(pyramid: Pyramid, backward: BackwardMap, grid: SliceGrid, side_p
     return float(np.clip((share - 1 / cells) / (1 - 1 / cells), 0.0, 1.0))
 
 
-def _in_step(again: CoarseMaps, backward: BackwardMap, grid: SliceGrid) -> float:
-    """Agreement of a grid with the phases that the network tells, along the worse axis; 0 where it tells none."""
+def _cells_seen(again: CoarseMaps, backward: BackwardMap, grid: SliceGrid) -> tuple[float, float]:
+    """Agreement of a grid with the phases that the network tells, along the worse axis, and how far it lies beside them
+    in film units; 0 and UNKNOWN_BESIDE where it tells none."""
     phases = CellPhases.of(again)
     if phases is None:
-        return 0.0
+        return 0.0, UNKNOWN_BESIDE
     columns, rows = (_repeats(grid, axis) for axis in (0, 1))
-    first, pitch = np.array([columns.first, rows.first]), np.array([columns.pitch, rows.pitch])
-    return float(phases.inside(backward).in_step(first, pitch).min())
+    cells = np.array([columns.first, rows.first]), np.array([columns.pitch, rows.pitch])
+    placed = phases.inside(backward)
+    return float(placed.in_step(*cells).min()), float(np.hypot(*placed.beside(*cells)))
 
 
 def _repeats(grid: SliceGrid, axis: int) -> Repeats:
@@ -256,13 +324,18 @@ def _miss(overlap: float) -> float:
     return float(np.log(1.003 - min(overlap, 1.0)))
 
 
-def _shift(again: CoarseMaps, backward: BackwardMap) -> float:
-    """Length of the mean displacement between a map and what the network sees, in pixels of the photo."""
+def _seen_beside(again: CoarseMaps, backward: BackwardMap) -> tuple[float, float]:
+    """Length of the mean displacement between a map and what the network sees, and the root mean square of the smooth
+    displacement between them, in pixels of the photo."""
     film = again.film
     if not film.any():
-        return float("inf")
-    points = backward.photo_from_film(np.asarray(again.uv[film], dtype=np.float64))
-    return float(np.linalg.norm((points - again.photo_points[film]).mean(axis=0)))
+        return float("inf"), float("inf")
+    uv = np.asarray(again.uv[film], dtype=np.float64)
+    apart = backward.photo_from_film(uv) - again.photo_points[film]
+    u, v = uv.T
+    smooth = np.column_stack([np.ones(len(uv)), u, v, u * u, u * v, v * v])
+    fitted = smooth @ np.linalg.lstsq(smooth, apart, rcond=None)[0]
+    return float(np.linalg.norm(apart.mean(axis=0))), float(np.sqrt(np.square(fitted).sum() / len(uv)))
 
 
 def _oblong(backward: BackwardMap, grid: SliceGrid, aspect: float | None) -> float:
@@ -274,4 +347,14 @@ def _oblong(backward: BackwardMap, grid: SliceGrid, aspect: float | None) -> flo
     return float(abs(np.log((across * pitch_u) / (down * pitch_v))))
 
 
-__all__ = ["Signs", "TrustConfig", "cells_alike", "expected_error_px", "film_verdict", "signs_of"]
+__all__ = [
+    "ChanceConfig",
+    "Signs",
+    "TrustConfig",
+    "cells_alike",
+    "chance_right",
+    "expected_error_px",
+    "film_verdict",
+    "largest_error_px",
+    "signs_of",
+]
