@@ -46,10 +46,10 @@ def test_a_film_that_all_signs_speak_for_is_flattened() -> None:
         ({"held_out": 6.0, "alike": 0.15, "stated": 0.01}, TOO_FAR),
         ({"shift": float("inf"), "overlap_before": 0.6, "oblong": 0.6}, TOO_FAR),
         ({"stated": 0.05, "held_out": 3.0}, TOO_FAR),
-        ({"seen_beside": float("inf")}, "right to 5.0 px with"),
-        ({"seen_beside": 0.02}, "right to 5.0 px with"),
-        ({"cells_beside": 0.04, "stated": 0.004}, "right to 5.0 px with"),
-        ({"mean_support": 0.6, "confidence": 0.3}, "right to 5.0 px with"),
+        ({"seen_beside": float("inf")}, "sure to be right to 5.0 px"),
+        ({"seen_beside": 0.02}, "sure to be right to 5.0 px"),
+        ({"cells_beside": 0.04, "stated": 0.004}, "sure to be right to 5.0 px"),
+        ({"mean_support": 0.6, "confidence": 0.3}, "sure to be right to 5.0 px"),
     ],
 )
 def test_each_doubt_is_told(change: dict, text: str) -> None:

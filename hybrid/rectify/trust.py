@@ -266,12 +266,12 @@ def film_verdict(signs: Signs, config: TrustConfig | None = None) -> Verdict:
             ("cells are not alike", signs.grid and signs.alike < config.min_alike),
             ("not corrected by what is seen on the film", not signs.corrected),
             (f"{expected:.1f} px of error expected, {allowed:.1f} allowed", expected > allowed),
-            (f"right to {limit:.1f} px with {chance:.0%} only", chance < config.least_chance),
+            (f"only {chance:.0%} sure to be right to {limit:.1f} px", chance < config.least_chance),
         )
         if doubtful
     ]
     evidence = (
-        f"right to {limit:.1f} px with {chance:.0%}, expected to be off by {expected:.1f} px; "
+        f"{chance:.0%} sure to be right to {limit:.1f} px, expected to be off by {expected:.1f} px; "
         f"mask and outline agree to {signs.overlap_before:.1%} before and "
         f"{signs.overlap_after:.1%} after refinement, edges read as such to {signs.support:.0%} at least, "
         f"cells are alike to {signs.alike:.0%} and agree with what the network sees to {signs.in_step:.0%}"
