@@ -286,11 +286,17 @@ def end_point_error(predicted: BackwardMap, true_points: Float[np.ndarray, "h w 
     return np.linalg.norm(predicted.lattice(true_points.shape[:2]) - true_points, axis=-1)
 
 
+def mean_move(before: BackwardMap, after: BackwardMap) -> float:
+    """Mean distance between two maps of a film, in parts of the first one's longer side."""
+    return float(end_point_error(after, before.nodes).mean()) / max(before.mean_film_pixels())
+
+
 __all__ = [
     "BackwardMap",
     "Orientation",
     "end_point_error",
     "film_as_seen",
+    "mean_move",
     "orientation",
     "orientation_of",
     "spline_weights",

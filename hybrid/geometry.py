@@ -10,7 +10,7 @@ from functools import partial
 
 import numpy as np
 
-from hybrid.backward import BackwardMap, end_point_error
+from hybrid.backward import BackwardMap, mean_move
 from hybrid.effort import RectifyConfig
 from hybrid.learn.network import FilmNet
 from hybrid.learn.predict import look, look_from_sides
@@ -198,7 +198,7 @@ def shape_of(
     with clock.stage("spacing") as report:
         report.ran, before = phases is not None, start
         start = evened(start)
-        moved = float(end_point_error(start, before.nodes).mean()) / max(before.mean_film_pixels())
+        moved = mean_move(before, start)
         report.reason = (
             f"cells moved by {moved:.2%} of the film" if report.ran else "the network tells nothing of cells"
         )

@@ -87,13 +87,12 @@ class PlacedPhases:
 
     def in_step(self, first: Float[np.ndarray, "2"], pitch: Float[np.ndarray, "2"]) -> Float[np.ndarray, "2"]:
         """How well a grid agrees with what is told of places in cells, along u and along v: 1 at most, 0 by chance."""
-        agreeing = np.real(self.turns * np.exp(-2j * np.pi * (self.uv - first) / pitch))
-        return self.in_grid @ agreeing / np.maximum(self.in_grid @ np.abs(self.turns), 1e-9)
+        return self.in_grid @ np.real(self._turned(first, pitch)) / np.maximum(self.in_grid @ np.abs(self.turns), 1e-9)
 
     def beside(self, first: Float[np.ndarray, "2"], pitch: Float[np.ndarray, "2"]) -> Float[np.ndarray, "2"]:
         """How far places lie beside where a grid has them, along u and along v, in film units: root mean square over
         PARTS x PARTS parts of the film, in each of which what single places tell is averaged."""
-        turned = self.turns * np.exp(-2j * np.pi * (self.uv - first) / pitch) * self.in_grid[:, None]
+        turned = self._turned(first, pitch) * self.in_grid[:, None]
         part = np.clip((self.uv * PARTS).astype(np.intp), 0, PARTS - 1) @ [PARTS, 1]
         off = []
         for turns, length in zip(turned.T, pitch, strict=True):
@@ -102,6 +101,10 @@ class PlacedPhases:
             moved = np.angle(total) / (2 * np.pi) * length
             off.append(np.sqrt(told @ moved**2 / max(float(told.sum()), 1e-9)))
         return np.array(off)
+
+    def _turned(self, first: Float[np.ndarray, "2"], pitch: Float[np.ndarray, "2"]) -> Complex[np.ndarray, "n 2"]:
+        """The phases, turned back by those of a grid: real where both agree."""
+        return self.turns * np.exp(-2j * np.pi * (self.uv - first) / pitch)
 
     def _along(self, axis: int) -> AxisPhases:
         step = np.clip((self.uv[:, axis] * STEPS).astype(np.intp), 0, STEPS - 1)

@@ -253,7 +253,7 @@ def _block_sums(values: np.ndarray, edges: tuple[np.ndarray, ...]) -> np.ndarray
 @lru_cache(maxsize=16)
 def _members(edges: tuple[int, ...], dtype: np.dtype) -> Float[np.ndarray, "b n"]:
     """Which places along an axis lie in which block."""
-    return (np.arange(len(edges) - 1)[:, None] == np.arange(len(edges) - 1).repeat(np.diff(edges))).astype(dtype)
+    return np.eye(len(edges) - 1, dtype=dtype).repeat(np.diff(edges), axis=1)
 
 
 def _block_centres(density: Float[np.ndarray, "ch cw"], edges: tuple[np.ndarray, ...]) -> Float[np.ndarray, "by bx 2"]:

@@ -16,7 +16,7 @@ from time import perf_counter
 import numpy as np
 from jaxtyping import Float
 
-from hybrid.backward import BackwardMap, end_point_error
+from hybrid.backward import BackwardMap, mean_move
 from hybrid.errors import require_at_least
 from hybrid.film_view import FilmView
 from hybrid.rectify.cell_phases import AxisPhases
@@ -277,8 +277,7 @@ def unstretched(progress: Progress, config: RefineConfig, watch: Stopwatch) -> P
     after = _round(begun, max(config.line_rounds, 1), _matchers(config)[-1], config, watch)
     if after is None or progress.sheet is None:
         return after
-    moved = end_point_error(after.film, near.nodes).mean() / max(near.mean_film_pixels())
-    return replace(after, settled=after.settled or bool(moved < config.settled_end))
+    return replace(after, settled=after.settled or mean_move(near, after.film) < config.settled_end)
 
 
 def ended(progress: Progress, config: RefineConfig, watch: Stopwatch) -> Course:

@@ -27,6 +27,7 @@ from hybrid.rectify.consensus import read_beside, to_common
 from hybrid.rectify.deilluminate import DeilluminateConfig, read_light, recovered
 from hybrid.rectify.merge import Film, MergeConfig, detail_of, merge, reduced
 from hybrid.rectify.resample import ResampleConfig, rectify_photo
+from hybrid.rectify.tps import mad_sigma
 
 AnyFilm = Float32[np.ndarray, "_ _"]
 """One of several of different sizes."""
@@ -228,7 +229,7 @@ def _smooth(
     fit = NormalEquations.of(rows, trust, moved, config.intervals).solve(config.smoothing)
     for _ in range(6):
         distance = np.linalg.norm(moved - rows @ fit, axis=1)
-        scale = max(3 * 1.4826 * float(np.median(distance)), 1e-6)
+        scale = max(3 * mad_sigma(distance), 1e-6)
         trust = weight * np.maximum(1 - (distance / scale) ** 2, 0) ** 2 + 1e-12
         fit = NormalEquations.of(rows, trust, moved, config.intervals).solve(config.smoothing)
     return bspline.on_lattice(fit, size, config.intervals)

@@ -57,7 +57,7 @@ def view_of(scene: Scene, film: BackwardMap) -> FilmView:
 
 def half_view(scene: Scene, film: BackwardMap) -> FilmView:
     """The same at half the size, in a copy of the photo of half the size."""
-    height, width = (n // 2 for n in scene.grey.shape)
+    height, width = (max(1, n // 2) for n in scene.grey.shape)
     grey = cv2.resize(scene.grey[: 2 * height, : 2 * width], (width, height), interpolation=cv2.INTER_AREA)
     small = film.cropped((0.0, 0.0), (0.5, 0.5))
     return _view(grey, small, (scene.film_size[0] // 2, scene.film_size[1] // 2))
