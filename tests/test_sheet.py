@@ -10,7 +10,7 @@ from hybrid.backward import BackwardMap, end_point_error
 from hybrid.coords import film_nodes
 from hybrid.rectify.grid import Comb, GridConfig
 from hybrid.rectify.layout import Evidence
-from hybrid.rectify.margins import MarginsConfig, PlacedPrint, usual_margins
+from hybrid.rectify.margins import MarginsConfig, PlacedPrint, undecided, usual_margins
 from hybrid.rectify.repeat import Repeats
 from hybrid.rectify.sheet import Frame, Sheet, SheetConfig, flat_sheet, project, relief_reversed, surface
 from hybrid.rectify.sheet_fit import FittedSheet, fit_sheet
@@ -120,6 +120,53 @@ def test_a_sheet_that_is_bent_the_other_way_round_is_found(radius, focal):
     assert either is not None
     assert either.cost < 0.5 * first.cost
     assert error_px(either.backward, true) < min(1.0, 0.5 * error_px(first.backward, true))
+
+
+def test_a_sheet_that_stretches_counts_only_where_others_explain_badly_what_is_seen():
+    bent = cylinder(1.5, 20, 10)
+
+    def photo_from_film(uv: np.ndarray) -> np.ndarray:  # strained by up to 4 %
+        return bent.photo_from_film(uv + 0.012 * np.sin(np.pi * uv).prod(axis=-1, keepdims=True))
+
+    for true, stretches in ((bent, False), (BackwardMap.from_function(photo_from_film), True)):
+        seen = edges_seen(true, bent, np.random.default_rng(0), 0.1)
+        seen += lines_seen(true, bent, {0: [0.2, 0.4, 0.6, 0.8], 1: [0.2, 0.4, 0.6, 0.8]})
+        firm, found = (
+            fit_sheet(bent, bent, PHOTO, seen, config) for config in (replace(CONFIG, stretched_gain=0.0), CONFIG)
+        )
+        assert firm is not None
+        assert found is not None
+        assert found.strain == (CONFIG.stretched if stretches else CONFIG.strain)
+        assert error_px(found.backward, true) <= (0.8 if stretches else 1.0) * error_px(firm.backward, true)
+
+
+def bent_at_a_corner(width: float, focal: float = 1.3) -> BackwardMap:
+    """The photo of a sheet of 0.8 x 1 that lies flat but for a corner, which is bent up within ``width``."""
+    length = np.linspace(-1.0, 1.0, 4001)
+    slope = 0.9 / (1.0 + np.exp(-(length - 0.3) / width))
+    run, rise = (np.concatenate([[0.0], np.cumsum(f(slope))[:-1]]) * (length[1] - length[0]) for f in (np.cos, np.sin))
+
+    def photo_from_film(uv: np.ndarray) -> np.ndarray:
+        flat = (uv - 0.5) * [0.8, 1.0]
+        along, across = flat @ [0.6, 0.8], flat @ [-0.8, 0.6]
+        bent, height = (np.interp(along, length, values) for values in (run + length[0], rise))
+        x, y, z = 0.6 * bent - 0.8 * across, 0.8 * bent + 0.6 * across, 1.8 * focal / 1.3 - height
+        return 500 + 1000 * focal * np.stack([x / z, y / z], axis=-1)
+
+    return BackwardMap.from_function(photo_from_film)
+
+
+def test_a_sheet_that_is_bent_in_one_place_is_found_on_finer_splines():
+    true = bent_at_a_corner(0.01)
+    seen = edges_seen(true, true, np.random.default_rng(0), 0.1)
+    seen += lines_seen(true, true, {0: [0.2, 0.4, 0.6, 0.8], 1: [0.2, 0.4, 0.6, 0.8]})
+    sharp = replace(CONFIG, edge_px=0.2, print_px=0.2, doubtful=np.inf)
+    first, finer = (fit_sheet(true, true, PHOTO, seen, replace(sharp, coarse=coarse)) for coarse in (np.inf, 0.0))
+    assert first is not None
+    assert finer is not None
+    assert first.sheet.intervals < finer.sheet.intervals
+    assert finer.cost < CONFIG.finer_gain * first.cost
+    assert error_px(finer.backward, true) < error_px(first.backward, true)
 
 
 def test_a_mirrored_sheet_strains_no_more_and_mirrored_again_is_the_same():
@@ -285,6 +332,24 @@ def test_margins_that_are_hardly_there_may_cost_more_to_leave_out(margins, growt
     source = placed.evidence[-1].source
     assert isinstance(source, Repeats)
     assert source.filling == expected
+
+
+@pytest.mark.parametrize(
+    ("margins", "held", "expected"), [(0.0, False, True), (0.03, False, True), (0.0, True, False), (0.1, False, False)]
+)
+def test_margins_are_undecided_where_cells_may_fill_the_film_and_are_not_held_to(margins, held, expected):
+    seen = lines_seen(*2 * [cylinder(1.2, 0, 10)], {0: [0.25, 0.5, 0.75]})[0]
+    cells = Evidence(seen, Repeats(0, margins / 2, (1 - margins) / 4, 4, filling=held))
+    assert undecided([cells], GridConfig(), MarginsConfig()) == expected
+    assert not undecided([Evidence(seen)], GridConfig(), MarginsConfig())
+
+
+@pytest.mark.parametrize(("off", "centred", "expected"), [(0.0, False, True), (0.0, True, False), (0.01, False, False)])
+def test_margins_are_undecided_where_lines_may_lie_in_the_middle_and_are_not_held_there(off, centred, expected):
+    places = 0.1 + off + 0.2 * np.arange(5)
+    seen = lines_seen(*2 * [cylinder(1.2, 0, 10)], {0: list(places)})[0]
+    comb = Comb(0, places[0], 0.2, 4, np.arange(5), 2, 1, 1.0, np.repeat(places[:, None], 4, axis=1), centred)
+    assert undecided([Evidence(seen, comb)], GridConfig(), MarginsConfig()) == expected
 
 
 def placed_print(sheet: FittedSheet, seen: list[Sightings], source: Comb | Repeats) -> PlacedPrint:

@@ -25,7 +25,7 @@ from hybrid.rectify.congeal import CongealConfig, register_cells
 from hybrid.rectify.grid import GridConfig
 from hybrid.rectify.held_out import held_out_residuals
 from hybrid.rectify.layout import Evidence, Layout, find_layout
-from hybrid.rectify.margins import MarginsConfig, PlacedPrint, in_place, usual_margins
+from hybrid.rectify.margins import MarginsConfig, PlacedPrint, in_place, undecided, usual_margins
 from hybrid.rectify.match import MatchConfig, match_cells
 from hybrid.rectify.outline import OutlineConfig, find_outline
 from hybrid.rectify.repeat import RepeatConfig, cell_agreement
@@ -70,6 +70,8 @@ class RefineConfig:
     settled_end: float = 5e-4
     """Nor does another sheet count where one moved the film by less than this from where the one before left it: at the
     mean, in parts of the film."""
+    settled_margins: float = 2.5e-4
+    """Nor do other margins, once a sheet has settled, that move the film by less than this."""
     matched: bool = True
     """Whether the cells are matched to their mean in a round of its own, which reaches farther, before they are
     registered."""
@@ -188,6 +190,12 @@ class Progress:
         """The map that it has come to, into the scene's photo."""
         return self.attempt.displacement.composed(self.scene.coarse)
 
+    def is_last(self, config: RefineConfig) -> bool:
+        """Whether no further sheet can change anything: the last round moved nothing, and margins have been tried."""
+        if self.sheets == 1 and undecided(self.attempt.evidence, config.grid, config.margins):
+            return False
+        return self.settled
+
 
 def begin(scene: Scene, outline: Sequence[Sightings], config: RefineConfig) -> Progress:
     """Before the first round. outline: the edges as seen through the scene's map."""
@@ -244,7 +252,7 @@ def _round(
 
 def unstretched(progress: Progress, config: RefineConfig, watch: Stopwatch) -> Progress | None:
     """One more round, from the map of the unstretched sheet that explains best what the last round saw; None where
-    there is none."""
+    there is none, or where other margins move nothing of what has settled."""
     attempt, scene = progress.attempt, progress.scene
     seen = tuple(e.subset(w > config.counts) for e, w in zip(attempt.evidence, attempt.weights, strict=True))
     if sum(e.source is None for e in attempt.evidence) < config.sheet.least_edges:
@@ -261,6 +269,8 @@ def unstretched(progress: Progress, config: RefineConfig, watch: Stopwatch) -> P
     placed = PlacedPrint(sheet, attempt.evidence, seen)
     if progress.sheets == 1:  # the first sheet is too far off to tell margins, and the third tells what the second did
         placed = usual_margins(placed, fit, config.grid, config.margins)
+        if progress.settled and mean_move(sheet.backward, placed.sheet.backward) < config.settled_margins:
+            return None
     sheet = placed.sheet
     if sheet.backward.folds((33, 33)):
         return None

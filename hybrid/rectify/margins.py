@@ -67,6 +67,13 @@ def usual_margins(found: PlacedPrint, fit: Fit, grid: GridConfig, config: Margin
     return found
 
 
+def undecided(evidence: Sequence[Evidence], grid: GridConfig, config: MarginsConfig) -> bool:
+    """Whether along some axis the print may have such margins, and is not yet held to them."""
+    sources = [e.source for e in evidence if e.source is not None]
+    held = {source.axis for source in sources if _held_to_usual(source, grid)}
+    return any(source.axis not in held and _nearly_usual(source, config) for source in sources)
+
+
 def in_place(e: Evidence, config: MarginsConfig) -> Evidence:
     """Evidence of a print whose place is known, with that as a prior; any other as it is."""
     if isinstance(e.source, Comb) and e.source.centred:
@@ -77,6 +84,16 @@ def in_place(e: Evidence, config: MarginsConfig) -> Evidence:
 
 
 # ---------------------------------------------------------------- what is tried, and what it may cost
+
+
+def _held_to_usual(source: Comb | Repeats, grid: GridConfig) -> bool:
+    return source.filling if isinstance(source, Repeats) else source.centred or source.fills_film(grid)
+
+
+def _nearly_usual(source: Comb | Repeats, config: MarginsConfig) -> bool:
+    filled = source.cells * source.pitch
+    in_the_middle = isinstance(source, Comb) and abs(source.first + 0.5 * filled - 0.5) < config.off_middle
+    return bool(in_the_middle or abs(1.0 - filled) <= config.filling)
 
 
 def _filling(
@@ -146,4 +163,4 @@ def _held(e: Evidence, sigma: dict[int, float]) -> Evidence:
     return replace(e, sightings=replace(e.sightings, shared_sigma=deviations))
 
 
-__all__ = ["MarginsConfig", "PlacedPrint", "in_place", "usual_margins"]
+__all__ = ["MarginsConfig", "PlacedPrint", "in_place", "undecided", "usual_margins"]

@@ -1,7 +1,7 @@
 """A coarse backward map made exact to a fraction of a pixel by what the photo shows of the sheet and its print.
 
 From a map to start from, the sheet's edges and what is printed on it are looked for, round for round, and fitted by a
-smooth displacement (course.py). Then one bent sheet that does not stretch is fitted to all that was seen
+smooth displacement (course.py). Then one bent sheet that does not stretch, or hardly, is fitted to all that was seen
 (sheet_fit.py), and all is looked for again through its map: that counts if it explains what is seen as well.
 """
 
@@ -31,15 +31,8 @@ from hybrid.rectify.course import (
 )
 from hybrid.rectify.outline import find_outline
 from hybrid.rectify.scene import phases_along, scene_of
+from hybrid.rectify.sheet_fit import FittedSheet
 from hybrid.rectify.sightings import Sightings
-
-UNSTRETCHED = (
-    "no sheet that does not stretch explains what is seen",
-    "edges and print are those of an unstretched sheet",
-)
-"""What the report of stage ``sheet`` says where the end is not that of a sheet, and where it is."""
-NOT_TRIED = "no sheet is fitted in this effort"
-"""What it says where none was tried."""
 
 
 @dataclass(frozen=True)
@@ -136,11 +129,10 @@ def refine(
         grid = replace(grid, vertices=vertices, vertices_photo=backward.photo_from_film(vertices))
     watch.lap("grid")
     bound = changed and course.sheet is not None
-    about_sheet = UNSTRETCHED[bound] if config.sheet_rounds else NOT_TRIED
     stages = (
         StageReport("outline", course.edges > 0, f"{course.edges} of 4 edges", watch["outline"]),
         StageReport("grid", grid is not None, course.layout.reason(reading), watch["grid"]),
-        StageReport("sheet", bound, about_sheet, watch["sheet"]),
+        StageReport("sheet", bound, _about_sheet(course.sheet if bound else None, config), watch["sheet"]),
         StageReport("spline", changed, course.verdict, watch["spline"]),
     )
     return Refinement(
@@ -153,6 +145,16 @@ def refine(
         aspect=aspect if changed else None,
         stands=course.believed,
     )
+
+
+def _about_sheet(sheet: FittedSheet | None, config: RefineConfig) -> str:
+    """What the report says of the sheet that explains what is seen, or (None) of there being none."""
+    if not config.sheet_rounds:
+        return "no sheet is fitted in this effort"
+    if sheet is None:
+        return "no sheet explains what is seen"
+    kind = "a sheet that stretches" if sheet.strain > config.sheet.strain else "an unstretched sheet"
+    return f"edges and print are those of {kind}"
 
 
 def _film_of(
@@ -174,7 +176,7 @@ def _course(begun: Progress, config: RefineConfig, watch: Stopwatch) -> Course |
         if further is None:
             break
         sheet = further
-        if sheet.settled:
+        if sheet.is_last(config):
             break
     free = ended(progress, config, watch)
     if not config.sheet_rounds:

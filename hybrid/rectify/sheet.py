@@ -45,6 +45,10 @@ class SheetConfig:
     """Standard deviation of the network's map; smooth, so that all nodes tell as much as six."""
     strain: float = 1.5e-3
     """Standard deviation of the strain at 40 places: what the splines cannot follow; film itself strains far less."""
+    stretched: float = 6e-3
+    """The same of sheets that do stretch: tried where others are ``doubtful``."""
+    stretched_gain: float = 0.95
+    """It counts if the cost is less than this part then."""
     bending: tuple[float, ...] = (120.0, 25.0, 5.0)
     """Weights of the mean squared second derivatives, in units of the film's height: of most films, of those that are
     bent sharply, and of those that are rolled."""
@@ -57,6 +61,12 @@ class SheetConfig:
     same_relief: float = 0.05
     """That is the same sheet again where no coefficient lies this far, in film heights, from where it was."""
     reversed_gain: float = 0.75
+    """It counts if the cost is less than this part then."""
+    coarse: float = 0.4
+    """Cost for each point that is seen from which on a finer spline is tried."""
+    finer: int = 8
+    """Its knot intervals."""
+    finer_gain: float = 0.9
     """It counts if the cost is less than this part then."""
     focal: float = 1.1
     """Usual focal length of a phone, in sides of the photo."""
@@ -78,6 +88,11 @@ class SheetConfig:
     def near(self) -> SheetConfig:
         """The same options for such sheets."""
         return replace(self, settled=self.settled_near)
+
+    @property
+    def elastic(self) -> SheetConfig:
+        """The same options for a sheet that stretches."""
+        return replace(self, strain=self.stretched)
 
 
 @dataclass(frozen=True)

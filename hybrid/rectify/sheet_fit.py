@@ -8,6 +8,8 @@ computational model of bounded developable surfaces"). Edges alone do not always
 axis may be mistaken for another. Lines and cells printed on it tell the rest, and the sheet in turn tells what they
 leave open, as where between the edges the grid lies and how wide its cells are.
 
+Where none explains what is seen, as of cloth in a simulation, one that stretches a little is tried, and finer splines.
+
 Fitted at once are the surface, the camera, the sheet's ratio of sides, and the constants that sightings share.
 Minimised are the distances of what is seen from where it should be, strain, bending, and, weakly, the distance from the
 network's map: Gauss-Newton steps with Levenberg's damping.
@@ -35,7 +37,7 @@ class FittedSheet:
     """A sheet and its map.
 
     cost: half the sum of squares, in deviations: how badly a sheet explains what was seen. constants: those that each
-    list of sightings shares. bending: weight of bending that it was found with.
+    list of sightings shares. bending, strain: the weight of bending and the deviation of strain that it was found with.
     """
 
     sheet: Sheet
@@ -43,6 +45,7 @@ class FittedSheet:
     cost: float
     constants: tuple[Float[np.ndarray, " _"], ...]
     bending: float
+    strain: float
 
 
 def fit_sheet(
@@ -53,7 +56,8 @@ def fit_sheet(
     config: SheetConfig,
     before: FittedSheet | None = None,
 ) -> FittedSheet | None:
-    """The unstretched sheet that explains best what is seen of its edges and its print; None where the fit fails.
+    """The sheet that explains best what is seen of its edges and its print; None where the fit fails. It does not
+    stretch, unless only one that does explains that.
 
     near: a map that is near, to start from, and from ``before`` if that is its sheet. through: the map through which
     the sightings were made. size: (height, width) of the photo, whose centre the camera looks at.
@@ -62,12 +66,48 @@ def fit_sheet(
     problem = Problem(seen_through(through, sightings, frame, config), _target(near, frame), config.bending[0], config)
     try:
         if before is not None:
-            problem = replace(problem, bending=before.bending, config=config.near)
+            problem = replace(problem, bending=before.bending, config=replace(config.near, strain=before.strain))
             return _result(minimised(problem, problem.begun(before.sheet), config.steps[2]), frame, sightings, problem)
-        state, problem = _bent_either_way(problem, near, frame)
+        state, problem = _as_stretched_as_needed(problem, near, frame)
     except LinAlgError:
         return None
+    state = _as_fine_as_needed(problem, state)
     return _result(state, frame, sightings, problem)
+
+
+def _as_fine_as_needed(problem: Problem, state: State) -> State:
+    """The sheet on finer splines, where it explains badly what is seen on coarser ones and these do so better."""
+    config = problem.config
+    if state.cost < config.coarse * len(problem.seen.along):
+        return state
+    try:
+        begun = replace(state, sheet=state.sheet.finer(config.finer))
+        found = minimised(replace(problem, config=config.near), begun, config.steps[1])
+    except LinAlgError:
+        return state
+    return found if found.cost < config.finer_gain * state.cost else state
+
+
+def _as_stretched_as_needed(problem: Problem, near: BackwardMap, frame: Frame) -> tuple[State, Problem]:
+    """The sheet that explains best what is seen, and the problem it solves.
+
+    Where one that does not stretch explains badly what is seen, one that does is tried: as the map has it, and bent the
+    other way round if that is no better.
+    """
+    config = problem.config
+    firm = _bent_either_way(problem, near, frame)
+    if firm[0].cost < config.doubtful * len(problem.seen.along):
+        return firm
+    elastic, enough = replace(problem, config=config.elastic), config.stretched_gain * firm[0].cost
+    try:
+        blind = _blind(elastic, near, frame)
+        start = _near_map(blind, near, frame)
+        found = _as_bent_as_needed(elastic, elastic.begun(start))
+        if found[0].cost >= enough:
+            found = _mirrored(elastic, blind, start) or found
+    except LinAlgError:
+        return firm
+    return found if found[0].cost < enough else firm
 
 
 def _bent_either_way(problem: Problem, near: BackwardMap, frame: Frame) -> tuple[State, Problem]:
@@ -140,7 +180,8 @@ def _result(state: State, frame: Frame, sightings: Sequence[Sightings], problem:
     if backward is None:
         return None
     ends = np.cumsum([s.shared.shape[1] for s in sightings])
-    return FittedSheet(state.sheet, backward, state.cost, tuple(np.split(state.constants, ends[:-1])), problem.bending)
+    constants = tuple(np.split(state.constants, ends[:-1]))
+    return FittedSheet(state.sheet, backward, state.cost, constants, problem.bending, problem.config.strain)
 
 
 __all__ = ["FittedSheet", "fit_sheet"]
