@@ -20,7 +20,7 @@ from hybrid.rectify.plane import PlaneConfig
 from hybrid.rectify.refine import RefineConfig
 from hybrid.rectify.resample import ResampleConfig
 from hybrid.rectify.survey import SurveyConfig
-from hybrid.rectify.trust import TrustConfig
+from hybrid.rectify.trust import ErrorConfig, TrustConfig
 
 Effort = Literal["fast", "default", "thorough"]
 """How much work a photo is worth; RectifyConfig.of says what each of them does."""
@@ -72,7 +72,8 @@ class RectifyConfig:
                 predict=PredictConfig(sides=(0,)),
                 refine=RefineConfig(matched=False, sheet_rounds=0),
                 resample=ResampleConfig(cubic_below=0.0),
-                trust=TrustConfig(limit_px=10.0, constant=1.37),  # without a sheet 3.6 times the error is left
+                # without a sheet 3.6 times the error is left
+                trust=TrustConfig(limit_px=10.0, error=ErrorConfig(constant=1.37)),
             ),
             "default": RectifyConfig(),
             "thorough": RectifyConfig(again_above=0.0013),

@@ -16,7 +16,7 @@ from hybrid.learn.network import FilmNet
 from hybrid.learn.predict import look, look_from_sides
 from hybrid.learn.views import film_view, plane_of, whole_view
 from hybrid.pyramid import Photo, Pyramid
-from hybrid.records import CoarseMaps, StageReport, StatusCode
+from hybrid.records import CoarseMaps, Signs, StageReport, StatusCode
 from hybrid.rectify.cell_phases import CellPhases
 from hybrid.rectify.consensus import geometric_median
 from hybrid.rectify.edge_paths import EdgesRead, edge_support, look_across, put_on_edges, read_edges
@@ -26,7 +26,7 @@ from hybrid.rectify.invert import Inversion, NotInverted, agreed, change, fit_ba
 from hybrid.rectify.plane import flat_film
 from hybrid.rectify.refine import Refinement, refine
 from hybrid.rectify.survey import SurveyConfig, Verdict, expected_error, survey_maps, survey_print
-from hybrid.rectify.trust import expected_error_px, film_verdict, signs_of
+from hybrid.rectify.trust import film_verdict, signs_of
 from hybrid.strips import EdgeReader
 
 WIDER = 1.25
@@ -287,8 +287,8 @@ def trusted(
     flat: bool,
     config: RectifyConfig,
     clock: Clock,
-) -> tuple[Verdict, float]:
-    """Whether the map is as good as certain, and the error to be expected in pixels; the networks look once more.
+) -> tuple[Verdict, Signs]:
+    """Whether the map is as good as certain, and what speaks for it and against it; the networks look once more.
 
     flat: whether the photo was found to be the flat film itself.
     """
@@ -303,7 +303,7 @@ def trusted(
         signs = signs_of(pyramid, seen.maps, coarse.backward, refinement, again.enlarged(seen.factor), support, flat)
         verdict = film_verdict(signs, config.trust)
         report.reason = verdict.reason
-    return verdict, expected_error_px(signs, config.trust)
+    return verdict, signs
 
 
 def _exactly(

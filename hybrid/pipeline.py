@@ -40,7 +40,7 @@ from hybrid.rectify.invert import Inversion, NotInverted, agreed
 from hybrid.rectify.refine import Refinement
 from hybrid.rectify.resample import Rectified, rectify_photo
 from hybrid.rectify.survey import survey_photo
-from hybrid.rectify.trust import largest_error_px
+from hybrid.rectify.trust import expected_error_px, largest_error_px
 from hybrid.strips import EdgeReader
 from hybrid.threads import one_thread
 
@@ -153,15 +153,19 @@ class Rectifier:
         flat = flat_itself(pyramid, inversion.backward, phases, refinement, self.config, clock)
         refinement = flat or refinement
         clock.counts(refinement)
-        verdict, expected = trusted(
+        verdict, signs = trusted(
             self._network, self._edges, pyramid, seen, refinement, flat is not None, self.config, clock
         )
         if verdict.code is StatusCode.NO_FILM:
             return RectifyResult(Status(verdict.code), clock.reports)
         result = self._finish(pyramid, maps, refinement, flat is not None, clock)
-        limit = largest_error_px(max(photo.shape[:2]), self.config.trust)
-        status = Status(verdict.code, verdict.doubts)
-        return replace(result, status=status, expected_error_px=expected, limit_px=limit)
+        return replace(
+            result,
+            status=Status(verdict.code, verdict.doubts),
+            expected_error_px=expected_error_px(signs, self.config.trust),
+            limit_px=largest_error_px(signs.photo_px, self.config.trust),
+            signs=signs,
+        )
 
     def _finish(
         self, pyramid: Pyramid, maps: CoarseMaps, refinement: Refinement, is_flat: bool, clock: Clock

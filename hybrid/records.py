@@ -151,6 +151,51 @@ class StageReport:
         return f"{self.name:<14} {'ran' if self.ran else 'skipped':<8} {1e3 * self.seconds:7.1f} ms  {self.reason}"
 
 
+@dataclass(frozen=True)
+class Signs:
+    """What speaks for a map and against it.
+
+    overlap_before: intersection over union of the network's mask with the sheet's outline before refinement.
+    overlap_after: the same of the mask seen in one more look, with the outline of the finished map.
+    shift: mean displacement between the finished map and what that look sees, in parts of the film's size.
+    seen_beside: root mean square over the film of that displacement, smoothed to a quadratic function of film points.
+    held_out: residual of sightings that the correction was not fitted to, in stated deviations.
+    alike: share of the detail that the cells have in common beyond what chance gives, 0 without a grid.
+    oblong: absolute logarithm of the ratio of a cell's sides.
+    grid: whether the grid is known along both axes. corrected: whether the correction was believed.
+    edges: number of the sheet's edges that were seen.
+    film_px, photo_px: side of a square of the film's area in the photo, and the photo's longer side.
+    flat: whether the photo was found to be the flat film itself; nothing else counts then.
+    stated: the error that refinement itself expects, in parts of the film's size.
+    levels: number of grey levels, of 255, that the photo makes use of.
+    support: least mean probability, over the sides, that the sheet's edge lies where the finished map puts it.
+    in_step: agreement of the grid with what the last look tells of the cells, along the worse axis; 0 without a grid.
+    cells_beside: how far the grid lies beside these cells, in film units, both axes together.
+    confidence: of the grid, 0 without one. mean_support: as support, but the mean.
+    """
+
+    overlap_before: float
+    overlap_after: float
+    shift: float
+    held_out: float
+    alike: float
+    oblong: float
+    grid: bool
+    corrected: bool
+    edges: int
+    film_px: float
+    photo_px: int
+    stated: float
+    levels: float
+    support: float
+    in_step: float
+    seen_beside: float
+    cells_beside: float
+    confidence: float
+    mean_support: float
+    flat: bool = False
+
+
 @dataclass(frozen=True, eq=False)
 class RectifyResult:
     """All that is known about one photo. Everything but status and stages is None unless ``status.has_film``.
@@ -170,6 +215,7 @@ class RectifyResult:
     limit_px: largest distance, in pixels of the photo, that a film whose status is OK may be off in truth; effort fast
         allows more. That it is off by less must be 94 % probable (``TrustConfig.least_chance``), and nothing else may
         speak against it (``status.doubts``).
+    signs: what speaks for the map and against it, of which both are told (``rectify/trust.py``).
     photo: of a film fused from several photos the index of the one that rectified, backward and the grid's vertices in
         the photo are of: the first in which a film was found.
     """
@@ -187,6 +233,7 @@ class RectifyResult:
     confidence: Float[np.ndarray, "h w"] | None = field(default=None, repr=False)
     expected_error_px: float | None = None
     limit_px: float | None = None
+    signs: Signs | None = None
     photo: int = 0
 
     def slices(self) -> list[Float[np.ndarray, "sh sw"]]:

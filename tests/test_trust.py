@@ -11,16 +11,16 @@ from synthetic_film import FilmDrawing, disturbed, make_photo
 from hybrid.backward import BackwardMap
 from hybrid.coords import film_nodes
 from hybrid.pyramid import Pyramid
-from hybrid.records import SliceGrid, StatusCode
+from hybrid.records import Signs, SliceGrid, StatusCode
 from hybrid.rectify.flat import already_flat, frame_of
 from hybrid.rectify.refine import Refinement
-from hybrid.rectify.trust import Signs, TrustConfig, cells_alike, chance_right, expected_error_px, film_verdict
+from hybrid.rectify.trust import TrustConfig, cells_alike, chance_right, expected_error_px, film_verdict
 
 TOO_FAR = f"px of error expected, {TrustConfig().safety * TrustConfig().limit_px:.1f} allowed"
 
 SURE = Signs(
     overlap_before=0.99, overlap_after=0.995, shift=0.001, held_out=0.9, alike=0.7, oblong=0.02, grid=True,
-    corrected=True, edges=4, film_px=700.0, photo_px=1080, stated=0.0008, support=0.97, in_step=0.98,
+    corrected=True, edges=4, film_px=700.0, photo_px=1080, stated=0.0008, levels=255.0, support=0.97, in_step=0.98,
     seen_beside=0.003, cells_beside=0.005, confidence=0.95, mean_support=0.98,
 )  # fmt: skip
 

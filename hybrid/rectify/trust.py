@@ -9,6 +9,7 @@ Eight signs are musts: without them, photos exist on which all the others speak 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import cv2
@@ -20,7 +21,7 @@ from hybrid.coords import film_centres_1d
 from hybrid.errors import require_at_least
 from hybrid.film_view import view_film
 from hybrid.pyramid import Pyramid
-from hybrid.records import CoarseMaps, SliceGrid, StatusCode
+from hybrid.records import CoarseMaps, Signs, SliceGrid, StatusCode
 from hybrid.rectify.cell_phases import CellPhases
 from hybrid.rectify.refine import Refinement
 from hybrid.rectify.repeat import Repeats, cell_agreement
@@ -50,7 +51,7 @@ class ChanceConfig:
     """How probable it is that a map is right to a limit: a logistic regression over 934 maps of simulated photos of the
     training scans, with limits of 4, 5 and 6 pixels of a photo of 1080.
 
-    Each sign but the limit counts by its logarithm, as Signs has it: limit: of the error, in parts of the film.
+    Each sign counts by its logarithm (``chance_features``). limit: of the error, in parts of the film.
     seen_beside, cells_beside, stated: as they are. unsure: what the grid's confidence lacks to 1. unsupported: what the
     mean over the sides of the probability that an edge is there lacks to 1.
     """
@@ -65,12 +66,28 @@ class ChanceConfig:
 
 
 @dataclass(frozen=True)
+class ErrorConfig:
+    """Which error is to be expected: the logarithm of the error, in parts of the film, as a linear function of the
+    signs (``error_features``), fitted by absolute deviations to photos of training scans with truth, as they are and
+    damaged."""
+
+    constant: float = 0.09
+    overlap_before: float = 0.18
+    overlap_after: float = 0.10
+    shift: float = 0.16
+    held_out: float = 0.23
+    unlike: float = 0.23
+    oblong: float = 0.37
+    stated: float = 0.57
+    unsupported: float = 0.34
+    out_of_step: float = 0.12
+
+
+@dataclass(frozen=True)
 class TrustConfig:
     """From which error on a film is not called flattened, and how an error is predicted.
 
-    The weights are those of a fit (of absolute deviations) of the logarithm of the error, in parts of the film, to
-    photos of training scans with truth, as they are and damaged. The typical error tells little of how probable a large
-    one is: for that ``chance`` has weights of its own.
+    The typical error tells little of how probable a large one is: for that ``chance`` has weights of its own.
     """
 
     limit_px: float = 5.0
@@ -81,6 +98,8 @@ class TrustConfig:
     """Least probability that the error is below the limit."""
     chance: ChanceConfig = ChanceConfig()
     """How that is told."""
+    error: ErrorConfig = ErrorConfig()
+    """How the error to be expected is told."""
     min_edges: int = 4
     """Least number of the sheet's edges that are seen: what only repeats tells neither place nor size, and a printed
     line may be taken for the edge that is not seen."""
@@ -97,64 +116,9 @@ class TrustConfig:
     """Least agreement of the cells: noise repeats by chance, too."""
     min_levels: float = 20.0
     """Least number of grey levels that the photo makes use of: over fewer, gutters look like the sheet's edges."""
-    constant: float = 0.09
-    overlap_before: float = 0.18
-    overlap_after: float = 0.10
-    shift: float = 0.16
-    held_out: float = 0.23
-    unlike: float = 0.23
-    oblong: float = 0.37
-    stated: float = 0.57
-    unsupported: float = 0.34
-    out_of_step: float = 0.12
 
     def __post_init__(self) -> None:
         require_at_least(self, 0, "limit_px")
-
-
-@dataclass(frozen=True)
-class Signs:
-    """What speaks for a map and against it.
-
-    overlap_before: intersection over union of the network's mask with the sheet's outline before refinement.
-    overlap_after: the same of the mask seen in one more look, with the outline of the finished map.
-    shift: mean displacement between the finished map and what that look sees, in parts of the film's size.
-    seen_beside: root mean square over the film of that displacement, smoothed to a quadratic function of film points.
-    held_out: residual of sightings that the correction was not fitted to, in stated deviations.
-    alike: share of the detail that the cells have in common beyond what chance gives, 0 without a grid.
-    oblong: absolute logarithm of the ratio of a cell's sides.
-    grid: whether the grid is known along both axes. corrected: whether the correction was believed.
-    edges: number of the sheet's edges that were seen.
-    film_px, photo_px: side of a square of the film's area in the photo, and the photo's longer side.
-    flat: whether the photo was found to be the flat film itself; nothing else counts then.
-    stated: the error that refinement itself expects, in parts of the film's size.
-    levels: number of grey levels, of 255, that the photo makes use of.
-    support: least mean probability, over the sides, that the sheet's edge lies where the finished map puts it.
-    in_step: agreement of the grid with what the last look tells of the cells, along the worse axis; 0 without a grid.
-    cells_beside: how far the grid lies beside these cells, in film units, both axes together.
-    confidence: of the grid, 0 without one. mean_support: as support, but the mean.
-    """
-
-    overlap_before: float
-    overlap_after: float
-    shift: float
-    held_out: float
-    alike: float
-    oblong: float
-    grid: bool
-    corrected: bool
-    edges: int
-    film_px: float
-    photo_px: int
-    flat: bool = False
-    stated: float = UNKNOWN_STATED
-    levels: float = 255.0
-    support: float = 1.0
-    in_step: float = 1.0
-    seen_beside: float = 0.0
-    cells_beside: float = 0.0
-    confidence: float = 1.0
-    mean_support: float = 1.0
 
 
 def signs_of(
@@ -205,19 +169,23 @@ def expected_error_px(signs: Signs, config: TrustConfig | None = None) -> float:
     config = config or TrustConfig()
     if signs.flat:
         return FLAT_ERROR * signs.film_px
-    terms = (
-        config.constant,
-        config.overlap_before * _miss(signs.overlap_before),
-        config.overlap_after * _miss(signs.overlap_after),
-        config.shift * float(np.log(min(signs.shift, 1.0) + 1e-4)),
-        config.held_out * float(np.log(np.clip(signs.held_out, 0.5, 8.0))),
-        config.unlike * (1.0 - signs.alike),
-        config.oblong * signs.oblong,
-        config.stated * float(np.log(np.clip(signs.stated, 3e-4, 0.05))),
-        config.unsupported * float(np.log(1.03 - min(signs.support, 1.0))),
-        config.out_of_step * float(np.log(1.01 - min(signs.in_step, 1.0))),
-    )
-    return float(np.exp(sum(terms))) * signs.film_px
+    return float(np.exp(_weighted(error_features(signs), config.error))) * signs.film_px
+
+
+def error_features(signs: Signs) -> dict[str, float]:
+    """What the weights of ErrorConfig are of."""
+    return {
+        "constant": 1.0,
+        "overlap_before": _miss(signs.overlap_before),
+        "overlap_after": _miss(signs.overlap_after),
+        "shift": float(np.log(min(signs.shift, 1.0) + 1e-4)),
+        "held_out": float(np.log(np.clip(signs.held_out, 0.5, 8.0))),
+        "unlike": 1.0 - signs.alike,
+        "oblong": signs.oblong,
+        "stated": _log_stated(signs),
+        "unsupported": float(np.log(1.03 - min(signs.support, 1.0))),
+        "out_of_step": float(np.log(1.01 - min(signs.in_step, 1.0))),
+    }
 
 
 def chance_right(signs: Signs, config: TrustConfig | None = None) -> float:
@@ -225,17 +193,21 @@ def chance_right(signs: Signs, config: TrustConfig | None = None) -> float:
     config = config or TrustConfig()
     if signs.flat:
         return 1.0
-    weights = config.chance
-    odds = (
-        weights.constant,
-        weights.limit * float(np.log(largest_error_px(signs.photo_px, config) / max(signs.film_px, 1e-9))),
-        weights.seen_beside * float(np.log(min(signs.seen_beside, 1.0) + 1e-3)),
-        weights.cells_beside * float(np.log(signs.cells_beside + 1e-3)),
-        weights.stated * float(np.log(np.clip(signs.stated, 3e-4, 0.05))),
-        weights.unsure * float(np.log(1.001 - signs.confidence)),
-        weights.unsupported * float(np.log(1.03 - min(signs.mean_support, 1.0))),
-    )
-    return float(1.0 / (1.0 + np.exp(-sum(odds))))
+    odds = _weighted(chance_features(signs, largest_error_px(signs.photo_px, config)), config.chance)
+    return float(1.0 / (1.0 + np.exp(-odds)))
+
+
+def chance_features(signs: Signs, limit_px: float) -> dict[str, float]:
+    """What the weights of ChanceConfig are of. limit_px: of the error, in pixels of the photo."""
+    return {
+        "constant": 1.0,
+        "limit": float(np.log(limit_px / max(signs.film_px, 1e-9))),
+        "seen_beside": float(np.log(min(signs.seen_beside, 1.0) + 1e-3)),
+        "cells_beside": float(np.log(signs.cells_beside + 1e-3)),
+        "stated": _log_stated(signs),
+        "unsure": float(np.log(1.001 - signs.confidence)),
+        "unsupported": float(np.log(1.03 - min(signs.mean_support, 1.0))),
+    }
 
 
 def largest_error_px(photo_px: int, config: TrustConfig) -> float:
@@ -319,6 +291,15 @@ def _repeats(grid: SliceGrid, axis: int) -> Repeats:
     return Repeats(axis, float(lines[0]), float(lines[-1] - lines[0]) / cells, cells)
 
 
+def _weighted(features: Mapping[str, float], weights: ChanceConfig | ErrorConfig) -> float:
+    """Sum of the features, each with its weight."""
+    return sum(getattr(weights, name) * value for name, value in features.items())
+
+
+def _log_stated(signs: Signs) -> float:
+    return float(np.log(np.clip(signs.stated, 3e-4, 0.05)))
+
+
 def _miss(overlap: float) -> float:
     """Logarithm of what is missing to full overlap, with what the network's resolution always leaves missing."""
     return float(np.log(1.003 - min(overlap, 1.0)))
@@ -349,10 +330,12 @@ def _oblong(backward: BackwardMap, grid: SliceGrid, aspect: float | None) -> flo
 
 __all__ = [
     "ChanceConfig",
-    "Signs",
+    "ErrorConfig",
     "TrustConfig",
     "cells_alike",
+    "chance_features",
     "chance_right",
+    "error_features",
     "expected_error_px",
     "film_verdict",
     "largest_error_px",

@@ -1,0 +1,172 @@
+"""Whether films that are called ``OK`` are right: ``python -m benchmarks.verdict --data DIR [DIR ...] --json OUT``.
+
+Photos of data sets are rectified, and their errors set against the probability that ``hybrid.rectify.trust`` gives them
+and against the error that it expects. Its weights are fitted anew, too (``verdict_fit.py``), and judged on sheets that
+they were not fitted to.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from functools import partial
+from itertools import pairwise
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import tyro
+from tqdm import tqdm
+
+from benchmarks.cases import Case, read_alike, sample_cases
+from benchmarks.command import run_command, write_figures
+from benchmarks.verdict_fit import Judged, fit_chance, fit_error, trust_of_others
+from hybrid.backward import end_point_error
+from hybrid.coords import film_nodes
+from hybrid.effort import Effort, RectifyConfig
+from hybrid.errors import HybridError, require_at_least
+from hybrid.pipeline import Rectifier
+from hybrid.rectify.trust import TrustConfig, chance_right, expected_error_px, film_verdict
+from hybrid.workers import shared_out
+
+BINS = (0.0, 0.5, 0.8, 0.9, 0.94, 0.97, np.nextafter(1.0, 2.0))
+"""Bounds of the probabilities of which films are counted together."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """Judge whether films that are called OK are right, and fit the verdict's weights anew."""
+
+    data: tuple[Path, ...]
+    """Data sets made by data_gen.generate."""
+
+    json_path: Annotated[Path, tyro.conf.arg(name="json")]
+    """File for all figures, and the signs of each film."""
+
+    effort: Effort = "default"
+    """How much work a photo is worth."""
+
+    every: int = 1
+    """Of the photos, every so many."""
+
+    workers: int = 2
+    """Photos judged at a time, each by a process."""
+
+    def __post_init__(self) -> None:
+        require_at_least(self, 1, "every", "workers")
+
+
+# ---------------------------------------------------------------- judging photos
+
+
+@dataclass(frozen=True, eq=False)
+class Judge:
+    """What judges photos: data sets, and a rectifier."""
+
+    cases: list[Case]
+    rectifier: Rectifier
+
+    @staticmethod
+    def of(options: Options) -> Judge:
+        """A new one."""
+        return Judge(sample_cases(options.data), Rectifier(RectifyConfig.of(options.effort)))
+
+    def __call__(self, number: int) -> Judged | None:
+        """A photo's film; None where none is found."""
+        return judged(self.cases[number], self.rectifier)
+
+
+def judged(case: Case, rectifier: Rectifier) -> Judged | None:
+    """The film of a data set's photo, read whichever way comes nearest to the truth; None where none is found."""
+    result = rectifier(case.photo())
+    if result.backward is None or result.signs is None:
+        return None
+    assert not isinstance(case.source, Path)
+    shard, k = case.source
+    near, _ = read_alike(result.backward, case.backward)
+    error = end_point_error(near, case.backward.photo_from_film(film_nodes((33, 33)))).mean()
+    return Judged(
+        f"{shard.path.parent} {shard.record(k)['film']}", shard.record(k)["photo"], float(error), result.signs
+    )
+
+
+def judge_all(options: Options) -> tuple[list[Judged], int]:
+    """The films that are found, and the number of photos.
+
+    Raises:
+        DataError: a data set cannot be read.
+    """
+    numbers = range(0, len(sample_cases(options.data)), options.every)
+    found = list[Judged]()
+    answers = shared_out(Judge.__call__, partial(Judge.of, options), numbers, options.workers)
+    for answer in tqdm(answers, total=len(numbers), unit="photo"):
+        if isinstance(answer, HybridError):
+            raise answer
+        found += [] if answer is None else [answer]
+    return found, len(numbers)
+
+
+# ---------------------------------------------------------------- figures
+
+
+def figures(films: Sequence[Judged], photos: int, trust: TrustConfig) -> dict[str, Any]:
+    """How many films are right, called ``OK``, and called so wrongly, with the options' weights and with such as were
+    fitted to other sheets; how often those of some probability are right; the error, in what was expected (quantiles);
+    and the weights fitted to all films."""
+    right = np.array([one.right(trust) for one in films])
+    chances = np.array([chance_right(one.signs, trust) for one in films])
+    ratios = [one.error_px / expected_error_px(one.signs, trust) for one in films]
+    parts = [(low, high, (chances >= low) & (chances < high)) for low, high in pairwise(BINS)]
+    return {
+        "photos": photos,
+        "films": len(films),
+        "right": int(right.sum()),
+        "packaged": counted(films, [trust] * len(films)),
+        "fitted_to_others": counted(films, trust_of_others(films, trust)),
+        "by_probability": [
+            {"from": low, "to": min(high, 1.0), "films": int(part.sum()), "right": int(right[part].sum())}
+            for low, high, part in parts
+        ],
+        "error_in_expected": {str(q): float(np.quantile(ratios, q)) for q in (0.1, 0.5, 0.9)},
+        "fitted": {"chance": asdict(fit_chance(films, trust)), "error": asdict(fit_error(films))},
+    }
+
+
+def counted(films: Sequence[Judged], trust: Sequence[TrustConfig]) -> dict[str, int]:
+    """Films called ``OK``, each with its own options, and how many of these are not right."""
+    called = [
+        one.right(options)
+        for one, options in zip(films, trust, strict=True)
+        if film_verdict(one.signs, options).ok
+    ]  # fmt: skip
+    return {"ok": len(called), "wrong": len(called) - sum(called)}
+
+
+# ---------------------------------------------------------------- the command
+
+
+def run(options: Options, command: list[str]) -> dict[str, Any]:
+    """Judge, print the figures, and write them as JSON."""
+    films, photos = judge_all(options)
+    found = figures(films, photos, RectifyConfig.of(options.effort).trust)
+    write_figures(options.json_path, command, {"figures": found, "films": [asdict(one) for one in films]})
+    print(f"{found['films']} films in {photos} photos, {found['right']} right")
+    for name, whose in (("packaged", "packaged weights"), ("fitted_to_others", "weights fitted to other sheets")):
+        print(f"{whose}: {found[name]['ok']} OK, {found[name]['wrong']} of them wrongly")
+    for part in found["by_probability"]:
+        print(f"  {part['from']:.0%} to {part['to']:.0%} sure: {part['right']} of {part['films']} right")
+    low, middle, high = found["error_in_expected"].values()
+    print(f"error in what was expected: {middle:.2f} at the median, 80 % from {low:.2f} to {high:.2f}")
+    for name, weights in found["fitted"].items():
+        print(f"{name}: {', '.join(f'{key}={value}' for key, value in weights.items())}")
+    return found
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The command; 0 if it went through."""
+    return run_command("benchmarks.verdict", Options, run, arguments)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

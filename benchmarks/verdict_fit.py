@@ -1,0 +1,114 @@
+"""The verdict's two regressions, ``ChanceConfig`` and ``ErrorConfig``, fitted to films whose error is known."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+
+from hybrid.records import Signs
+from hybrid.rectify.trust import (
+    ChanceConfig,
+    ErrorConfig,
+    TrustConfig,
+    chance_features,
+    error_features,
+    largest_error_px,
+)
+
+LIMITS = (0.8, 1.0, 1.2)
+"""Limits of the error that the probability is fitted to, in those of the effort: more is learnt of them together."""
+RIDGE = 3.0
+"""Precision of a weight's prior, of signs in their standard deviations: those that tell alike share what they tell."""
+FOLDS = 8
+STEPS = 60
+"""Reweighted least-squares steps: several times as many as change anything."""
+LEAST_DEVIATION = 0.05
+"""Deviations of a logarithm below this count as squares."""
+
+Scores = Float[np.ndarray, " n"]
+Reweighted = Callable[[Scores], tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]]
+"""Weights and targets of the next least-squares step, by the scores of the last."""
+
+
+@dataclass(frozen=True)
+class Judged:
+    """A film that was found in a photo, and its true mean end-point error in pixels of the photo.
+
+    sheet: names the film, of which there may be several photos.
+    """
+
+    sheet: str
+    photo: int
+    error_px: float
+    signs: Signs
+
+    def right(self, trust: TrustConfig) -> bool:
+        """Whether it may be called ``OK``."""
+        return self.error_px < largest_error_px(self.signs.photo_px, trust)
+
+
+def fit_chance(films: Sequence[Judged], trust: TrustConfig) -> ChanceConfig:
+    """The probability of a right map: a logistic regression on its features, by Newton's method."""
+    films = _bent(films)
+    cases = [(one, share * largest_error_px(one.signs.photo_px, trust)) for share in LIMITS for one in films]
+    right = np.array([one.error_px < limit for one, limit in cases], dtype=np.float64)
+
+    def reweighted(scores: Scores) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+        chance = 1.0 / (1.0 + np.exp(-np.clip(scores, -30.0, 30.0)))
+        weight = np.maximum(chance * (1.0 - chance), 1e-9)
+        return weight, scores + (right - chance) / weight
+
+    features = [chance_features(one.signs, limit) for one, limit in cases]
+    return ChanceConfig(**_fitted(features, reweighted, ("constant", "limit"), len(LIMITS) * RIDGE))
+
+
+def fit_error(films: Sequence[Judged]) -> ErrorConfig:
+    """The error to be expected: the least absolute deviations of its logarithm."""
+    films = _bent(films)
+    logs = np.log([max(one.error_px / max(one.signs.film_px, 1e-9), 1e-6) for one in films])
+
+    def reweighted(scores: Scores) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+        return 1.0 / np.maximum(np.abs(logs - scores), LEAST_DEVIATION), logs
+
+    return ErrorConfig(**_fitted([error_features(one.signs) for one in films], reweighted, ("constant",), RIDGE))
+
+
+def trust_of_others(films: Sequence[Judged], trust: TrustConfig) -> list[TrustConfig]:
+    """For each film the options with weights that were fitted to other sheets."""
+    number = {sheet: k % FOLDS for k, sheet in enumerate(sorted({one.sheet for one in films}))}
+    fitted = [
+        replace(trust, chance=fit_chance(others, trust), error=fit_error(others))
+        for others in ([one for one in films if number[one.sheet] != fold] for fold in range(FOLDS))
+    ]
+    return [fitted[number[one.sheet]] for one in films]
+
+
+def _bent(films: Sequence[Judged]) -> list[Judged]:
+    """All but photos that are the flat film themselves, of which nothing else is asked."""
+    return [one for one in films if not one.signs.flat]
+
+
+def _fitted(
+    features: Sequence[dict[str, float]], reweighted: Reweighted, free: Sequence[str], ridge: float
+) -> dict[str, float]:
+    """Weights of features by iterated least squares. free: features whose weight has no prior."""
+    names = list(features[0])
+    table = np.array([[one[name] for name in names] for one in features])
+    is_free = np.array([name in free for name in names])
+    middle = np.where(is_free, 0.0, table.mean(axis=0))
+    scale = np.where(is_free, 1.0, np.maximum(table.std(axis=0), 1e-9))
+    rows, prior = (table - middle) / scale, np.diag(np.where(is_free, 0.0, ridge))
+    weights = np.zeros(len(names))
+    for _ in range(STEPS):
+        weight, target = reweighted(rows @ weights)
+        weighted = rows * weight[:, None]
+        weights = np.linalg.solve(rows.T @ weighted + prior, weighted.T @ target)
+    weights /= scale
+    weights[names.index("constant")] -= weights @ middle
+    return dict(zip(names, np.round(weights, 3).tolist(), strict=True))
+
+
+__all__ = ["Judged", "fit_chance", "fit_error", "trust_of_others"]
