@@ -21,9 +21,9 @@ from tqdm import tqdm
 
 from benchmarks.cases import Case, read_alike, sample_cases
 from benchmarks.command import run_command, write_figures
+from benchmarks.scores import LATTICE
 from benchmarks.verdict_fit import Judged, fit_chance, fit_error, trust_of_others
 from hybrid.backward import end_point_error
-from hybrid.coords import film_nodes
 from hybrid.effort import Effort, RectifyConfig
 from hybrid.errors import HybridError, require_at_least
 from hybrid.pipeline import Rectifier
@@ -60,24 +60,7 @@ class Options:
 # ---------------------------------------------------------------- judging photos
 
 
-@dataclass(frozen=True, eq=False)
-class Judge:
-    """What judges photos: data sets, and a rectifier."""
-
-    cases: list[Case]
-    rectifier: Rectifier
-
-    @staticmethod
-    def of(options: Options) -> Judge:
-        """A new one."""
-        return Judge(sample_cases(options.data), Rectifier(RectifyConfig.of(options.effort)))
-
-    def __call__(self, number: int) -> Judged | None:
-        """A photo's film; None where none is found."""
-        return judged(self.cases[number], self.rectifier)
-
-
-def judged(case: Case, rectifier: Rectifier) -> Judged | None:
+def judged(rectifier: Rectifier, case: Case) -> Judged | None:
     """The film of a data set's photo, read whichever way comes nearest to the truth; None where none is found."""
     result = rectifier(case.photo())
     if result.backward is None or result.signs is None:
@@ -85,10 +68,9 @@ def judged(case: Case, rectifier: Rectifier) -> Judged | None:
     assert not isinstance(case.source, Path)
     shard, k = case.source
     near, _ = read_alike(result.backward, case.backward)
-    error = end_point_error(near, case.backward.photo_from_film(film_nodes((33, 33)))).mean()
-    return Judged(
-        f"{shard.path.parent} {shard.record(k)['film']}", shard.record(k)["photo"], float(error), result.signs
-    )
+    error = float(end_point_error(near, case.backward.lattice(LATTICE)).mean())
+    record = shard.record(k)
+    return Judged(f"{shard.path.parent} {record['film']}", record["photo"], error, result.signs)
 
 
 def judge_all(options: Options) -> tuple[list[Judged], int]:
@@ -97,14 +79,13 @@ def judge_all(options: Options) -> tuple[list[Judged], int]:
     Raises:
         DataError: a data set cannot be read.
     """
-    numbers = range(0, len(sample_cases(options.data)), options.every)
-    found = list[Judged]()
-    answers = shared_out(Judge.__call__, partial(Judge.of, options), numbers, options.workers)
-    for answer in tqdm(answers, total=len(numbers), unit="photo"):
+    cases, found = sample_cases(options.data)[:: options.every], list[Judged]()
+    rectifier = partial(Rectifier, RectifyConfig.of(options.effort))
+    for answer in tqdm(shared_out(judged, rectifier, cases, options.workers), total=len(cases), unit="photo"):
         if isinstance(answer, HybridError):
             raise answer
         found += [] if answer is None else [answer]
-    return found, len(numbers)
+    return found, len(cases)
 
 
 # ---------------------------------------------------------------- figures
@@ -135,11 +116,8 @@ def figures(films: Sequence[Judged], photos: int, trust: TrustConfig) -> dict[st
 
 def counted(films: Sequence[Judged], trust: Sequence[TrustConfig]) -> dict[str, int]:
     """Films called ``OK``, each with its own options, and how many of these are not right."""
-    called = [
-        one.right(options)
-        for one, options in zip(films, trust, strict=True)
-        if film_verdict(one.signs, options).ok
-    ]  # fmt: skip
+    each = zip(films, trust, strict=True)
+    called = [one.right(options) for one, options in each if film_verdict(one.signs, options).ok]
     return {"ok": len(called), "wrong": len(called) - sum(called)}
 
 

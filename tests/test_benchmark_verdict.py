@@ -11,7 +11,7 @@ import pytest
 from simple_samples import simple_dataset
 
 from benchmarks.cases import sample_cases
-from benchmarks.verdict import Judge, Options, counted, figures, judge_all, judged, main
+from benchmarks.verdict import Options, counted, figures, judge_all, judged, main
 from benchmarks.verdict_fit import FOLDS, Judged, fit_chance, fit_error, trust_of_others
 from hybrid.effort import RectifyConfig
 from hybrid.pipeline import Rectifier
@@ -95,7 +95,7 @@ def test_the_figures_add_up() -> None:
 
 
 class Told(Rectifier):
-    """Finds the true film, a little aside, with signs that are told; none in every other photo."""
+    """Finds the true film, a little aside, with signs that are told; none without these."""
 
     def __init__(self, case, signs: Signs | None) -> None:
         self.case, self.signs = case, signs
@@ -110,10 +110,10 @@ class Told(Rectifier):
 def test_a_photo_is_judged_by_its_true_map(tmp_path: Path) -> None:
     case = sample_cases([simple_dataset(tmp_path / "data")])[1]
     signs = drawn_signs(np.random.default_rng(4))
-    found = judged(case, Told(case, signs))
+    found = judged(Told(case, signs), case)
     assert found is not None
     assert (found.error_px, found.signs) == (pytest.approx(2.0), signs)
-    assert judged(case, Told(case, None)) is None
+    assert judged(Told(case, None), case) is None
 
 
 def test_the_command_judges_photos_and_writes_what_it_saw(
@@ -130,7 +130,9 @@ def test_the_command_judges_photos_and_writes_what_it_saw(
     assert "every" in capsys.readouterr().err
 
 
-def test_photos_are_judged_with_the_effort_that_was_asked_for(tmp_path: Path) -> None:
+def test_photos_are_judged_with_the_effort_that_was_asked_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    made = []
+    monkeypatch.setattr("benchmarks.verdict.Rectifier", lambda config: made.append(config) or Rectifier(config))
     options = Options((simple_dataset(tmp_path / "data"),), tmp_path / "x.json", "fast", every=2, workers=1)
-    assert Judge.of(options).rectifier.config == RectifyConfig.of("fast")
     assert judge_all(options) == ([], 2)  # photos of 48 px are too small for a film to be found in
+    assert made == [RectifyConfig.of("fast")]

@@ -190,11 +190,16 @@ class Progress:
         """The map that it has come to, into the scene's photo."""
         return self.attempt.displacement.composed(self.scene.coarse)
 
+    @property
+    def margins_are_next(self) -> bool:
+        """Whether the next sheet is the one with which usual margins are tried: the first is too far off to tell them,
+        and the third tells what the second did."""
+        return self.sheets == 1
+
     def is_last(self, config: RefineConfig) -> bool:
-        """Whether no further sheet can change anything: the last round moved nothing, and margins have been tried."""
-        if self.sheets == 1 and undecided(self.attempt.evidence, config.grid, config.margins):
-            return False
-        return self.settled
+        """Whether no further sheet can change anything: the last round moved nothing, no margins are in question."""
+        in_question = self.margins_are_next and undecided(self.attempt.evidence, config.grid, config.margins)
+        return self.settled and not in_question
 
 
 def begin(scene: Scene, outline: Sequence[Sightings], config: RefineConfig) -> Progress:
@@ -267,7 +272,7 @@ def unstretched(progress: Progress, config: RefineConfig, watch: Stopwatch) -> P
     if sheet is None:
         return None
     placed = PlacedPrint(sheet, attempt.evidence, seen)
-    if progress.sheets == 1:  # the first sheet is too far off to tell margins, and the third tells what the second did
+    if progress.margins_are_next:
         placed = usual_margins(placed, fit, config.grid, config.margins)
         if progress.settled and mean_move(sheet.backward, placed.sheet.backward) < config.settled_margins:
             return None

@@ -78,7 +78,7 @@ def fit_sheet(
 def _as_fine_as_needed(problem: Problem, state: State) -> State:
     """The sheet on finer splines, where it explains badly what is seen on coarser ones and these do so better."""
     config = problem.config
-    if state.cost < config.coarse * len(problem.seen.along):
+    if problem.explains(state, config.coarse):
         return state
     try:
         begun = replace(state, sheet=state.sheet.finer(config.finer))
@@ -96,7 +96,7 @@ def _as_stretched_as_needed(problem: Problem, near: BackwardMap, frame: Frame) -
     """
     config = problem.config
     firm = _bent_either_way(problem, near, frame)
-    if firm[0].cost < config.doubtful * len(problem.seen.along):
+    if problem.explains(firm[0], config.doubtful):
         return firm
     elastic, enough = replace(problem, config=config.elastic), config.stretched_gain * firm[0].cost
     try:
@@ -121,7 +121,7 @@ def _bent_either_way(problem: Problem, near: BackwardMap, frame: Frame) -> tuple
     start = _near_map(blind, near, frame)
     best = first = _as_bent_as_needed(problem, problem.begun(start))
     for sheet in (start, first[0].sheet):
-        if best[0].cost < config.doubtful * len(problem.seen.along):
+        if problem.explains(best[0], config.doubtful):
             break
         other = _mirrored(problem, blind, sheet)
         if other is not None and other[0].cost < config.reversed_gain * best[0].cost:

@@ -45,6 +45,10 @@ class Problem:
         """A sheet to start from."""
         return State(sheet, np.zeros(self.seen.shared.shape[1]))
 
+    def explains(self, state: State, most: float) -> bool:
+        """Whether a state's cost is below ``most`` for each point that is seen."""
+        return bool(state.cost < most * len(self.seen.along))
+
     def normal_equations(self, state: State, curves: Curves, derivatives: bool = True) -> Sum:
         """Cost of a state, and the normal equations around it; without the latter where ``derivatives`` is False."""
         sheet, config, n = state.sheet, self.config, len(state.sheet.control)
