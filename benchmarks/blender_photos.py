@@ -1,0 +1,253 @@
+"""Photos by another renderer, other physics: ``python -m benchmarks.blender_photos --out DIR --python PYTHON``.
+
+Blender bends sheets as soft bodies or cloth, which stretch and twist as the mass-spring films of data_gen do not, and
+traces their light by Cycles (benchmarks/blender_scene.py). What comes out is a folder as benchmarks.photos reads it:
+every benchmark takes it by ``--photos DIR``, and no network has learnt from its like. The prints are data_gen's.
+
+PYTHON is one that has ``bpy`` (Python 3.11, ``pip install bpy==5.0.1``), which cannot share an environment with this
+project, as it needs an older NumPy. A photo takes half a minute on two cores. Photos that are there already are kept,
+so that a run that was stopped goes on.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import tempfile
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from tqdm import tqdm
+
+from benchmarks.command import run_command
+from data_gen.prints import FilmPrint, PrintConfig, make_print
+from data_gen.sources import SourceConfig, draw_volume, loaded
+from hybrid.errors import ConfigError, DataError, describe
+from hybrid.image_io import write_rgb
+from hybrid.outputs import make_folder
+
+SCENE = Path(__file__).with_name("blender_scene.py")
+
+
+@dataclass(frozen=True)
+class Options:
+    """Make check photos with Blender.
+
+    out: folder of the photos. python: a Python that has bpy. count: how many photos. seed: of all that is drawn.
+    ct, hdri: folders of CT volumes and environments; without them phantoms and plain light.
+    only, leave_out: names of volumes and environments, as for data_gen.generate. phantoms: the first, and the one after
+    the last.
+    side: of the photos in pixels. samples: of light per pixel, before they are denoised.
+    """
+
+    out: Path
+    python: Path
+    count: int = 48
+    seed: int = 0
+    ct: Path | None = None
+    hdri: Path | None = None
+    only: tuple[str, ...] = ()
+    leave_out: tuple[str, ...] = ()
+    phantoms: tuple[int, int] = (0, 12)
+    side: int = 1080
+    samples: int = 24
+
+    def __post_init__(self) -> None:
+        if min(self.count, self.samples) < 1 or self.side < 64:
+            got = f"count {self.count}, samples {self.samples}, side {self.side}"
+            do = "Change the option."
+            raise ConfigError(describe(what="photos", got=got, allowed=">= 1, >= 1, >= 64", do=do))
+
+
+@dataclass(frozen=True)
+class Job:
+    """One photo, as benchmarks/blender_scene.py reads it. Lengths in units of half the film's longer side.
+
+    photo, texture: files. size: (height, width) of the film. cuts: of each side, between simulated quads.
+    kind: soft or cloth. pins: vertices held. strength, noise, field_at: of the force that pushes (< 0 pulls) from a
+    place. stiffness: against bending. gravity: in parts of the Earth's. max_angle: degrees between the mean normal and
+    the furthest at which the simulation ends.
+    roughness: of the surface. through: share of the light that is let through.
+    room: file of the environment, or "" for ``room_colour``; room_strength, room_turn: Euler angles in rad.
+    lamps: discs of ``size`` that shine to the film's middle. desk: a plane behind the film, if any.
+    focal: in parts of the photo's side. tilt, tilt_to, roll: degrees off the normal, to where, and about the axis.
+    fill: share of the photo's side that the film takes. off_centre: in parts of what is free then.
+    tone: Blender's view transform. brightness: of the photo's mean radiance. quality: of the JPEG.
+    """
+
+    photo: str
+    texture: str
+    size: tuple[float, float]
+    cuts: int
+    kind: str
+    pins: tuple[int, ...]
+    strength: float
+    noise: float
+    field_at: tuple[float, float, float]
+    stiffness: float
+    gravity: float
+    max_angle: float
+    roughness: float
+    through: float
+    room: str
+    room_colour: tuple[float, float, float]
+    room_strength: float
+    room_turn: tuple[float, float, float]
+    lamps: tuple[dict[str, Any], ...]
+    desk: dict[str, Any] | None
+    focal: float
+    tilt: float
+    tilt_to: float
+    roll: float
+    fill: float
+    off_centre: tuple[float, float]
+    tone: str
+    brightness: float
+    quality: int
+    side: int
+    samples: int
+    seed: int
+
+
+def draw_job(rng: np.random.Generator, film_print: FilmPrint, rooms: Sequence[Path], options: Options) -> Job:
+    """A film, how it is bent, its light and its camera; the files and the seed are still to be set."""
+    height, width = film_print.size_mm
+    scale = 2 / max(height, width)
+    cuts = int(rng.integers(8, 20))
+    soft = bool(rng.random() < 0.6)
+    lit_from_behind = bool(rng.random() < 0.25)
+    desk = not lit_from_behind and bool(rng.random() < 0.3)
+    glossy = bool(rng.random() < 0.5)
+    from_side = float(rng.choice([-1, 1]) * rng.uniform(0.2, 1))
+    force = rng.uniform(5, 20) if soft else rng.uniform(1000, 5000)
+    room = "" if lit_from_behind or not rooms else str(rooms[int(rng.integers(len(rooms)))].resolve())
+    return Job(
+        photo="",
+        texture="",
+        size=(height * scale, width * scale),
+        cuts=cuts,
+        kind="soft" if soft else "cloth",
+        pins=tuple(rng.choice((cuts + 2) ** 2, int(rng.integers(4, 13)), replace=False).tolist()),
+        strength=float(rng.choice([-1, 1]) * force),
+        noise=float(rng.uniform(0, 0.3) * force),
+        field_at=(*rng.uniform(-1, 1, 2).tolist(), from_side),
+        stiffness=float(rng.uniform(2, 10) if soft else 10 ** rng.uniform(0, 2)),
+        gravity=float(rng.uniform(0, 0.2) if rng.random() < 0.3 else 0.0),
+        max_angle=float(rng.uniform(4, 50)),
+        roughness=float(rng.uniform(0.1, 0.35) if glossy else rng.uniform(0.4, 0.95)),
+        through=float(rng.uniform(0.4, 0.9) if lit_from_behind else 0.0),
+        room=room,
+        room_colour=tuple((rng.uniform(0.01, 0.3) * rng.uniform(0.9, 1, 3)).tolist()),
+        room_strength=1.0,
+        room_turn=tuple(rng.uniform(-np.pi, np.pi, 3).tolist()),
+        lamps=_lamps(rng, lit_from_behind, bool(room)),
+        desk=_desk(rng) if desk else None,
+        focal=float(rng.uniform(0.8, 1.6)),
+        tilt=float(abs(rng.normal(0, 14))),
+        tilt_to=float(rng.uniform(-180, 180)),
+        roll=float(rng.normal(0, 12)),
+        fill=float(rng.uniform(0.55, 0.95)),
+        off_centre=tuple(rng.uniform(-0.9, 0.9, 2).tolist()),
+        tone=str(rng.choice(["Standard", "AgX", "Filmic"])),
+        brightness=float(np.exp(rng.uniform(np.log(0.12), np.log(0.5)))),
+        quality=int(rng.integers(80, 97)),
+        side=options.side,
+        samples=options.samples,
+        seed=0,
+    )
+
+
+def _lamps(rng: np.random.Generator, behind: bool, room: bool) -> tuple[dict[str, Any], ...]:
+    """Discs behind the film, or before it: always where no room lights it."""
+
+    def lamp(side: float, at: float, size: float, watts: float) -> dict[str, Any]:
+        place = (float(rng.uniform(-at, at)), float(rng.uniform(-at, at)), side * float(rng.uniform(2, 4)))
+        return {"at": place, "size": size, "watts": watts, "colour": rng.uniform(0.75, 1, 3).tolist()}
+
+    if behind:
+        return (lamp(-1.0, 0.3, float(rng.uniform(2, 4)), 300.0),)
+    if room and rng.random() < 0.6:
+        return ()
+    return tuple(
+        lamp(1.0, 2.5, float(rng.uniform(0.1, 1.5)), float(rng.uniform(30, 150)))
+        for _ in range(int(rng.integers(1, 3)))
+    )
+
+
+def _desk(rng: np.random.Generator) -> dict[str, Any]:
+    """A plane just behind the film, mottled in two colours."""
+    base = rng.uniform(0.02, 0.7) * rng.uniform(0.6, 1, 3)
+    return {
+        "at": (0.0, 0.0, -float(rng.uniform(0.5, 1.2))),
+        "scale": float(rng.uniform(1, 20)),
+        "roughness": float(rng.uniform(0.2, 0.9)),
+        "colours": [base.tolist(), (base * rng.uniform(0.3, 1.2, 3)).clip(0, 1).tolist()],
+    }
+
+
+def write_print(folder: Path, number: int, film_print: FilmPrint) -> Path:
+    """The print's file among the textures, its name as benchmarks.photos reads it."""
+    margin = round(max(film_print.parameters["margins_px"]))
+    name = f"film_{number:03d}_{film_print.rows}x{film_print.cols}_{film_print.style}_m{margin}.png"
+    grey = np.rint(film_print.image * 255).astype(np.uint8)
+    path = folder / "textures" / name
+    write_rgb(path, np.repeat(grey[..., None], 3, axis=-1))
+    return path
+
+
+def make_photo(number: int, sources: SourceConfig, rooms: Sequence[Path], options: Options) -> None:
+    """Photo ``number``, unless it is there; the same seed and number draw the same scene.
+
+    Raises:
+        DataError: Blender made none.
+    """
+    photo = options.out / f"film_{number:03d}.jpg"
+    truth = photo.with_suffix(".npz")
+    if photo.exists() and truth.exists():
+        return
+    rng = np.random.default_rng([options.seed, number])
+    film_print = make_print(draw_volume(sources, rng), rng, PrintConfig())
+    job = draw_job(rng, film_print, rooms, options)
+    texture = write_print(options.out, number, film_print)
+    job = replace(job, photo=str(photo.resolve()), texture=str(texture.resolve()), seed=options.seed + number)
+    with tempfile.TemporaryDirectory() as folder:
+        words = Path(folder) / "job.json"
+        words.write_text(json.dumps(asdict(job)))
+        got = _told([str(options.python), str(SCENE), str(words)])
+    if not truth.exists():
+        do = "Name a Python 3.11 with bpy==5.0.1 by --python, and add the system libraries that it misses."
+        raise DataError(describe(what="Blender made no photo", where=photo.name, got=got, do=do))
+
+
+def _told(command: Sequence[str]) -> str:
+    """What a command said last."""
+    try:
+        ended = subprocess.run(command, capture_output=True, text=True)
+    except OSError as error:
+        return str(error)
+    return (ended.stderr.strip() or ended.stdout.strip() or f"exit code {ended.returncode}").splitlines()[-1]
+
+
+def run(options: Options, command: list[str]) -> int:
+    """Make the photos; how many there are."""
+    make_folder(options.out / "textures")
+    sources = SourceConfig(
+        options.ct, options.hdri, only=options.only, leave_out=options.leave_out, phantoms=options.phantoms
+    )
+    rooms = [] if options.hdri is None else [options.hdri / f"{room.name}.hdr" for room in loaded(sources)[1]]
+    for number in tqdm(range(options.count), unit="photo"):
+        make_photo(number, sources, rooms, options)
+    return options.count
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The command; 0 when all photos are there."""
+    return run_command("benchmarks.blender_photos", Options, run, arguments)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
