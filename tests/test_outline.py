@@ -3,13 +3,12 @@
 import cv2
 import numpy as np
 import pytest
-from scipy.stats import norm
 from synthetic_film import FilmDrawing, disturbed, make_photo
 
 from hybrid.backward import BackwardMap
-from hybrid.coords import film_centres_1d, linear_from_srgb, srgb_from_linear
+from hybrid.coords import film_centres_1d
 from hybrid.rectify.curves import best_paths, smooth_curve_weights
-from hybrid.rectify.outline import OutlineConfig, Strip, edge_sightings, find_outline, subpixel_edge
+from hybrid.rectify.outline import OutlineConfig, edge_sightings, find_outline
 from hybrid.strips import SIDES
 
 CONFIG = OutlineConfig(band=0.03)
@@ -103,27 +102,3 @@ def test_outliers_from_a_smooth_curve_lose_their_weight():
     weights = smooth_curve_weights(along, depth[None], np.ones((1, 80), dtype=bool), np.array([0.3]))[0]
     assert weights[bad].max() < 0.01
     assert np.median(np.delete(weights, bad)) > 0.8
-
-
-@pytest.mark.parametrize("blur_px", [0.5, 1.5, 2.5])
-@pytest.mark.parametrize("levels", [(230.0, 15.0), (15.0, 120.0)])
-def test_blur_does_not_move_an_edge(blur_px, levels):
-    """A lens blurs light: an edge that is blurred in linear light stays where it is, whatever lies behind the film."""
-    depth = np.arange(-30.0, 31.0)
-    behind, film = (float(linear_from_srgb(np.array(level / 255.0))) for level in levels)
-    light = behind + (film - behind) * norm.cdf((depth - 0.3) / blur_px)
-    grey = 255.0 * srgb_from_linear(light)
-    image = np.repeat(np.repeat(grey[:, None, None], 20, axis=1), 3, axis=2)
-    strip = Strip(image, depth, np.linspace(0, 1, 20), np.ones((61, 20), bool), 1.0)
-    assert np.abs(subpixel_edge(strip, np.full(20, 30)) - 0.3).max() < 0.1
-
-
-def test_rules_in_a_narrow_dark_margin_do_not_move_the_edge():
-    """A bright rule 7 px inside a black sheet that is darker than what lies behind it."""
-    depth = np.arange(-30.0, 31.0)
-    grey = np.where(depth < 0, 27.0, 8.0)
-    grey[(depth >= 7) & (depth < 10)] = 200.0
-    image = np.repeat(np.repeat(grey[:, None, None], 20, axis=1), 3, axis=2)
-    strip = Strip(image, depth, np.linspace(0, 1, 20), np.ones((61, 20), bool), 1.0)
-    for path in (27, 28, 30):  # a gap between the compared windows lets it lie there
-        assert np.abs(subpixel_edge(strip, np.full(20, path)) + 0.5).max() < 0.5

@@ -27,7 +27,7 @@ from hybrid.rectify.held_out import held_out_residuals
 from hybrid.rectify.layout import Evidence, Layout, find_layout
 from hybrid.rectify.margins import MarginsConfig, PlacedPrint, in_place, undecided, usual_margins
 from hybrid.rectify.match import MatchConfig, match_cells
-from hybrid.rectify.outline import OutlineConfig, find_outline
+from hybrid.rectify.outline import OutlineConfig, find_outline, may_shift
 from hybrid.rectify.repeat import RepeatConfig, cell_agreement
 from hybrid.rectify.rim import RimConfig, without_background
 from hybrid.rectify.scene import Scene, half_view, phases_along, view_of
@@ -365,10 +365,14 @@ def _observe_print(
     for comb, sightings in zip(layout.combs, lines, strict=True):
         if comb is None or sightings is None:
             continue
-        pinned = sum(edge.axis == comb.axis for edge in outline) == 2
-        if pinned and not comb.fills_film(config.grid):
-            wide = np.append(np.full(2, config.congeal.shared_sigma), sightings.shared_sigma[2:])
-            sightings = replace(sightings, shared_sigma=wide)
+        across = [edge for edge in outline if edge.axis == comb.axis]
+        place, pitch, *insets = sightings.shared_sigma
+        if comb.fills_film(config.grid):
+            if any(len(edge.shared_sigma) for edge in across):  # a rule is printed along the very edge
+                place, pitch = config.grid.flush_sigma, config.grid.flush_sigma / comb.cells
+        elif len(across) == 2:
+            place = pitch = config.congeal.shared_sigma
+        sightings = replace(sightings, shared_sigma=np.array([place, pitch, *insets]))
         evidence.append(Evidence(sightings, comb))
     columns, rows = layout.repeats
     if columns is not None and rows is not None:
@@ -378,14 +382,15 @@ def _observe_print(
 
 
 def _as_uncertain(edge: Sightings, layout: Layout, config: RefineConfig) -> Sightings:
-    """An edge on which a rule may be printed: next to a bright background its step is the rule's inner side.
+    """An edge along which a rule may be printed that was not told from the edge (edge_profile.py): next to a bright
+    background its step is the rule's inner side.
 
     Its shape counts, its place only within a rule's width: where the lines' pitch tells the place better.
     """
     comb = layout.combs[edge.axis]
-    if comb is None or comb.sign < 0 or not comb.fills_film(config.grid):
+    if len(edge.shared_sigma) or comb is None or comb.sign < 0 or not comb.fills_film(config.grid):
         return edge
-    return replace(edge, shared=np.ones((len(edge), 1)), shared_sigma=np.array([config.rule_width]))
+    return may_shift(edge, config.rule_width)
 
 
 def _spline(progress: Progress, config: RefineConfig) -> SplineConfig:

@@ -79,6 +79,8 @@ class GridConfig:
     """A grid both of whose ends lie further than this from the film's edges, and to the same side, does not fill it."""
     snug_sigma: float = 0.001
     """Prior standard deviation of its place then, in film units."""
+    flush_sigma: float = 3e-4
+    """The same for where the grid lies, of one that ends in a rule along the film's edge."""
 
     def __post_init__(self) -> None:
         require_at_least(self, 1, "widths_px")

@@ -11,17 +11,18 @@ A side that shows no contrast gives no sightings.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
-from scipy.ndimage import gaussian_filter1d, uniform_filter1d
+from scipy.ndimage import uniform_filter1d
 
 from hybrid.backward import BackwardMap
-from hybrid.coords import film_centres_1d, linear_from_srgb
+from hybrid.coords import film_centres_1d
 from hybrid.errors import require_at_least
-from hybrid.rectify.curves import best_paths, parabola_peak, smooth_curve_weights
+from hybrid.rectify.curves import best_paths, smooth_curve_weights
+from hybrid.rectify.edge_profile import EndOfSheet, end_of_sheet
 from hybrid.rectify.sightings import Sightings
 from hybrid.strips import SIDES, Side, view_across
 
@@ -50,6 +51,8 @@ class OutlineConfig:
     """Least share of a side's profiles that must see the edge."""
     sigma_px: float = 0.35
     """Stated noise of one edge point, in pixels."""
+    rule_sigma_px: float = 0.25
+    """How far an edge along which a rule is printed may lie from where all its points have it, in pixels."""
     prior: float = 0.02
     """Fraction of the film's size at which a path's distance from the prediction costs as much as half a score."""
     read_free: float = 0.002
@@ -67,8 +70,6 @@ _NOWHERE = -10.0
 """Score of rows that may not be chosen: so low that no path goes there while there is another way."""
 _ALL = np.ones(3, np.float32)
 """Sums over the colours by a product, which is quicker along so short an axis."""
-RULE_HALF_PX = 0.35
-"""Distance from the middle of a thin rule printed on the edge to the edge itself: half of such a rule's width."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +90,10 @@ class Strip:
 
 
 def find_outline(
-    photo: UInt8[np.ndarray, "H W 3"], backward: BackwardMap, config: OutlineConfig, read: Sequence[Sightings] = ()
+    photo: UInt8[np.ndarray, "H W 3"],
+    backward: BackwardMap,
+    config: OutlineConfig,
+    read: Sequence[Sightings] = (),
 ) -> tuple[Sightings, ...]:
     """Sightings of the sheet's edges through the map, one record for each side on which an edge is seen.
 
@@ -106,12 +110,22 @@ def find_outline(
         scores[k, : len(strip.depth)] = np.where(searched[:, None], score, _NOWHERE)
     paths = best_paths(scores)
     at_path = np.take_along_axis(scores, paths[:, None], axis=1)[:, 0]
-    depth = np.stack([subpixel_edge(strip, path) for strip, path in zip(strips, paths, strict=True)])
+    ends = _ends(strips, paths)
+    depth = np.stack([np.interp(e.rows, np.arange(len(s.depth)), s.depth) for e, s in zip(ends, strips, strict=True)])
     good = (at_path >= config.min_score) & np.isfinite(depth)
     rough = 1.2 * np.array([strip.pixel for strip in strips])
     good &= smooth_curve_weights(strips[0].along, depth, good, rough) > 0.2
-    seen = zip(strips, SIDES, depth, at_path, good, strict=True)
-    return tuple(_side_sightings(*of_side, config) for of_side in seen if of_side[-1].mean() >= config.min_share)
+    seen = zip(strips, SIDES, depth, at_path, good, (end.has_rule for end in ends), strict=True)
+    return tuple(_side_sightings(*of_side, config) for of_side in seen if of_side[4].mean() >= config.min_share)
+
+
+def _ends(strips: Sequence[Strip], paths: Int[np.ndarray, "b p"]) -> list[EndOfSheet]:
+    """Where the sheet ends on each side. A print with a rule along one edge has mostly one along each."""
+    ends = [end_of_sheet(strip.image, path, False) for strip, path in zip(strips, paths, strict=True)]
+    if not any(end.has_rule for end in ends):
+        return ends
+    known = zip(strips, paths, ends, strict=True)
+    return [end if end.has_rule else end_of_sheet(strip.image, path, True) for strip, path, end in known]
 
 
 def _prior(strip: Strip, read: Sequence[Sightings], side: Side, config: OutlineConfig) -> Float[np.ndarray, "d p"]:
@@ -177,11 +191,13 @@ def _side_sightings(
     depth: Float[np.ndarray, " p"],
     at_path: Float[np.ndarray, " p"],
     good: Bool[np.ndarray, " p"],
+    has_rule: bool,
     config: OutlineConfig,
 ) -> Sightings:
-    """The edge along one strip where it is seen well."""
+    """The edge along one strip where it is seen well. Where a rule hides it, it may lie a little further in or out."""
     sigma = config.sigma_px * strip.pixel * np.sqrt(np.clip(4.0 / at_path[good], 1.0, 4.0))
-    return edge_sightings(side, strip.along[good], depth[good], sigma)
+    seen = edge_sightings(side, strip.along[good], depth[good], sigma)
+    return may_shift(seen, config.rule_sigma_px * strip.pixel) if has_rule else seen
 
 
 def edge_sightings(
@@ -193,33 +209,9 @@ def edge_sightings(
     return Sightings(side.axis, seen, np.full(n, side.edge), sigma, np.zeros((n, 0)), np.zeros(0))
 
 
-def subpixel_edge(strip: Strip, path: Int[np.ndarray, " p"], reach: int = 4) -> Float[np.ndarray, " p"]:
-    """Depth of the edge near the path: the steepest place of the step, or the outer flank of a rule on the edge."""
-    middle = reach + 8
-    image = np.pad(strip.image, ((middle, middle), (0, 0), (0, 0)), mode="edge")
-    columns = np.arange(len(path))
-    local = image[path[None, :] + np.arange(2 * middle + 1)[:, None], columns]  # (rows around path, profiles, 3)
-    outer, inner = np.median(local[: middle - 3], axis=0), np.median(local[middle + 4 :], axis=0)
-    near = slice(middle - reach - 1, middle + reach + 2)
-    excess = _line_excess(local, outer, inner)[near]
-    contrast = np.linalg.norm(outer - inner, axis=1)
-    if np.median(excess.max(axis=0)) > max(12.0, 0.7 * float(np.median(contrast))):
-        rows = path - reach - 1 + parabola_peak(gaussian_filter1d(excess, 0.7, axis=0)) - RULE_HALF_PX
-    else:
-        # Blur adds up light, not grey levels: in these the steepest place of a blurred step lies on its dark side.
-        local, outer, inner = (linear_from_srgb(grey / 255.0) for grey in (local, outer, inner))
-        step = outer - inner
-        direction = step / np.maximum(np.linalg.norm(step, axis=1, keepdims=True), 1e-6)
-        slope = -gaussian_filter1d(np.einsum("dpc,pc->dp", local, direction), 1.0, axis=0, order=1)[near]
-        rows = path - reach - 1 + parabola_peak(slope)
-    return np.interp(rows, np.arange(len(strip.depth)), strip.depth)
+def may_shift(edge: Sightings, sigma: float) -> Sightings:
+    """An edge of which the place is known no better than that, in film units; its shape is."""
+    return replace(edge, shared=np.ones((len(edge), 1)), shared_sigma=np.array([sigma]))
 
 
-def _line_excess(
-    local: Float[np.ndarray, "d p 3"], outer: Float[np.ndarray, "p 3"], inner: Float[np.ndarray, "p 3"]
-) -> Float[np.ndarray, "d p"]:
-    """Grey levels by which each row is brighter than both sides of the edge."""
-    return np.maximum(local.mean(axis=2) - np.maximum(outer.mean(axis=1), inner.mean(axis=1)), 0.0)
-
-
-__all__ = ["OutlineConfig", "Strip", "edge_score", "edge_sightings", "find_outline", "sample_strip", "subpixel_edge"]
+__all__ = ["OutlineConfig", "Strip", "edge_score", "edge_sightings", "find_outline", "may_shift", "sample_strip"]
