@@ -115,8 +115,11 @@ def find_outline(
     good = (at_path >= config.min_score) & np.isfinite(depth)
     rough = 1.2 * np.array([strip.pixel for strip in strips])
     good &= smooth_curve_weights(strips[0].along, depth, good, rough) > 0.2
-    seen = zip(strips, SIDES, depth, at_path, good, (end.has_rule for end in ends), strict=True)
-    return tuple(_side_sightings(*of_side, config) for of_side in seen if of_side[4].mean() >= config.min_share)
+    return tuple(
+        _side_sightings(strip, side, depth[k], at_path[k], good[k], end.has_rule, config)
+        for k, (strip, side, end) in enumerate(zip(strips, SIDES, ends, strict=True))
+        if good[k].mean() >= config.min_share
+    )
 
 
 def _ends(strips: Sequence[Strip], paths: Int[np.ndarray, "b p"]) -> list[EndOfSheet]:
