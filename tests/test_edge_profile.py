@@ -86,6 +86,12 @@ def test_a_shadow_beside_the_sheet_is_no_rule(expected):
     assert not off(image, edge, expected=expected)[1]
 
 
+@pytest.mark.parametrize(("behind", "clipped"), [(255.0, True), ((255.0, 255.0, 180.0), False), (200.0, False)])
+def test_clipped_is_what_is_so_in_all_colours(behind, clipped):
+    image, _ = strip_of(behind, 40.0)
+    assert (end_of_sheet(image, np.full(image.shape[1], 30), False).clipped == clipped).all()
+
+
 def test_nothing_but_noise_has_no_rule():
     rng = np.random.default_rng(4)
     image = np.clip(rng.normal(60.0, 6.0, (61, 80, 3)), 0.0, 255.0)

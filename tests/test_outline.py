@@ -1,5 +1,7 @@
 """The sheet's edges: found to a fraction of a pixel where they show, and not found where they do not."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -26,6 +28,19 @@ def distance_from_edge(seen_through: BackwardMap, true: BackwardMap, sightings) 
     edge[:, 1 - sightings.axis] = t
     line = true.photo_from_film(edge)
     return np.linalg.norm(xy[:, None] - line[None], axis=2).min(axis=1)
+
+
+def test_edges_beside_a_clipped_background_lie_further_out_and_may_shift():
+    """What is blurred of a bright background covers the film's rim, by as much as it is brighter than can be shown."""
+    rng = np.random.default_rng(5)
+    photo, true = make_photo(FilmDrawing(rules=False), rng, 255)
+    as_seen, outline = (find_outline(photo, true, c) for c in (replace(CONFIG, clipped_share=1.0), CONFIG))
+    assert len(outline) == 4
+    for before, edge in zip(as_seen, outline, strict=True):
+        outwards = (before.seen - edge.seen)[:, edge.axis] * (1.0 if edge.known[0] == 0 else -1.0)
+        assert outwards.min() > 0
+        assert (before.shared.shape[1], edge.shared.shape[1]) == (0, 1)
+        assert not edge.has_rule
 
 
 @pytest.mark.parametrize("rules", [True, False])

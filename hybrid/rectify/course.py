@@ -359,7 +359,7 @@ def _observe_print(
     """Sightings of lines, and of what the cells have in common.
 
     Where both edges across an axis are seen they say where the lines are, unless the grid fills the film: what is
-    straight and repeats need not lie where cells meet.
+    straight and repeats need not lie where cells meet. A grid that fills a film with rules along its edges ends there.
     """
     evidence = []
     for comb, sightings in zip(layout.combs, lines, strict=True):
@@ -368,7 +368,7 @@ def _observe_print(
         across = [edge for edge in outline if edge.axis == comb.axis]
         place, pitch, *insets = sightings.shared_sigma
         if comb.fills_film(config.grid):
-            if any(len(edge.shared_sigma) for edge in across):  # a rule is printed along the very edge
+            if any(edge.has_rule for edge in across):
                 place, pitch = config.grid.flush_sigma, config.grid.flush_sigma / comb.cells
         elif len(across) == 2:
             place = pitch = config.congeal.shared_sigma

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy.ndimage import gaussian_filter1d
 from scipy.special import ndtr
 
@@ -45,16 +45,21 @@ UNEXPLAINED = 2e-3
 BESIDE = 8
 """Pixels beyond REACH of which the levels of both sides of a step are the medians."""
 
+CLIPPED = 248.0
+"""Grey level from which the photo is taken to be clipped."""
+
 
 @dataclass(frozen=True, eq=False)
 class EndOfSheet:
     """Where the sheet ends in a strip across its edge.
 
     rows: of each profile, to a fraction. has_rule: whether a rule is printed along it, and its outer flank was found.
+    clipped: whether the photo is clipped in all colours outside, for each profile.
     """
 
     rows: Float[np.ndarray, " p"]
     has_rule: bool
+    clipped: Bool[np.ndarray, " p"]
 
 
 def end_of_sheet(image: Float[np.ndarray, "d p 3"], path: Int[np.ndarray, " p"], expected: bool) -> EndOfSheet:
@@ -64,10 +69,12 @@ def end_of_sheet(image: Float[np.ndarray, "d p 3"], path: Int[np.ndarray, " p"],
     """
     beyond = REACH + BESIDE
     padded = np.pad(image, ((beyond, beyond), (0, 0), (0, 0)), mode="edge")
+    grey = padded[path + np.arange(2 * beyond + 1)[:, None], np.arange(len(path))]
     # Blur adds up light, not grey levels: in these the steepest place of a blurred step lies on its dark side.
-    local = linear_from_srgb(padded[path + np.arange(2 * beyond + 1)[:, None], np.arange(len(path))] / 255.0)
+    local = linear_from_srgb(grey / 255.0)
     ruled = ruled_edge(local[beyond + ROWS[0] : beyond + ROWS[-1] + 1], expected)
-    return EndOfSheet(path + (stepped_edge(local) if ruled is None else ruled), ruled is not None)
+    clipped = np.median(grey[: beyond - 3], axis=0).min(axis=-1) >= CLIPPED
+    return EndOfSheet(path + (stepped_edge(local) if ruled is None else ruled), ruled is not None, clipped)
 
 
 def stepped_edge(local: Float[np.ndarray, "n p 3"]) -> Float[np.ndarray, " p"]:

@@ -80,7 +80,7 @@ class GridConfig:
     snug_sigma: float = 0.001
     """Prior standard deviation of its place then, in film units."""
     flush_sigma: float = 3e-4
-    """The same for where the grid lies, of one that ends in a rule along the film's edge."""
+    """The same of one that ends in rules along the film's edges."""
 
     def __post_init__(self) -> None:
         require_at_least(self, 1, "widths_px")

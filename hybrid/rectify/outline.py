@@ -53,6 +53,10 @@ class OutlineConfig:
     """Stated noise of one edge point, in pixels."""
     rule_sigma_px: float = 0.25
     """How far an edge along which a rule is printed may lie from where all its points have it, in pixels."""
+    covered_px: tuple[float, float] = (0.8, 0.8)
+    """By how much a background that is clipped covers the film's rim, in pixels: mean and standard deviation."""
+    clipped_share: float = 0.7
+    """Share of a side's edge points beyond which all must be clipped for that."""
     prior: float = 0.02
     """Fraction of the film's size at which a path's distance from the prediction costs as much as half a score."""
     read_free: float = 0.002
@@ -116,7 +120,7 @@ def find_outline(
     rough = 1.2 * np.array([strip.pixel for strip in strips])
     good &= smooth_curve_weights(strips[0].along, depth, good, rough) > 0.2
     return tuple(
-        _side_sightings(strip, side, depth[k], at_path[k], good[k], end.has_rule, config)
+        _side_sightings(strip, side, at_path[k], depth[k], good[k], end, config)
         for k, (strip, side, end) in enumerate(zip(strips, SIDES, ends, strict=True))
         if good[k].mean() >= config.min_share
     )
@@ -191,16 +195,21 @@ def _window_score(image: Float[np.ndarray, "d p 3"], width: int, gap: int, noise
 def _side_sightings(
     strip: Strip,
     side: Side,
-    depth: Float[np.ndarray, " p"],
     at_path: Float[np.ndarray, " p"],
+    depth: Float[np.ndarray, " p"],
     good: Bool[np.ndarray, " p"],
-    has_rule: bool,
+    end: EndOfSheet,
     config: OutlineConfig,
 ) -> Sightings:
-    """The edge along one strip where it is seen well. Where a rule hides it, it may lie a little further in or out."""
+    """The edge along one strip where it is seen well. A rule hides a little of where it lies, and so does clipping:
+    what is blurred of a background that is far brighter than the photo can show covers the film's rim."""
     sigma = config.sigma_px * strip.pixel * np.sqrt(np.clip(4.0 / at_path[good], 1.0, 4.0))
-    seen = edge_sightings(side, strip.along[good], depth[good], sigma)
-    return may_shift(seen, config.rule_sigma_px * strip.pixel) if has_rule else seen
+    along, depth = strip.along[good], depth[good]
+    if end.clipped[good].mean() > config.clipped_share:
+        covered, spread = config.covered_px
+        return may_shift(edge_sightings(side, along, depth - covered * strip.pixel, sigma), spread * strip.pixel)
+    seen = edge_sightings(side, along, depth, sigma)
+    return may_shift(replace(seen, has_rule=True), config.rule_sigma_px * strip.pixel) if end.has_rule else seen
 
 
 def edge_sightings(

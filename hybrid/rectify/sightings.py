@@ -41,6 +41,7 @@ class Sightings:
     shared_sigma: prior standard deviation of these constants around 0, in film units.
     group: a number for each sighting, or None. Sightings of one number show the same thing in different places: a
         text, which is alike everywhere, or anatomy, which is not. How alike is found from how well they agree.
+    has_rule: of one of the sheet's edges, whether a rule is printed along it.
     """
 
     axis: int
@@ -50,6 +51,7 @@ class Sightings:
     shared: Float[np.ndarray, "n g"]
     shared_sigma: Float[np.ndarray, " g"]
     group: Int[np.ndarray, " n"] | None = None
+    has_rule: bool = False
 
     def __len__(self) -> int:
         return len(self.known)
