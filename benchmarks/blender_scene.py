@@ -210,8 +210,8 @@ def light(job: dict[str, Any], normal: Vector) -> None:
         plane.data.materials.append(desk)
 
 
-def camera_for(lattice: np.ndarray, job: dict[str, Any]) -> tuple[Any, np.ndarray, np.ndarray, float]:
-    """A camera before the film that sees it as large as asked for; its object, eye, axes (right, up, back) and f."""
+def camera_for(lattice: np.ndarray, job: dict[str, Any]) -> tuple[np.ndarray, np.ndarray, float]:
+    """A camera before the film that sees it as large as asked for; its eye, axes (right, up, back) and f."""
     side, f_px = job["side"], job["focal"] * job["side"]
     points = lattice.reshape(-1, 3)
     middle = points.mean(axis=0)
@@ -220,8 +220,8 @@ def camera_for(lattice: np.ndarray, job: dict[str, Any]) -> tuple[Any, np.ndarra
     upright = np.array([0.0, 1.0, 0.0]) - normal[1] * normal
     upright /= np.linalg.norm(upright)
     beside = np.cross(upright, normal)
-    tilt, round_ = math.radians(job["tilt"]), math.radians(job["tilt_to"])
-    back = math.cos(tilt) * normal + math.sin(tilt) * (math.cos(round_) * beside + math.sin(round_) * upright)
+    tilt, bearing = math.radians(job["tilt"]), math.radians(job["tilt_to"])
+    back = math.cos(tilt) * normal + math.sin(tilt) * (math.cos(bearing) * beside + math.sin(bearing) * upright)
     right = np.cross(upright, back)
     right /= np.linalg.norm(right)
     above = np.cross(back, right)
@@ -244,7 +244,7 @@ def camera_for(lattice: np.ndarray, job: dict[str, Any]) -> tuple[Any, np.ndarra
     made.matrix_world = Matrix.Translation(Vector(eye)) @ Matrix(axes.tolist()).to_4x4()
     bpy.context.collection.objects.link(made)
     bpy.context.scene.camera = made
-    return made, eye, axes, f_px
+    return eye, axes, f_px
 
 
 def projected(points: np.ndarray, eye: np.ndarray, axes: np.ndarray, f_px: float, side: int) -> np.ndarray:
@@ -276,7 +276,7 @@ def photograph(job: dict[str, Any]) -> dict[str, Any]:
     film = flat_sheet(job)
     bent = bend(film, job)
     lattice = lattice_of(film, (job["cuts"] + 1) * 2**FINE)
-    _, eye, axes, f_px = camera_for(lattice, job)
+    eye, axes, f_px = camera_for(lattice, job)
     material(film, job)
     light(job, Vector(axes[:, 2]))
     scene.render.engine = "CYCLES"
@@ -293,16 +293,20 @@ def photograph(job: dict[str, Any]) -> dict[str, Any]:
     bpy.ops.render.render(write_still=True)
     simulated = {**job, **bent, "stops": stops, "texture": Path(job["texture"]).name, "photo": Path(job["photo"]).name}
     simulated["room"] = Path(job["room"]).name if job["room"] else ""
-    np.savez_compressed(
-        Path(job["photo"]).with_suffix(".npz"),
-        lattice=projected(lattice, eye, axes, f_px, job["side"]).astype(np.float32),
-        xyz=lattice.astype(np.float32),
-        eye=eye.astype(np.float32),
-        R=axes.astype(np.float32),
-        f_px=np.float32(f_px),
-        texture=Path(job["texture"]).name,
-        meta=json.dumps(simulated),
-    )
+    truth = Path(job["photo"]).with_suffix(".npz")
+    part = truth.with_suffix(".part")  # a run that is stopped leaves no half of a truth
+    with part.open("wb") as file:
+        np.savez_compressed(
+            file,
+            lattice=projected(lattice, eye, axes, f_px, job["side"]).astype(np.float32),
+            xyz=lattice.astype(np.float32),
+            eye=eye.astype(np.float32),
+            R=axes.astype(np.float32),
+            f_px=np.float32(f_px),
+            texture=Path(job["texture"]).name,
+            meta=json.dumps(simulated),
+        )
+    part.replace(truth)
     return simulated
 
 
