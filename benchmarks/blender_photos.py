@@ -16,17 +16,18 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import tyro
 from tqdm import tqdm
 
 from benchmarks.command import run_command
-from data_gen.prints import FilmPrint, PrintConfig, make_print
+from data_gen.prints import FilmPrint, make_print
 from data_gen.sources import SourceConfig, draw_volume, loaded
-from hybrid.errors import ConfigError, DataError, describe
+from hybrid.errors import DataError, describe, require_at_least
 from hybrid.image_io import write_rgb
 from hybrid.outputs import make_folder
 
@@ -38,29 +39,21 @@ class Options:
     """Make check photos with Blender.
 
     out: folder of the photos. python: a Python that has bpy. count: how many photos. seed: of all that is drawn.
-    ct, hdri: folders of CT volumes and environments; without them phantoms and plain light.
-    only, leave_out: names of volumes and environments, as for data_gen.generate. phantoms: the first, and the one after
-    the last.
-    side: of the photos in pixels. samples: of light per pixel, before they are denoised.
+    side: of the photos in pixels. samples: of light per pixel, before they are denoised. sources: of CT volumes and
+    environments; without environments light is plain.
     """
 
     out: Path
     python: Path
     count: int = 48
     seed: int = 0
-    ct: Path | None = None
-    hdri: Path | None = None
-    only: tuple[str, ...] = ()
-    leave_out: tuple[str, ...] = ()
-    phantoms: tuple[int, int] = (0, 12)
     side: int = 1080
     samples: int = 24
+    sources: tyro.conf.OmitArgPrefixes[SourceConfig] = field(default_factory=SourceConfig)
 
     def __post_init__(self) -> None:
-        if min(self.count, self.samples) < 1 or self.side < 64:
-            got = f"count {self.count}, samples {self.samples}, side {self.side}"
-            do = "Change the option."
-            raise ConfigError(describe(what="photos", got=got, allowed=">= 1, >= 1, >= 64", do=do))
+        require_at_least(self, 1, "count", "samples")
+        require_at_least(self, 64, "side")
 
 
 @dataclass(frozen=True)
@@ -72,7 +65,7 @@ class Job:
     place. stiffness: against bending. gravity: in parts of the Earth's. max_angle: degrees between the mean normal and
     the furthest at which the simulation ends.
     roughness: of the surface. through: share of the light that is let through.
-    room: file of the environment, or "" for ``room_colour``; room_strength, room_turn: Euler angles in rad.
+    room: file of the environment, or "" for ``room_colour``. room_turn: its Euler angles in rad.
     lamps: discs of ``size`` that shine to the film's middle. desk: a plane behind the film, if any.
     focal: in parts of the photo's side. tilt, tilt_to, roll: degrees off the normal, to where, and about the axis.
     fill: share of the photo's side that the film takes. off_centre: in parts of what is free then.
@@ -95,7 +88,6 @@ class Job:
     through: float
     room: str
     room_colour: tuple[float, float, float]
-    room_strength: float
     room_turn: tuple[float, float, float]
     lamps: tuple[dict[str, Any], ...]
     desk: dict[str, Any] | None
@@ -142,7 +134,6 @@ def draw_job(rng: np.random.Generator, film_print: FilmPrint, rooms: Sequence[Pa
         through=float(rng.uniform(0.4, 0.9) if lit_from_behind else 0.0),
         room=room,
         room_colour=tuple((rng.uniform(0.01, 0.3) * rng.uniform(0.9, 1, 3)).tolist()),
-        room_strength=1.0,
         room_turn=tuple(rng.uniform(-np.pi, np.pi, 3).tolist()),
         lamps=_lamps(rng, lit_from_behind, bool(room)),
         desk=_desk(rng) if desk else None,
@@ -199,8 +190,9 @@ def write_print(folder: Path, number: int, film_print: FilmPrint) -> Path:
     return path
 
 
-def make_photo(number: int, sources: SourceConfig, rooms: Sequence[Path], options: Options) -> None:
-    """Photo ``number``, unless it is there; the same seed and number draw the same scene.
+def make_photo(number: int, rooms: Sequence[Path], options: Options) -> None:
+    """Photo ``number``, unless it is there. The same seed and number draw the same job, but Blender bends a sheet a
+    little otherwise each time; the truth is that of the photo.
 
     Raises:
         DataError: Blender made none.
@@ -210,7 +202,7 @@ def make_photo(number: int, sources: SourceConfig, rooms: Sequence[Path], option
     if photo.exists() and truth.exists():
         return
     rng = np.random.default_rng([options.seed, number])
-    film_print = make_print(draw_volume(sources, rng), rng, PrintConfig())
+    film_print = make_print(draw_volume(options.sources, rng), rng)
     job = draw_job(rng, film_print, rooms, options)
     texture = write_print(options.out, number, film_print)
     job = replace(job, photo=str(photo.resolve()), texture=str(texture.resolve()), seed=options.seed + number)
@@ -232,15 +224,20 @@ def _told(command: Sequence[str]) -> str:
     return (ended.stderr.strip() or ended.stdout.strip() or f"exit code {ended.returncode}").splitlines()[-1]
 
 
+def room_files(sources: SourceConfig) -> list[Path]:
+    """The files of the environments that the options choose, by name; none where no folder is given."""
+    if sources.hdri is None:
+        return []
+    files = {path.stem: path for path in sorted(sources.hdri.rglob("*.hdr"))}
+    return [files[room.name] for room in loaded(sources)[1]]
+
+
 def run(options: Options, command: list[str]) -> int:
     """Make the photos; how many there are."""
     make_folder(options.out / "textures")
-    sources = SourceConfig(
-        options.ct, options.hdri, only=options.only, leave_out=options.leave_out, phantoms=options.phantoms
-    )
-    rooms = [] if options.hdri is None else [options.hdri / f"{room.name}.hdr" for room in loaded(sources)[1]]
+    rooms = room_files(options.sources)
     for number in tqdm(range(options.count), unit="photo"):
-        make_photo(number, sources, rooms, options)
+        make_photo(number, rooms, options)
     return options.count
 
 

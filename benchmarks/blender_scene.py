@@ -71,12 +71,11 @@ def bend(film: Any, job: dict[str, Any]) -> dict[str, float]:
         cloth.tension_stiffness = cloth.compression_stiffness = cloth.shear_stiffness = 80.0
         cloth.bending_stiffness = job["stiffness"]
     flat = points_of(film)
-    found: dict[str, float] = {}
     for frame in range(1, LAST_FRAME + 1):
         scene.frame_set(frame)
         points = points_of(film)
-        found = {"frame": frame, "angle": largest_angle(points), "strain": strain(points, flat)}
-        if found["angle"] >= job["max_angle"]:
+        angle = largest_angle(points)
+        if angle >= job["max_angle"]:
             break
     film.modifiers.clear()
     film.data.vertices.foreach_set("co", points.astype(np.float32).ravel())
@@ -85,7 +84,7 @@ def bend(film: Any, job: dict[str, Any]) -> dict[str, float]:
     smooth = film.modifiers.new("smooth", "SUBSURF")
     smooth.levels = smooth.render_levels = FINE
     smooth.boundary_smooth, smooth.uv_smooth = "PRESERVE_CORNERS", "NONE"
-    return found
+    return {"frame": frame, "angle": angle, "strain": strain(points, flat)}
 
 
 def evaluated(film: Any) -> Any:
@@ -95,7 +94,11 @@ def evaluated(film: Any) -> Any:
 
 def points_of(film: Any) -> np.ndarray:
     """(n, 3) points of the film's mesh after its modifiers."""
-    mesh = evaluated(film)
+    return vertices_of(evaluated(film))
+
+
+def vertices_of(mesh: Any) -> np.ndarray:
+    """(n, 3) points of a mesh."""
     points = np.empty(3 * len(mesh.vertices), np.float32)
     mesh.vertices.foreach_get("co", points)
     return points.reshape(-1, 3).astype(np.float64)
@@ -104,8 +107,6 @@ def points_of(film: Any) -> np.ndarray:
 def lattice_of(film: Any, intervals: int) -> np.ndarray:
     """(n, n, 3) points of a regular lattice of the film, row 0 its top, by the uv of the vertices."""
     mesh = evaluated(film)
-    points = np.empty(3 * len(mesh.vertices), np.float32)
-    mesh.vertices.foreach_get("co", points)
     corners = np.empty(len(mesh.loops), np.int32)
     mesh.loops.foreach_get("vertex_index", corners)
     uv = np.empty(2 * len(mesh.loops), np.float32)
@@ -115,7 +116,7 @@ def lattice_of(film: Any, intervals: int) -> np.ndarray:
         raise RuntimeError("the film's vertices are no regular lattice")
     column, row = place.astype(int).T
     lattice = np.full((intervals + 1, intervals + 1, 3), np.nan)
-    lattice[intervals - row, column] = points.reshape(-1, 3)[corners]
+    lattice[intervals - row, column] = vertices_of(mesh)[corners]
     if not np.isfinite(lattice).all():
         raise RuntimeError("the film's lattice has holes")
     return lattice
@@ -175,7 +176,6 @@ def light(job: dict[str, Any], normal: Vector) -> None:
     world.use_nodes = True
     nodes, links = world.node_tree.nodes, world.node_tree.links
     background = nodes["Background"]
-    background.inputs["Strength"].default_value = job["room_strength"]
     if job["room"]:
         where, turned, room = (nodes.new(f"ShaderNode{n}") for n in ("TexCoord", "Mapping", "TexEnvironment"))
         turned.inputs["Rotation"].default_value = job["room_turn"]
@@ -269,8 +269,8 @@ def expose(job: dict[str, Any]) -> float:
     return math.log2(job["brightness"] / max(level, 1e-6))
 
 
-def photograph(job: dict[str, Any]) -> dict[str, Any]:
-    """Bend the film, render the photo, and write the truth beside it; what was simulated."""
+def photograph(job: dict[str, Any]) -> None:
+    """Bend the film, render the photo, and write the truth beside it."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     scene = bpy.context.scene
     film = flat_sheet(job)
@@ -282,8 +282,6 @@ def photograph(job: dict[str, Any]) -> dict[str, Any]:
     scene.render.engine = "CYCLES"
     scene.cycles.device, scene.cycles.use_denoising, scene.cycles.denoiser = "CPU", True, "OPENIMAGEDENOISE"
     scene.cycles.max_bounces, scene.cycles.adaptive_threshold = 4, 0.03
-    scene.render.resolution_percentage = 100
-    scene.view_settings.view_transform = "Raw"
     stops = expose(job)
     scene.view_settings.view_transform, scene.view_settings.exposure = job["tone"], stops
     scene.cycles.samples = job["samples"]
@@ -307,7 +305,6 @@ def photograph(job: dict[str, Any]) -> dict[str, Any]:
             meta=json.dumps(simulated),
         )
     part.replace(truth)
-    return simulated
 
 
 if __name__ == "__main__":

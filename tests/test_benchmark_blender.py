@@ -4,10 +4,11 @@ import json
 import sys
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
-from benchmarks.blender_photos import Job, Options, draw_job, main, write_print
+from benchmarks.blender_photos import Job, Options, draw_job, main, room_files, write_print
 from benchmarks.photos import load_photos
 from data_gen.prints import PrintConfig, make_print
 from data_gen.sources import SourceConfig, draw_volume
@@ -74,6 +75,15 @@ def test_photos_are_read_as_others_and_made_once(tmp_path, blender):
     assert all(photo.read_print().shape[0] > photo.rows for photo in photos)
     assert all((out / f"{photo.name}.log").read_text() == "made" for photo in photos)
     assert photos[0].meta["seed"] != photos[1].meta["seed"]
+
+
+def test_environments_of_subfolders_are_found(tmp_path):
+    assert room_files(SourceConfig()) == []
+    for name in ("a/hall", "bath"):
+        path = tmp_path / f"{name}.hdr"
+        path.parent.mkdir(exist_ok=True)
+        cv2.imwrite(str(path), np.ones((8, 16, 3), np.float32))
+    assert room_files(SourceConfig(hdri=tmp_path, only=("hall",))) == [tmp_path / "a" / "hall.hdr"]
 
 
 def test_the_name_of_a_print_tells_its_grid(tmp_path):

@@ -94,10 +94,7 @@ class Strip:
 
 
 def find_outline(
-    photo: UInt8[np.ndarray, "H W 3"],
-    backward: BackwardMap,
-    config: OutlineConfig,
-    read: Sequence[Sightings] = (),
+    photo: UInt8[np.ndarray, "H W 3"], backward: BackwardMap, config: OutlineConfig, read: Sequence[Sightings] = ()
 ) -> tuple[Sightings, ...]:
     """Sightings of the sheet's edges through the map, one record for each side on which an edge is seen.
 
