@@ -120,6 +120,16 @@ def test_bspline_weights_sum_to_one_and_reproduce_lines():
     np.testing.assert_allclose(weights @ knots, t, atol=1e-12)
 
 
+def test_a_sorted_design_is_the_design_row_for_row():
+    uv = np.random.default_rng(0).uniform(-0.02, 1.02, (50, 2))
+    uv = uv[bspline.SortedDesign.order(uv, 6)]
+    for by_u, by_v in ((0, 0), (1, 0), (0, 1), (1, 1), (0, 2)):
+        found, rows = bspline.SortedDesign.of(uv, 6, by_u, by_v), bspline.design(uv, 6, by_u, by_v)
+        np.testing.assert_allclose(found.dense, rows, atol=1e-12)
+        coefficients = np.random.default_rng(1).normal(0, 1, (81, 3))
+        np.testing.assert_allclose(found.values(coefficients), rows @ coefficients, atol=1e-9)
+
+
 def test_bending_energy_is_that_of_analytic_surfaces():
     uv = film_nodes((40, 40)).reshape(-1, 2)
     rows = bspline.design(uv, 6)

@@ -12,9 +12,10 @@ from hybrid.rectify.grid import Comb, GridConfig
 from hybrid.rectify.layout import Evidence
 from hybrid.rectify.margins import MarginsConfig, PlacedPrint, undecided, usual_margins
 from hybrid.rectify.repeat import Repeats
-from hybrid.rectify.sheet import Frame, Sheet, SheetConfig, flat_sheet, project, relief_reversed, surface
+from hybrid.rectify.sheet import CAMERA, Frame, Sheet, SheetConfig, flat_sheet, project, relief_reversed, surface
 from hybrid.rectify.sheet_fit import FittedSheet, fit_sheet
-from hybrid.rectify.sheet_problem import Sum, add_strain, strain_curvature
+from hybrid.rectify.sheet_problem import strain, strain_curvature
+from hybrid.rectify.sheet_sum import Sum
 from hybrid.rectify.sightings import Sightings, carried
 
 CONFIG = SheetConfig()
@@ -179,25 +180,28 @@ def test_a_mirrored_sheet_strains_no_more_and_mirrored_again_is_the_same():
     np.testing.assert_allclose(relief_reversed(mirrored).control, found.sheet.control, atol=1e-9)
 
 
-class Residuals(Sum):
-    """Collects residuals and their derivatives instead of summing them."""
-
-    def __init__(self) -> None:
-        super().__init__(0, True)
-        self.residual: list[np.ndarray] = []
-        self.rows: list[np.ndarray] = []
-
-    def add(self, residual: np.ndarray, rows: np.ndarray | None) -> None:
-        assert rows is not None
-        self.residual.append(residual)
-        self.rows.append(rows)
-
-
 def strain_of(sheet: Sheet) -> tuple[np.ndarray, np.ndarray]:
     """All residuals of the strain, and their derivatives by all unknowns."""
-    found = Residuals()
-    add_strain(found, sheet, CONFIG)
-    return np.concatenate(found.residual), np.vstack(found.rows)
+    block, n = strain(sheet, CONFIG, 0, True), len(sheet.control)
+    rows = np.zeros((*block.residual.shape, 3 * n + CAMERA))
+    for points, near in block.design.parts():
+        width = near.stop - near.start
+        for k in range(3):
+            here = slice(k * n + near.start, k * n + near.stop)
+            rows[points, :, here] = block.derivatives[points, :, k * width : (k + 1) * width]
+    rows[:, :, 3 * n :] = block.tail
+    return block.residual.ravel(), rows.reshape(-1, 3 * n + CAMERA)
+
+
+def test_normal_equations_are_those_of_all_rows():
+    sheet = flat_sheet(cylinder(1e3, 0, 15), Frame.of(PHOTO), 4, 1.3)
+    sheet = replace(sheet, control=sheet.control + np.random.default_rng(3).normal(0, 0.02, sheet.control.shape))
+    residual, rows = strain_of(sheet)
+    found = Sum([strain(sheet, CONFIG, 0, True)], sheet.intervals, 0, True)
+    assert found.cost == pytest.approx(0.5 * residual @ residual)
+    np.testing.assert_allclose(found.right, rows.T @ residual, atol=1e-9 * np.abs(found.right).max())
+    square = np.triu(rows.T @ rows)
+    np.testing.assert_allclose(np.triu(found.matrix), square, atol=1e-9 * np.abs(square).max())
 
 
 def test_derivatives_of_strain_and_projection_are_those_of_differences():

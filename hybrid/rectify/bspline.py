@@ -7,12 +7,13 @@ polynomial of the nearest interval goes on, so that points a little beyond the e
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
+from itertools import pairwise
 
 import numpy as np
-from jaxtyping import Float
-from scipy.interpolate import BSpline
+from jaxtyping import Float, Int
 from scipy.linalg import get_lapack_funcs
 
 from hybrid.coords import node_centres_1d
@@ -21,22 +22,87 @@ RIDGE = 1e-10
 """Relative to the mean diagonal: keeps the factorisation possible where an affine part is unobserved."""
 
 
+_PIECES = np.array([[1.0, 4.0, 1.0, 0.0], [-3.0, 0.0, 3.0, 0.0], [3.0, -6.0, 3.0, 0.0], [-1.0, 3.0, -3.0, 1.0]]) / 6.0
+"""The four cubic B-splines of a knot interval, each a column of coefficients of the powers of the place in it."""
+
+
 @cache
-def _axis_spline(intervals: int, derivative: int) -> BSpline:
-    """The uniform cubic B-splines of one axis, or their derivatives."""
-    spline = BSpline(np.arange(-3, intervals + 4) / intervals, np.eye(intervals + 3), 3)
-    return spline.derivative(derivative) if derivative else spline
+def _pieces(derivative: int) -> Float[np.ndarray, "p 4"]:
+    """The same of their derivatives."""
+    return np.polynomial.polynomial.polyder(_PIECES, derivative)
+
+
+def local_weights(
+    t: Float[np.ndarray, " n"], intervals: int, derivative: int = 0
+) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, "n 4"]]:
+    """The first of the four coefficients of one axis that count at coordinates ``t``, and the weights of these four in
+    the value or a derivative."""
+    first = np.clip((t * intervals).astype(int), 0, intervals - 1)
+    powers = np.ones((4 - derivative, len(t)))
+    np.subtract(t * intervals, first, out=powers[1])
+    for k in range(2, len(powers)):
+        np.multiply(powers[k - 1], powers[1], out=powers[k])
+    return first, powers.T @ (_pieces(derivative) * float(intervals) ** derivative)
 
 
 def axis_weights(t: Float[np.ndarray, " n"], intervals: int, derivative: int = 0) -> Float[np.ndarray, "n k"]:
     """Weights of the ``intervals + 3`` coefficients of one axis in the value or a derivative at coordinates ``t``."""
-    return _axis_spline(intervals, derivative)(t)
+    first, local = local_weights(t, intervals, derivative)
+    weights = np.zeros((len(t), intervals + 3))
+    weights.ravel()[(np.arange(len(t)) * (intervals + 3) + first)[:, None] + np.arange(4)] = local
+    return weights
 
 
 def design(uv: Float[np.ndarray, "n 2"], intervals: int, by_u: int = 0, by_v: int = 0) -> Float[np.ndarray, "n kk"]:
     """Rows that give the spline's value, or a derivative, at film points ``uv`` from its coefficients."""
     along_u, along_v = axis_weights(uv[:, 0], intervals, by_u), axis_weights(uv[:, 1], intervals, by_v)
     return (along_v[:, :, None] * along_u[:, None, :]).reshape(len(uv), (intervals + 3) ** 2)
+
+
+@dataclass(frozen=True, eq=False)
+class SortedDesign:
+    """Weights of a spline's coefficients at points that are sorted by the knot interval of v.
+
+    Only four rows of coefficients count in an interval. weights: of these, one after the other. starts: of each
+    interval, the number of points in those before it; then that of all.
+    """
+
+    weights: Float[np.ndarray, "n k4"]
+    starts: tuple[int, ...]
+
+    @staticmethod
+    def order(uv: Float[np.ndarray, "n 2"], intervals: int) -> Int[np.ndarray, " n"]:
+        """Which of film points are first, second and so on once they are sorted."""
+        return np.argsort(local_weights(uv[:, 1], intervals)[0], kind="stable")
+
+    @staticmethod
+    def of(uv: Float[np.ndarray, "n 2"], intervals: int, by_u: int = 0, by_v: int = 0) -> SortedDesign:
+        """Of the spline's value, or of a derivative, at points in that order."""
+        first, along_v = local_weights(uv[:, 1], intervals, by_v)
+        along_u = axis_weights(uv[:, 0], intervals, by_u)
+        weights = (along_v[:, :, None] * along_u[:, None, :]).reshape(len(uv), 4 * (intervals + 3))
+        return SortedDesign(weights, tuple(np.searchsorted(first, np.arange(intervals + 1)).tolist()))
+
+    def parts(self) -> Iterator[tuple[slice, slice]]:
+        """Of each interval, which points are in it, and which coefficients count there."""
+        width = len(self.starts) + 2
+        for i, (start, end) in enumerate(pairwise(self.starts)):
+            yield slice(start, end), slice(i * width, (i + 4) * width)
+
+    def values(self, coefficients: Float[np.ndarray, "kk c"]) -> Float[np.ndarray, "n c"]:
+        """Of the spline with these coefficients."""
+        values = np.empty((len(self.weights), coefficients.shape[1]))
+        for points, near in self.parts():
+            np.matmul(self.weights[points], coefficients[near], out=values[points])
+        return values
+
+    @cached_property
+    def dense(self) -> Float[np.ndarray, "n kk"]:
+        """The weights of all coefficients: quicker where few points are looked at again and again."""
+        dense = np.zeros((len(self.weights), (len(self.starts) + 2) ** 2))
+        for points, near in self.parts():
+            dense[points, near] = self.weights[points]
+        return dense
 
 
 @cache

@@ -15,11 +15,13 @@ from jaxtyping import Float
 from hybrid.backward import BackwardMap
 from hybrid.coords import film_centres, film_nodes
 from hybrid.errors import require_at_least
-from hybrid.rectify.bspline import axis_weights, design
+from hybrid.rectify.bspline import SortedDesign, axis_weights, design
 from hybrid.rectify.invert import fit_homography
 
+FOCAL, ASPECT, LENS = range(3)
+"""Unknowns beside the surface: logarithms of the focal length and of the ratio of sides, and the distortion."""
 CAMERA = 3
-"""Unknowns beside the surface: focal length, ratio of sides, distortion."""
+"""Number of these."""
 
 
 @dataclass(frozen=True)
@@ -134,12 +136,12 @@ class Sheet:
     distortion: float
 
     def moved(self, step: Float[np.ndarray, " m"]) -> Sheet:
-        """With a step of all unknowns added."""
-        n = len(self.control)
-        focal, aspect, distortion = step[3 * n : 3 * n + CAMERA]
+        """With a step of all unknowns added: all x of the coefficients, then y and z, then of the camera."""
+        n = self.control.size
+        focal, aspect, distortion = step[n : n + CAMERA]
         return replace(
             self,
-            control=self.control + step[: 3 * n].reshape(3, n).T,
+            control=self.control + step[:n].reshape(3, -1).T,
             log_focal=self.log_focal + float(np.clip(focal, -0.3, 0.3)),
             log_aspect=self.log_aspect + float(np.clip(aspect, -0.1, 0.1)),
             distortion=self.distortion + float(distortion),
@@ -235,10 +237,10 @@ def _along(weights: Float[np.ndarray, "m k"], rows: Float[np.ndarray, "m 3 k"]) 
 
 
 @lru_cache(maxsize=4)
-def slopes(intervals: int) -> tuple[Float[np.ndarray, "m n"], Float[np.ndarray, "m n"]]:
-    """Weights of the coefficients in the slopes along u and v, on the lattice of places where strain is measured."""
+def slopes(intervals: int) -> tuple[SortedDesign, SortedDesign]:
+    """Slopes along u and v, on the lattice of places where strain is measured."""
     places = film_centres((2 * intervals - 2, 2 * intervals - 2)).reshape(-1, 2)
-    return design(places, intervals, 1, 0), design(places, intervals, 0, 1)
+    return SortedDesign.of(places, intervals, 1, 0), SortedDesign.of(places, intervals, 0, 1)
 
 
 NODES = (6, 6)
@@ -246,9 +248,9 @@ NODES = (6, 6)
 
 
 @lru_cache(maxsize=4)
-def node_weights(intervals: int) -> Float[np.ndarray, "m n"]:
-    """Weights of the coefficients in these points."""
-    return design(film_nodes(NODES).reshape(-1, 2), intervals)
+def at_nodes(intervals: int) -> SortedDesign:
+    """The surface in these points."""
+    return SortedDesign.of(film_nodes(NODES).reshape(-1, 2), intervals)
 
 
 @lru_cache(maxsize=4)
@@ -295,15 +297,18 @@ def relief_reversed(sheet: Sheet) -> Sheet:
 
 
 __all__ = [
+    "ASPECT",
     "CAMERA",
+    "FOCAL",
+    "LENS",
     "NODES",
     "Frame",
     "Projection",
     "Sheet",
     "SheetConfig",
+    "at_nodes",
     "flat_sheet",
     "inner",
-    "node_weights",
     "project",
     "relief_reversed",
     "slopes",

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from hybrid.backward import BackwardMap
-from hybrid.rectify.bspline import design
+from hybrid.rectify.bspline import SortedDesign
 from hybrid.rectify.sheet import Frame, Sheet, SheetConfig, inner, project, surface
 from hybrid.rectify.sightings import Sightings, group_medians, group_noise
 from hybrid.rectify.tps import MAD_TO_SIGMA
@@ -74,15 +74,16 @@ def seen_through(through: BackwardMap, sightings: Sequence[Sightings], frame: Fr
 class Curves:
     """Where a sheet has what is seen: film points that slid along their curves to where they are nearest.
 
-    weights: of the sheet's coefficients. along: as in Seen. normal: to the curves in the photo, over the deviation.
-    pull: by how much the points move along the normal with the known coordinate. tolerance: in deviations.
-    constants: at which all this holds.
+    along: as in Seen, and in that order. All else is in the order of ``design``, which is that of the film points.
+    point: as in Seen. normal: to the curves in the photo, over the deviation. pull: by how much the points move along
+    the normal with each of the constants. tolerance: in deviations. constants: at which all this holds.
     """
 
-    weights: Float[np.ndarray, "n k"]
     along: Float[np.ndarray, " n"]
+    design: SortedDesign
+    point: Float[np.ndarray, "n 2"]
     normal: Float[np.ndarray, "n 2"]
-    pull: Float[np.ndarray, " n"]
+    pull: Float[np.ndarray, "n g"]
     tolerance: Float[np.ndarray, " n"]
     constants: Float[np.ndarray, " g"]
 
@@ -108,13 +109,17 @@ def slid(
     normal = np.stack([-tangent[:, 1], tangent[:, 0]], axis=1) / np.sqrt(square)[:, None]
     pull = inner(by_uv[rows, :, seen.across], normal)
     sigma = np.hypot(seen.sigma * pull, seen.floor)
-    weights = design(place, sheet.intervals)
-    residual = inner(project(sheet, weights @ sheet.control).point - seen.point, normal)
+    order = SortedDesign.order(place, sheet.intervals)
+    shown = SortedDesign.of(place[order], sheet.intervals)
+    point, normal, sigma = seen.point[order], normal[order], sigma[order]
+    residual = inner(project(sheet, shown.values(sheet.control)).point - point, normal)
     if near and (seen.group >= 0).any():
-        sigma = group_noise(sigma, seen.group, residual)
-    typical = MAD_TO_SIGMA * group_medians(np.abs(residual) / sigma, seen.number)
-    tolerance = np.maximum(1.0, 2.0 * typical)[seen.number]
-    return Curves(weights, place[rows, 1 - seen.across], normal / sigma[:, None], pull / sigma, tolerance, constants)
+        sigma = group_noise(sigma, seen.group[order], residual)
+    number = seen.number[order]
+    typical = MAD_TO_SIGMA * group_medians(np.abs(residual) / sigma, number)
+    tolerance = np.maximum(1.0, 2.0 * typical)[number]
+    pull = seen.shared[order] * (pull[order] / sigma)[:, None]
+    return Curves(place[rows, 1 - seen.across], shown, point, normal / sigma[:, None], pull, tolerance, constants)
 
 
 __all__ = ["NOTHING", "Curves", "Seen", "seen_through", "slid"]

@@ -1,0 +1,118 @@
+"""Normal equations of a sheet, from residuals that each have to do with few of its coefficients.
+
+The unknowns are the x of all coefficients, their y, their z, the camera, and the constants of the sightings. What a
+point of the film shows has to do with four rows of coefficients alone (SortedDesign) and with the latter two.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from hybrid.rectify.bspline import SortedDesign
+from hybrid.rectify.sheet import CAMERA
+
+
+@dataclass(frozen=True, eq=False)
+class Block:
+    """Residuals at the points of a design, of one or several kinds at each, in deviations.
+
+    derivatives: by the coefficients that count at the point, all x, then y, then z; then by the ``tail``, camera and
+    constants. Empty where only the cost is asked for.
+    """
+
+    design: SortedDesign
+    residual: Float[np.ndarray, "n kinds"]
+    derivatives: Float[np.ndarray, "n kinds u"]
+
+    @staticmethod
+    def of(design: SortedDesign, residual: Float[np.ndarray, "n kinds"], constants: int) -> Block:
+        """Derivatives by the coefficients are still to be written, those by the tail are 0."""
+        near = 3 * design.weights.shape[1]
+        derivatives = np.empty((*residual.shape, near + CAMERA + constants))
+        derivatives[:, :, near:] = 0.0
+        return Block(design, residual, derivatives)
+
+    @staticmethod
+    def without_derivatives(design: SortedDesign, residual: Float[np.ndarray, "n kinds"]) -> Block:
+        """Residuals of which only the cost is asked for."""
+        return Block(design, residual, np.empty((*residual.shape, 0)))
+
+    def write(self, kind: int, *terms: tuple[Float[np.ndarray, "n k4"], Float[np.ndarray, "n 3"]]) -> None:
+        """Derivatives by the coefficients, as the sum of terms: weights of these, and the derivatives by the point in
+        space, or by its slope, that is so weighed."""
+        near = self.design.weights.shape[1]
+        for k in range(3):
+            written = self.derivatives[:, kind, k * near : (k + 1) * near]
+            for number, (weights, by_point) in enumerate(terms):
+                if number:
+                    written += weights * by_point[:, k : k + 1]
+                else:
+                    np.multiply(weights, by_point[:, k : k + 1], out=written)
+
+    @property
+    def tail(self) -> Float[np.ndarray, "n kinds t"]:
+        """Derivatives by the camera and the constants."""
+        return self.derivatives[:, :, 3 * self.design.weights.shape[1] :]
+
+    @property
+    def cost(self) -> float:
+        """Half the sum of squares."""
+        return 0.5 * float(np.vdot(self.residual, self.residual))
+
+
+class Sum:
+    """Cost, normal matrix and gradient of all residuals.
+
+    matrix: its upper triangle; what is below is not all there. camera: index of the camera's first unknown.
+    """
+
+    def __init__(self, blocks: Sequence[Block], intervals: int, constants: int, derivatives: bool) -> None:
+        self.cost, self.derivatives = sum(block.cost for block in blocks), derivatives
+        self.camera = 3 * (intervals + 3) ** 2
+        size = self.camera + CAMERA + constants if derivatives else 0
+        self.matrix, self.right = np.zeros((size, size)), np.zeros(size)
+        if derivatives:
+            self._add(blocks)
+
+    def _add(self, blocks: Sequence[Block]) -> None:
+        """The products of all blocks, knot interval by knot interval: so they are few, and small."""
+        first, n = self.camera, self.camera // 3
+        surface, mixed = self.matrix[:first, :first].reshape(3, n, 3, n), self.matrix[:first, first:].reshape(3, n, -1)
+        tail, right = self.matrix[first:, first:], self.right[:first].reshape(3, n)
+        near = blocks[0].design.weights.shape[1]
+        for parts in zip(*(block.design.parts() for block in blocks), strict=True):
+            here, inside = parts[0][1], [points for points, _ in parts]
+            own = [block.derivatives[points] for block, points in zip(blocks, inside, strict=True)]
+            rows = np.concatenate([x.reshape(-1, x.shape[2]) for x in own])
+            residual = np.concatenate([b.residual[points].ravel() for b, points in zip(blocks, inside, strict=True)])
+            square, slope = rows.T @ rows, residual @ rows  # of one matrix with itself only half is computed
+            surface[:, here, :, here] += square[: 3 * near, : 3 * near].reshape(3, near, 3, near)
+            mixed[:, here] += square[: 3 * near, 3 * near :].reshape(3, near, -1)
+            tail += square[3 * near :, 3 * near :]
+            right[:, here] += slope[: 3 * near].reshape(3, near)
+            self.right[first:] += slope[3 * near :]
+
+    def add_prior(self, k: int, residual: float, slope: float) -> None:
+        """What is known of one unknown beforehand."""
+        self.cost += 0.5 * residual * residual
+        if self.derivatives:
+            self.matrix[k, k] += slope * slope
+            self.right[k] += slope * residual
+
+    def add_energy(self, energy: Float[np.ndarray, "n n"], control: Float[np.ndarray, "n 3"]) -> None:
+        """A quadratic form of the coefficients' x, and of their y and z."""
+        slope = energy @ control
+        self.cost += 0.5 * float(np.vdot(control, slope))
+        if self.derivatives:
+            n = len(energy)
+            for k in range(3):
+                own = slice(k * n, (k + 1) * n)
+                self.matrix[own, own] += energy
+                self.right[own] += slope[:, k]
+
+
+__all__ = ["Block", "Sum"]
