@@ -45,7 +45,6 @@ EFFORTS: dict[str, tuple[str, RectifyConfig]] = {
 """The pipeline at its efforts, by name: label and options. One line each; all run at every size."""
 
 CONFIGURATIONS: dict[str, tuple[str, RectifyConfig]] = {
-    "hybrid_one_side": ("hybrid, looks from one side", RectifyConfig(predict=PredictConfig(sides=(0,)))),
     "hybrid_two_looks": ("hybrid, two looks", RectifyConfig(predict=PredictConfig(looks=2))),
     "hybrid_no_edges": (
         "hybrid, edges by contrast alone",

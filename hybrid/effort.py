@@ -43,7 +43,7 @@ class RectifyConfig:
     plane: PlaneConfig = field(default_factory=PlaneConfig)
     again_above: float = float("inf")
     """Expected error of a refinement, in parts of the film's longer side, above which it is started from what the
-    network saw of each side apart, too; the middle of the surest counts."""
+    network sees from other sides, too; the middle of the surest counts."""
     size: FilmSizeConfig = field(default_factory=FilmSizeConfig)
     resample: ResampleConfig = field(default_factory=ResampleConfig)
     upright: UprightConfig = field(default_factory=UprightConfig)
@@ -59,17 +59,16 @@ class RectifyConfig:
     def of(effort: Effort | str) -> RectifyConfig:
         """The options of an effort.
 
-        fast: the networks' map of one side, made exact in two rounds without an unstretched sheet, and the photo read
-        bilinearly; a film counts as flattened if it is right to 10 pixels of a photo of 1080. default: the options' own
-        values. thorough: refinement from each side's map, too, unless the first is sure to about a pixel of a photo of
-        1080.
+        fast: the network's map, made exact in two rounds without an unstretched sheet, and the photo read bilinearly; a
+        film counts as flattened if it is right to 10 pixels of a photo of 1080. default: the options' own values.
+        thorough: unless that is sure to about a pixel of a photo of 1080, the network looks from three more sides, and
+        refinement starts from each of their maps, and from the mean, too.
 
         Raises:
             ConfigError: there is no such effort.
         """
         efforts = {
             "fast": RectifyConfig(
-                predict=PredictConfig(sides=(0,)),
                 refine=RefineConfig(matched=False, sheet_rounds=0),
                 resample=ResampleConfig(cubic_below=0.0),
                 # without a sheet 3.6 times the error is left

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
@@ -151,7 +151,7 @@ def see_from_sides(network: FilmNet, seen: LastLook, config: RectifyConfig, cloc
         return []
     with clock.stage("sides") as report:
         report.ran = bool(others) and seen.view is not None
-        report.reason = "one side is enough in this effort" if not others else "the film was not looked at alone"
+        report.reason = "the film was not looked at alone" if others else "one side was asked for"
         if seen.view is None or not others:
             return [first]
         looks = look_from_sides(network, seen.photo, seen.view, others)
@@ -174,7 +174,7 @@ def shape_of(
     """The exact map of the film and its grid, by the shortest way that it allows.
 
     coarse: the network's map of one side. phases: what it tells of the cells. reader: reads the film's edges. sides:
-    gives the maps of all sides; called where they are needed.
+    gives the maps of all sides, that one's last; called where they are needed.
     """
     with clock.stage("edges") as report:
         read = read_edges(pyramid, coarse, reader, config.edges)
@@ -186,11 +186,6 @@ def shape_of(
     clock.reports += flat.stages
     if flat.believed:
         return flat
-    every = sides()
-    if len(every) > 1:
-        mean = agreed(every)
-        assert isinstance(mean, Inversion)  # the last of the sides is
-        start = on_edges(mean.backward)
 
     def evened(film: BackwardMap) -> BackwardMap:
         return film if phases is None else even(film, phases, read.seen_through(film), config.foreshortening)
@@ -202,7 +197,13 @@ def shape_of(
         report.reason = (
             f"cells moved by {moved:.2%} of the film" if report.ran else "the network tells nothing of cells"
         )
-    others = (evened(on_edges(side.backward)) for side in every)
+
+    def others() -> list[BackwardMap]:
+        *further, one = sides()
+        mean = agreed([*further, one])
+        assert isinstance(mean, Inversion)  # as ``one`` is
+        return [evened(on_edges(side.backward)) for side in ([mean, *further] if further else [])]
+
     return _exact(pyramid, start, phases, read, reader, others, config, clock)
 
 
@@ -212,11 +213,12 @@ def _exact(
     phases: CellPhases | None,
     read: EdgesRead,
     reader: EdgeReader,
-    sides: Iterable[BackwardMap],
+    others: Callable[[], Sequence[BackwardMap]],
     config: RectifyConfig,
     clock: Clock,
 ) -> Refinement:
-    """The network's map made exact by what is seen of the film; where the effort says so, from each side's map too."""
+    """The network's map made exact by what is seen of the film; where the effort says so and it is not sure then, other
+    maps too, those of the other sides and the mean of all."""
     exactly = partial(_exactly, pyramid, phases, read, config)
     first = exactly(coarse)
     clock.reports += first.stages
@@ -229,11 +231,11 @@ def _exact(
             sure = f"one refinement is sure to {expected:.2%} of the film"
             report.reason = "one refinement is enough in this effort" if np.isinf(config.again_above) else sure
             return first
-        found = [first, *map(exactly, sides)]
+        found = [first, *map(exactly, others())]
         surest = as_sure(found)
         one = "the surest" if surest else "the first, as none is believed"
         counts = f"the middle of the {len(surest)} that are surest" if surest[1:] else one
-        report.reason = f"from each of {len(found) - 1} sides: {counts}"
+        report.reason = f"from the maps of other sides and their mean, {len(found) - 1} in all: {counts}"
         return middle(surest) if surest else first
 
 

@@ -56,7 +56,7 @@ class RefineConfig:
     margins: MarginsConfig = field(default_factory=MarginsConfig)
     congeal: CongealConfig = field(default_factory=CongealConfig)
     rim: RimConfig = field(default_factory=RimConfig)
-    spline: SplineConfig = field(default_factory=SplineConfig)
+    spline: SplineConfig = field(default_factory=partial(SplineConfig, reweightings=4))
     working_px: int = 1000
     """Longer side of the film, in pixels, in the copy of the photo that is looked at; no photo is enlarged."""
     near_band: float = 0.015

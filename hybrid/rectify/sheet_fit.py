@@ -67,7 +67,8 @@ def fit_sheet(
     try:
         if before is not None:
             problem = replace(problem, bending=before.bending, config=replace(config.near, strain=before.strain))
-            return _result(minimised(problem, problem.begun(before.sheet), config.steps[2]), frame, sightings, problem)
+            state = minimised(problem, problem.begun(before.sheet), config.steps[2], near=True)
+            return _result(state, frame, sightings, problem)
         state, problem = _as_stretched_as_needed(problem, near, frame)
     except LinAlgError:
         return None

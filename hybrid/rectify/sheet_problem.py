@@ -109,13 +109,14 @@ class Problem:
         return block
 
 
-def minimised(problem: Problem, state: State, steps: int) -> State:
+def minimised(problem: Problem, state: State, steps: int, near: bool = False) -> State:
     """The state after at most so many Gauss-Newton steps.
 
-    Raises LinAlgError where the normal equations cannot be solved.
+    near: whether it is so near that what disagrees with it tells how exact sightings are (``slid``); else that counts
+    from the second step on. Raises LinAlgError where the normal equations cannot be solved.
     """
     damping = 1e-3
-    curves = slid(problem.seen, state.sheet, state.constants, problem.seen.along, near=False)
+    curves = slid(problem.seen, state.sheet, state.constants, problem.seen.along, near)
     for step in range(steps):
         total = problem.normal_equations(state, curves)
         better = None
@@ -130,9 +131,9 @@ def minimised(problem: Problem, state: State, steps: int) -> State:
         if better is None:
             return replace(state, cost=total.cost)
         state, damping = better, max(damping / 5.0, 1e-7)
-        if step > 1 and total.cost - state.cost < problem.config.settled * total.cost:
+        if step + near > 1 and total.cost - state.cost < problem.config.settled * total.cost:
             break
-        curves = slid(problem.seen, state.sheet, state.constants, curves.along, near=step > 0)
+        curves = slid(problem.seen, state.sheet, state.constants, curves.along, near or step > 0)
     return state
 
 
