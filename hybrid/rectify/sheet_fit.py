@@ -83,7 +83,7 @@ def _as_fine_as_needed(problem: Problem, state: State) -> State:
         return state
     try:
         begun = replace(state, sheet=state.sheet.finer(config.finer))
-        found = minimised(replace(problem, config=config.near), begun, config.steps[1])
+        found = minimised(replace(problem, config=config.near), begun, config.steps[1], near=True)
     except LinAlgError:
         return state
     return found if found.cost < config.finer_gain * state.cost else state
@@ -134,7 +134,7 @@ def _mirrored(problem: Problem, blind: Problem, sheet: Sheet) -> tuple[State, Pr
     """The sheet found from the mirror image of one; None where that comes to be the same, or to nothing."""
     config = problem.config
     try:
-        mirrored = minimised(blind, blind.begun(relief_reversed(sheet)), config.steps[1]).sheet
+        mirrored = minimised(blind, blind.begun(relief_reversed(sheet)), config.steps[1], near=True).sheet
         if np.abs(mirrored.control - sheet.control).max() < config.same_relief:
             return None
         return _as_bent_as_needed(problem, problem.begun(mirrored))
@@ -150,7 +150,7 @@ def _as_bent_as_needed(problem: Problem, start: State) -> tuple[State, Problem]:
         if bending_cost(state.sheet, problem.bending) <= config.bent_share * state.cost:
             break
         softer = replace(problem, bending=weight)
-        sharper = minimised(softer, state, config.steps[2])
+        sharper = minimised(softer, state, config.steps[2], near=True)
         if sharper.cost >= config.sharper * state.cost:
             break
         state, problem = sharper, softer
@@ -167,8 +167,8 @@ def _near_map(blind: Problem, near: BackwardMap, frame: Frame) -> Sheet:
     """The unstretched sheet that comes nearest to a map."""
     config = blind.config
     first, last = config.intervals
-    state = minimised(blind, blind.begun(flat_sheet(near, frame, first, config.focal)), config.steps[0])
-    return minimised(blind, replace(state, sheet=state.sheet.finer(last)), config.steps[1]).sheet
+    state = minimised(blind, blind.begun(flat_sheet(near, frame, first, config.focal)), config.steps[0], near=True)
+    return minimised(blind, replace(state, sheet=state.sheet.finer(last)), config.steps[1], near=True).sheet
 
 
 def _target(coarse: BackwardMap, frame: Frame) -> Float[np.ndarray, "m 2"]:
