@@ -32,6 +32,11 @@ from hybrid.rectify.sheet_seen import NOTHING, seen_through
 from hybrid.rectify.sightings import Sightings
 
 
+BENDING_TELLS = 2.0
+"""What a lower weight of bending may take off the cost at most, in parts of what bending makes of it: the sheet that is
+freer to bend explains better what is seen, too."""
+
+
 @dataclass(frozen=True, eq=False)
 class FittedSheet:
     """A sheet and its map.
@@ -103,9 +108,9 @@ def _as_stretched_as_needed(problem: Problem, near: BackwardMap, frame: Frame) -
     try:
         blind = _blind(elastic, near, frame)
         start = _near_map(blind, near, frame)
-        found = _as_bent_as_needed(elastic, elastic.begun(start))
+        found = _as_bent_as_needed(elastic, elastic.begun(start), enough)
         if found[0].cost >= enough:
-            found = _mirrored(elastic, blind, start) or found
+            found = _mirrored(elastic, blind, start, enough) or found
     except LinAlgError:
         return firm
     return found if found[0].cost < enough else firm
@@ -124,30 +129,36 @@ def _bent_either_way(problem: Problem, near: BackwardMap, frame: Frame) -> tuple
     for sheet in (start, first[0].sheet):
         if problem.explains(best[0], config.doubtful):
             break
-        other = _mirrored(problem, blind, sheet)
-        if other is not None and other[0].cost < config.reversed_gain * best[0].cost:
+        enough = config.reversed_gain * best[0].cost
+        other = _mirrored(problem, blind, sheet, enough)
+        if other is not None and other[0].cost < enough:
             best = other
     return best
 
 
-def _mirrored(problem: Problem, blind: Problem, sheet: Sheet) -> tuple[State, Problem] | None:
-    """The sheet found from the mirror image of one; None where that comes to be the same, or to nothing."""
+def _mirrored(problem: Problem, blind: Problem, sheet: Sheet, enough: float) -> tuple[State, Problem] | None:
+    """The sheet found from the mirror image of one; None where that comes to be the same, or to nothing. enough: the
+    cost from which on it counts."""
     config = problem.config
     try:
         mirrored = minimised(blind, blind.begun(relief_reversed(sheet)), config.steps[1], near=True).sheet
         if np.abs(mirrored.control - sheet.control).max() < config.same_relief:
             return None
-        return _as_bent_as_needed(problem, problem.begun(mirrored))
+        return _as_bent_as_needed(problem, problem.begun(mirrored), enough)
     except LinAlgError:
         return None
 
 
-def _as_bent_as_needed(problem: Problem, start: State) -> tuple[State, Problem]:
-    """The sheet found with ever lower weights of bending, as long as that is worth it, and the last one's problem."""
+def _as_bent_as_needed(problem: Problem, start: State, enough: float = np.inf) -> tuple[State, Problem]:
+    """The sheet found with ever lower weights of bending, as long as that is worth it, and the last one's problem.
+
+    enough: the cost from which on it counts; one that would come far from that is given up.
+    """
     config = problem.config
-    state = minimised(problem, start, config.steps[2])
+    state = minimised(problem, start, config.steps[2], enough=enough)
     for weight in config.bending[1:]:
-        if bending_cost(state.sheet, problem.bending) <= config.bent_share * state.cost:
+        bending = bending_cost(state.sheet, problem.bending)
+        if bending <= config.bent_share * state.cost or state.cost - BENDING_TELLS * bending > enough:
             break
         softer = replace(problem, bending=weight)
         sharper = minimised(softer, state, config.steps[2], near=True)

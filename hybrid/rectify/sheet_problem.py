@@ -29,6 +29,8 @@ NEAREST = 0.05
 """No point of the sheet comes nearer to the camera than this, in units of the film's height."""
 MOST_BENT = 0.4
 """Longest second-order part of a step, in lengths of the first."""
+FAIR_STEPS, HOPELESS = 3, 4.0
+"""After so many steps a state that costs so many times what is enough is given up."""
 _POTRF, _POTRS = get_lapack_funcs(("potrf", "potrs"), dtype=np.float64)
 """LAPACK's factor of a positive definite matrix, and the solution by it."""
 
@@ -109,11 +111,12 @@ class Problem:
         return block
 
 
-def minimised(problem: Problem, state: State, steps: int, near: bool = False) -> State:
+def minimised(problem: Problem, state: State, steps: int, near: bool = False, enough: float = np.inf) -> State:
     """The state after at most so many Gauss-Newton steps.
 
     near: whether it is so near that what disagrees with it tells how exact sightings are (``slid``); else that counts
-    from the second step on. Raises LinAlgError where the normal equations cannot be solved.
+    from the second step on. enough: the cost from which on a state is of use; steps end where it stays far above.
+    Raises LinAlgError where the normal equations cannot be solved.
     """
     damping = 1e-3
     curves = slid(problem.seen, state.sheet, state.constants, problem.seen.along, near)
@@ -132,6 +135,8 @@ def minimised(problem: Problem, state: State, steps: int, near: bool = False) ->
             return replace(state, cost=total.cost)
         state, damping = better, max(damping / 5.0, 1e-7)
         if step + near > 1 and total.cost - state.cost < problem.config.settled * total.cost:
+            break
+        if step >= FAIR_STEPS and state.cost > HOPELESS * enough:
             break
         curves = slid(problem.seen, state.sheet, state.constants, curves.along, near or step > 0)
     return state
