@@ -115,6 +115,8 @@ def test_a_packed_convolution_is_the_convolution(kernel, stride, groups):
         for size in ((1, 6, 16, 16), (3, 6, 20, 12)):
             image = torch.rand(size).contiguous(memory_format=torch.channels_last)
             torch.testing.assert_close(packed(image), conv(image), atol=1e-5, rtol=1e-5)
+            with_relu = PackedConv(conv, relu=True)(image)
+            torch.testing.assert_close(with_relu, conv(image).relu(), atol=1e-5, rtol=1e-5)
 
 
 def test_the_shipped_network_is_within_its_budget():

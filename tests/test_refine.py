@@ -2,6 +2,7 @@
 
 import os
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,14 @@ from hybrid.rectify.course import Course, Progress, Stopwatch, unstretched
 from hybrid.rectify.layout import Layout
 from hybrid.rectify.refine import RefineConfig, _apart, _better, refine
 from hybrid.rectify.scene import half_view, scene_of, view_of
-from hybrid.rectify.sightings import Sightings, SplineConfig, fit_displacement, group_medians, no_displacement
+from hybrid.rectify.sightings import (
+    Sightings,
+    SplineConfig,
+    fit_displacement,
+    group_medians,
+    highest_near,
+    no_displacement,
+)
 
 CONFIG = RefineConfig()
 
@@ -186,6 +194,19 @@ def test_no_displacement_leaves_maps_and_sightings_as_they_are():
     assert np.abs(still.composed(coarse).nodes - coarse.photo_from_film(film_nodes((33, 33)))).max() < 1e-9
     seen = scattered_sightings(0, lambda uv: 0.01 * uv[:, 1], rng)
     assert (still.lift(seen).seen == seen.seen).all()
+
+
+@pytest.mark.parametrize("start", range(5))
+def test_the_highest_is_found_uphill_and_few_values_are_computed(start):
+    asked: list[int] = []
+
+    def value(k: int) -> float:
+        asked.append(k)
+        return -abs(k - 1.4)
+
+    assert highest_near(start, [partial(value, k) for k in range(5)]) == 1
+    assert len(asked) == len(set(asked))
+    assert highest_near(0, [partial(float, 7)]) == 0
 
 
 def test_medians_of_groups_of_any_size():

@@ -12,9 +12,10 @@ from hybrid.rectify.grid import Comb, GridConfig
 from hybrid.rectify.layout import Evidence
 from hybrid.rectify.margins import MarginsConfig, PlacedPrint, undecided, usual_margins
 from hybrid.rectify.repeat import Repeats
-from hybrid.rectify.sheet import CAMERA, Frame, Sheet, SheetConfig, flat_sheet, project, relief_reversed, surface
+from hybrid.rectify.sheet import CAMERA, NODES, Frame, Sheet, SheetConfig, flat_sheet, project, relief_reversed, surface
 from hybrid.rectify.sheet_fit import FittedSheet, fit_sheet
-from hybrid.rectify.sheet_problem import strain, strain_curvature
+from hybrid.rectify.sheet_problem import Problem, minimised, strain, strain_curvature
+from hybrid.rectify.sheet_seen import seen_through
 from hybrid.rectify.sheet_sum import Sum
 from hybrid.rectify.sightings import Sightings, carried
 
@@ -121,6 +122,16 @@ def test_a_sheet_that_is_bent_the_other_way_round_is_found(radius, focal):
     assert either is not None
     assert either.cost < 0.5 * first.cost
     assert error_px(either.backward, true) < min(1.0, 0.5 * error_px(first.backward, true))
+
+
+def test_steps_that_lead_nowhere_near_what_is_enough_are_given_up():
+    true = cylinder(0.5, 30, 10)
+    seen, frame = edges_seen(true, true, np.random.default_rng(0), 0.1), Frame.of(PHOTO)
+    target = frame.from_photo(true.photo_from_film(film_nodes(NODES).reshape(-1, 2)))
+    problem = Problem(seen_through(true, seen, frame, CONFIG), target, CONFIG.bending[0], CONFIG)
+    start = problem.begun(flat_sheet(true, frame, 6, 2.5))
+    full, cut = (minimised(problem, start, 12, enough=enough) for enough in (np.inf, 1e-6))
+    assert full.cost < cut.cost
 
 
 def test_a_sheet_that_stretches_counts_only_where_others_explain_badly_what_is_seen():

@@ -48,11 +48,11 @@ def ready(network: Network) -> Network:
 def _pack(network: nn.Module) -> None:
     """Puts packed convolutions in the place of all others within a network, with the ReLU that follows on them."""
     for name, child in network.named_children():
-        parts = [part for part in child if not isinstance(part, nn.Identity)] if isinstance(child, nn.Sequential) else []
-        if [type(part) for part in parts] == [nn.Conv2d, nn.ReLU]:
-            setattr(network, name, PackedConv(parts[0], relu=True))
-        elif isinstance(child, nn.Conv2d):
+        kinds = [type(part) for part in child.children() if not isinstance(part, nn.Identity)]
+        if isinstance(child, nn.Conv2d):
             setattr(network, name, PackedConv(child))
+        elif isinstance(child, nn.Sequential) and kinds == [nn.Conv2d, nn.ReLU]:
+            setattr(network, name, PackedConv(child[0], relu=True))
         else:
             _pack(child)
 

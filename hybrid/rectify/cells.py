@@ -9,6 +9,7 @@ conditional logit (McFadden 1974) over simulated films whose grids are known, so
 
 from __future__ import annotations
 
+from bisect import bisect
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -301,15 +302,18 @@ def _peaks(score: Float[np.ndarray, " n"], number: int, apart: int) -> list[int]
 def _apart(values: list[float], least: float) -> list[float]:
     """The values less those that lie within ``least`` of one before them."""
     kept: list[float] = []
+    ordered = [-np.inf, np.inf]
     for value in values:
-        if all(abs(value - other) > least for other in kept):
+        k = bisect(ordered, value)
+        if ordered[k] - value > least and value - ordered[k - 1] > least:
+            ordered.insert(k, value)
             kept.append(value)
     return kept
 
 
 def _step(at: Float[np.ndarray, "*n"], n: int) -> Int[np.ndarray, "*n"]:
     """The step of a profile in which a film coordinate lies."""
-    return np.clip((at * n).astype(np.intp), 0, n - 1)
+    return np.minimum(np.maximum((at * n).astype(np.intp), 0), n - 1)  # np.clip takes three times as long
 
 
 def _lag(pitch: Float[np.ndarray, " c"], n: int) -> Int[np.ndarray, " c"]:

@@ -31,7 +31,6 @@ from hybrid.rectify.sheet_problem import Problem, State, bending_cost, minimised
 from hybrid.rectify.sheet_seen import NOTHING, seen_through
 from hybrid.rectify.sightings import Sightings
 
-
 BENDING_TELLS = 2.0
 """What a lower weight of bending may take off the cost at most, in parts of what bending makes of it: the sheet that is
 freer to bend explains better what is seen, too."""
@@ -88,7 +87,7 @@ def _as_fine_as_needed(problem: Problem, state: State) -> State:
         return state
     try:
         begun = replace(state, sheet=state.sheet.finer(config.finer))
-        found = minimised(replace(problem, config=config.near), begun, config.steps[1], near=True)
+        found = minimised(replace(problem, config=config.near), begun, config.steps[1])
     except LinAlgError:
         return state
     return found if found.cost < config.finer_gain * state.cost else state
@@ -161,7 +160,7 @@ def _as_bent_as_needed(problem: Problem, start: State, enough: float = np.inf) -
         if bending <= config.bent_share * state.cost or state.cost - BENDING_TELLS * bending > enough:
             break
         softer = replace(problem, bending=weight)
-        sharper = minimised(softer, state, config.steps[2], near=True)
+        sharper = minimised(softer, state, config.steps[2])
         if sharper.cost >= config.sharper * state.cost:
             break
         state, problem = sharper, softer

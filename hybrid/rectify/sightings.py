@@ -8,9 +8,9 @@ along its axis is ``seen - known``. u and v are never coupled, so that there are
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cache, lru_cache, partial
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -258,7 +258,7 @@ def _solve_robust(system: _System, config: SplineConfig) -> tuple[np.ndarray, np
     """
     candidates = _geometric(*config.stiffness)
     weights = np.ones(len(system.right))
-    stiffness = candidates[-1]
+    stiffness, near = candidates[-1], len(candidates) // 2
     noise = max(1.0, mad_sigma(system.right / system.sigma))
     solution = np.zeros(system.rows.shape[1])
     sigma = system.sigma
@@ -267,7 +267,8 @@ def _solve_robust(system: _System, config: SplineConfig) -> tuple[np.ndarray, np
         precision = system.precision(scaled, config)
         right = system.rows.T @ (scaled * system.right)
         if step % 2 == 1 and len(candidates) > 1:
-            stiffness = max(candidates, key=lambda c: _log_evidence(system, precision, right, c, config))
+            near = highest_near(near, [partial(_log_evidence, system, precision, right, c, config) for c in candidates])
+            stiffness = candidates[near]
         solution, _ = _solve(system.stiffened(precision, stiffness), right)
         residual = system.rows @ solution - system.right
         sigma = group_noise(system.sigma, system.group, residual)
@@ -275,6 +276,16 @@ def _solve_robust(system: _System, config: SplineConfig) -> tuple[np.ndarray, np
         noise = max(1.0, min(0.5 * noise, 1.5 * mad_sigma(residual)))
         weights = tukey_weights(residual / noise)
     return solution, weights, stiffness
+
+
+def highest_near(start: int, values: Sequence[Callable[[], float]]) -> int:
+    """Which of some values is higher than its neighbours, uphill from ``start``; few of them are computed."""
+    value = cache(lambda k: values[k]())
+    at, best = -1, start
+    while at != best:
+        at = best
+        best = max(range(max(at - 1, 0), min(at + 2, len(values))), key=value)
+    return best
 
 
 @lru_cache(maxsize=4)

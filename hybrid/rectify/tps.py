@@ -238,7 +238,7 @@ def fit_tps_robust(
 
 def tukey_weights(standardised: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
     """Tukey's biweight of residuals in standard deviations: 1 at 0, 0 from 4.685 on."""
-    return np.clip(1.0 - (standardised / TUKEY_CUT) ** 2, 0.0, None) ** 2
+    return np.square(np.maximum(1.0 - np.square(standardised / TUKEY_CUT), 0.0))
 
 
 # ---------------------------------------------------------------- inside
