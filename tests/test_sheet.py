@@ -169,7 +169,7 @@ def bent_at_a_corner(width: float, focal: float = 1.3) -> BackwardMap:
 
 
 def test_a_sheet_that_is_bent_in_one_place_is_found_on_finer_splines():
-    true = bent_at_a_corner(0.01)
+    true = bent_at_a_corner(0.003)
     seen = edges_seen(true, true, np.random.default_rng(0), 0.1)
     seen += lines_seen(true, true, {0: [0.2, 0.4, 0.6, 0.8], 1: [0.2, 0.4, 0.6, 0.8]})
     sharp = replace(CONFIG, edge_px=0.2, print_px=0.2, doubtful=np.inf)
