@@ -48,13 +48,13 @@ def ready(network: Network) -> Network:
 def _pack(network: nn.Module) -> None:
     """Puts packed convolutions in the place of all others within a network, with the ReLU that follows on them."""
     for name, child in network.named_children():
-        kinds = [type(part) for part in child.children() if not isinstance(part, nn.Identity)]
-        if isinstance(child, nn.Conv2d):
-            setattr(network, name, PackedConv(child))
-        elif isinstance(child, nn.Sequential) and kinds == [nn.Conv2d, nn.ReLU]:
-            setattr(network, name, PackedConv(child[0], relu=True))
-        else:
-            _pack(child)
+        match child, [part for part in child.children() if not isinstance(part, nn.Identity)]:
+            case nn.Conv2d(), _:
+                setattr(network, name, PackedConv(child))
+            case nn.Sequential(), [nn.Conv2d() as conv, nn.ReLU()]:
+                setattr(network, name, PackedConv(conv, relu=True))
+            case _:
+                _pack(child)
 
 
 __all__ = ["PackedConv", "ready"]
