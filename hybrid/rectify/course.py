@@ -57,6 +57,7 @@ class RefineConfig:
     congeal: CongealConfig = field(default_factory=CongealConfig)
     rim: RimConfig = field(default_factory=RimConfig)
     spline: SplineConfig = field(default_factory=partial(SplineConfig, reweightings=4))
+    """Of the displacement: with edges alone (edge_paths.py) it takes one reweighting more to settle."""
     working_px: int = 1000
     """Longer side of the film, in pixels, in the copy of the photo that is looked at; no photo is enlarged."""
     near_band: float = 0.015
