@@ -208,7 +208,7 @@ def test_normal_equations_are_those_of_all_rows():
     sheet = flat_sheet(cylinder(1e3, 0, 15), Frame.of(PHOTO), 4, 1.3)
     sheet = replace(sheet, control=sheet.control + np.random.default_rng(3).normal(0, 0.02, sheet.control.shape))
     residual, rows = strain_of(sheet)
-    found = Sum([strain(sheet, CONFIG, 0, True)], sheet.intervals, 0, True)
+    found = Sum([strain(sheet, CONFIG, 0, True)])
     assert found.cost == pytest.approx(0.5 * residual @ residual)
     np.testing.assert_allclose(found.right, rows.T @ residual, atol=1e-9 * np.abs(found.right).max())
     square = np.triu(rows.T @ rows)

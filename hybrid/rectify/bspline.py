@@ -32,15 +32,20 @@ def _pieces(derivative: int) -> Float[np.ndarray, "p 4"]:
     return np.polynomial.polynomial.polyder(_PIECES, derivative)
 
 
+def knot_interval(t: Float[np.ndarray, " n"], intervals: int) -> Int[np.ndarray, " n"]:
+    """The knot interval nearest to each coordinate: also the first of the four coefficients that count there."""
+    # np.clip takes three times as long
+    return np.minimum(np.maximum((t * intervals).astype(np.intp), 0), intervals - 1)
+
+
 def local_weights(
     t: Float[np.ndarray, " n"], intervals: int, derivative: int = 0
 ) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, "n 4"]]:
     """The first of the four coefficients of one axis that count at coordinates ``t``, and the weights of these four in
     the value, or in the first or second derivative."""
-    scaled = t * intervals
-    first = np.minimum(np.maximum(scaled.astype(np.intp), 0), intervals - 1)  # np.clip takes three times as long
+    first = knot_interval(t, intervals)
     powers = np.ones((4 - derivative, len(t)))
-    np.subtract(scaled, first, out=powers[1])
+    np.subtract(t * intervals, first, out=powers[1])
     for k in range(2, len(powers)):
         np.multiply(powers[k - 1], powers[1], out=powers[k])
     return first, powers.T @ (_pieces(derivative) * float(intervals) ** derivative)
@@ -71,10 +76,15 @@ class SortedDesign:
     weights: Float[np.ndarray, "n k4"]
     starts: tuple[int, ...]
 
+    @property
+    def width(self) -> int:
+        """Number of coefficients in a row, and of rows."""
+        return len(self.starts) + 2
+
     @staticmethod
     def order(uv: Float[np.ndarray, "n 2"], intervals: int) -> Int[np.ndarray, " n"]:
         """Which of film points are first, second and so on once they are sorted."""
-        return np.argsort(local_weights(uv[:, 1], intervals)[0], kind="stable")
+        return np.argsort(knot_interval(uv[:, 1], intervals), kind="stable")
 
     @staticmethod
     def of(uv: Float[np.ndarray, "n 2"], intervals: int, by_u: int = 0, by_v: int = 0) -> SortedDesign:
@@ -86,9 +96,8 @@ class SortedDesign:
 
     def parts(self) -> Iterator[tuple[slice, slice]]:
         """Of each interval, which points are in it, and which coefficients count there."""
-        width = len(self.starts) + 2
         for i, (start, end) in enumerate(pairwise(self.starts)):
-            yield slice(start, end), slice(i * width, (i + 4) * width)
+            yield slice(start, end), slice(i * self.width, (i + 4) * self.width)
 
     def values(self, coefficients: Float[np.ndarray, "kk c"]) -> Float[np.ndarray, "n c"]:
         """Of the spline with these coefficients."""
@@ -100,7 +109,7 @@ class SortedDesign:
     @cached_property
     def dense(self) -> Float[np.ndarray, "n kk"]:
         """The weights of all coefficients: quicker where few points are looked at again and again."""
-        dense = np.zeros((len(self.weights), (len(self.starts) + 2) ** 2))
+        dense = np.zeros((len(self.weights), self.width**2))
         for points, near in self.parts():
             dense[points, near] = self.weights[points]
         return dense

@@ -73,7 +73,7 @@ class Problem:
             self._from_sightings(state, curves, derivatives),
             strain(sheet, config, constants, derivatives),
         )
-        total = Sum(blocks, sheet.intervals, constants, derivatives)
+        total = Sum(blocks)
         total.add_energy(self.bending * bending_energy(sheet.intervals), sheet.control)
         _add_camera(total, sheet, config, config.focal_sigma[len(self.seen.along) > 0])
         for k, (constant, spread) in enumerate(zip(state.constants, self.seen.shared_sigma, strict=True)):

@@ -68,14 +68,16 @@ class Sum:
     """Cost, normal matrix and gradient of all residuals.
 
     matrix: its upper triangle; what is below is not all there. camera: index of the camera's first unknown.
+    derivatives: whether the blocks have some; else matrix and gradient are empty.
     """
 
-    def __init__(self, blocks: Sequence[Block], intervals: int, constants: int, derivatives: bool) -> None:
-        self.cost, self.derivatives = sum(block.cost for block in blocks), derivatives
-        self.camera = 3 * (intervals + 3) ** 2
-        size = self.camera + CAMERA + constants if derivatives else 0
+    def __init__(self, blocks: Sequence[Block]) -> None:
+        tail = blocks[0].tail.shape[2]
+        self.cost, self.derivatives = sum(block.cost for block in blocks), tail > 0
+        self.camera = 3 * blocks[0].design.width ** 2
+        size = self.camera + tail if self.derivatives else 0
         self.matrix, self.right = np.zeros((size, size)), np.zeros(size)
-        if derivatives:
+        if self.derivatives:
             self._add(blocks)
 
     def _add(self, blocks: Sequence[Block]) -> None:
