@@ -2,8 +2,7 @@
 
 Numbers that other files test at length: 7 (test_deilluminate), 9 (test_pipeline), 13 (test_pipeline), 15 and 18
 (test_metrics), 16 (test_shards, test_views), 20 (test_deilluminate), 26, 27 and 30 to 33 (the trainer's, the solver's
-and the generator's tests). Not tested: 22 (the ghost of a cast shadow). Not built: 28 (editing the grid by hand) and 29
-(export as DICOM).
+and the generator's tests). Not built: 28 (editing the grid by hand) and 29 (export as DICOM).
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ from benchmarks.soak import MEMORY_BOUND, digest, soak
 from data_gen.prints import FilmPrint
 from data_gen.rooms import procedural_room
 from hybrid.backward import BackwardMap
-from hybrid.coords import film_centres, film_nodes, pixel_centres
+from hybrid.coords import film_centres, film_nodes, linear_from_srgb, pixel_centres, sample_bilinear, srgb_from_linear
 from hybrid.draw import resized
 from hybrid.effort import RectifyConfig
 from hybrid.pipeline import Rectifier
@@ -322,6 +321,34 @@ def test_20_coloured_light_leaves_no_trace_and_grey_stays_in_order(rectifier: Re
     film = cv2.GaussianBlur(plain[1].film, (0, 0), 4)
     steps = [np.median(film[(print_at >= low) & (print_at < low + 0.1)]) for low in (0.0, 0.1, 0.2, 0.3, 0.4)]
     assert all(np.diff(steps) > 0), steps
+
+
+@pytest.mark.parametrize(("soft_px", "most"), [(4.0, 0.7), (20.0, 0.55)])
+def test_22_a_cast_shadow_leaves_little_of_a_ghost(rectifier: Rectifier, plain, soft_px: float, most: float) -> None:
+    """A hand that takes 60 % of the light, near with a sharp shadow or far with a soft one."""
+    it, bright = plain
+    shadow = np.zeros(it.photo.shape[:2], np.float32)
+    cv2.ellipse(shadow, tuple(map(round, at_film(it, 0.35, 0.6))), (170, 110), 30, 0, 360, 1.0, -1)
+    shadow = cv2.GaussianBlur(shadow, (0, 0), soft_px)
+    dark = srgb_from_linear(linear_from_srgb(it.photo / 255.0) * (1 - 0.6 * shadow[..., None]))
+    shaded = replace(it, photo=np.rint(255 * dark).astype(np.uint8))
+    found = rectifier(shaded.photo)
+    assert_truthful(shaded, found)
+    size = found.film.shape
+    on_film = sample_bilinear(shadow, found.backward.photo_from_film(film_centres(size)))
+    film, lit = (cv2.resize(x, size[::-1]) for x in (bright.film, bright.rectified.mean(axis=2) / 255))
+    printed = film > 0.15
+
+    def ghost(after: np.ndarray, before: np.ndarray) -> float:
+        """By how much darker the print is in the shadow than beside it, of what it is without one."""
+        inside, outside = (
+            float(after[k].sum() / before[k].sum()) for k in (printed & (on_film > 0.9), printed & (on_film < 0.1))
+        )
+        return 1 - inside / outside
+
+    left, was = ghost(found.film, film), ghost(found.rectified.mean(axis=2) / 255, lit)
+    assert was > 0.25
+    assert left < most * was
 
 
 def document() -> np.ndarray:
