@@ -324,8 +324,8 @@ def test_20_coloured_light_leaves_no_trace_and_grey_stays_in_order(rectifier: Re
 
 
 @pytest.mark.parametrize(("soft_px", "most"), [(4.0, 0.7), (20.0, 0.55)])
-def test_22_a_cast_shadow_leaves_little_of_a_ghost(rectifier: Rectifier, plain, soft_px: float, most: float) -> None:
-    """A hand that takes 60 % of the light, near with a sharp shadow or far with a soft one."""
+def test_22_a_cast_shadow_is_removed_in_part(rectifier: Rectifier, plain, soft_px: float, most: float) -> None:
+    """Of a hand that takes 60 % of the light, near (sharp) or far (soft): so much of its ghost stays at most."""
     it, bright = plain
     shadow = np.zeros(it.photo.shape[:2], np.float32)
     cv2.ellipse(shadow, tuple(map(round, at_film(it, 0.35, 0.6))), (170, 110), 30, 0, 360, 1.0, -1)
