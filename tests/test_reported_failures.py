@@ -60,12 +60,17 @@ def flat_picture(sheet: FilmPrint, scale: float = 0.8) -> np.ndarray:
     return np.repeat(np.rint(255 * small).astype(np.uint8)[..., None], 3, axis=2)
 
 
-def over(it: Photographed, ellipse: tuple, colour: tuple[int, int, int], soft_px: float = 1.5) -> Photographed:
-    """The photo with a blob of one colour over it: (centre x, y), (half axes), degrees."""
+def blob_on(it: Photographed, ellipse: tuple, soft_px: float) -> np.ndarray:
+    """1 inside a blob on the photo, 0 outside: (centre x, y), (half axes), degrees."""
     blob = np.zeros(it.photo.shape[:2], np.float32)
     centre, axes, degrees = ellipse
     cv2.ellipse(blob, tuple(map(round, centre)), tuple(map(round, axes)), degrees, 0, 360, 1.0, -1)
-    blob = cv2.GaussianBlur(blob, (0, 0), soft_px)[..., None]
+    return cv2.GaussianBlur(blob, (0, 0), soft_px)
+
+
+def over(it: Photographed, ellipse: tuple, colour: tuple[int, int, int], soft_px: float = 1.5) -> Photographed:
+    """The photo with a blob of one colour over it: (centre x, y), (half axes), degrees."""
+    blob = blob_on(it, ellipse, soft_px)[..., None]
     mixed = it.photo * (1 - blob) + blob * np.array(colour, np.float32)
     return replace(it, photo=np.clip(np.rint(mixed), 0, 255).astype(np.uint8))
 
@@ -327,9 +332,7 @@ def test_20_coloured_light_leaves_no_trace_and_grey_stays_in_order(rectifier: Re
 def test_22_a_cast_shadow_is_removed_in_part(rectifier: Rectifier, plain, soft_px: float, most: float) -> None:
     """Of a hand that takes 60 % of the light, near (sharp) or far (soft): so much of its ghost stays at most."""
     it, bright = plain
-    shadow = np.zeros(it.photo.shape[:2], np.float32)
-    cv2.ellipse(shadow, tuple(map(round, at_film(it, 0.35, 0.6))), (170, 110), 30, 0, 360, 1.0, -1)
-    shadow = cv2.GaussianBlur(shadow, (0, 0), soft_px)
+    shadow = blob_on(it, (at_film(it, 0.35, 0.6), (170, 110), 30), soft_px)
     dark = srgb_from_linear(linear_from_srgb(it.photo / 255.0) * (1 - 0.6 * shadow[..., None]))
     shaded = replace(it, photo=np.rint(255 * dark).astype(np.uint8))
     found = rectifier(shaded.photo)
