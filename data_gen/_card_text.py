@@ -115,6 +115,8 @@ def command(description: Mapping[str, Any]) -> str:
     words += ["--ct CT_FOLDER"] if sources["volumes"] else []
     words += ["--hdri HDRI_FOLDER"] if sources["environments"] else []
     words += [f"--real-share {sources['real_share']}"]
+    if sources.get("reformatted_share"):
+        words += [f"--reformatted-share {sources['reformatted_share']}"]
     words += [f"--only {shlex.join(sources['only'])}"] if sources["only"] else []
     words += [f"--leave-out {shlex.join(sources['leave_out'])}"] if sources["leave_out"] else []
     words += ["--phantoms {} {}".format(*sources["phantoms"])] if sources["phantoms"] != [0, PHANTOMS] else []

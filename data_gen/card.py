@@ -184,10 +184,18 @@ def _encoded(image: Image.Image, kind: str) -> bytes:
     return file.getvalue()
 
 
+@dataclass(frozen=True)
+class CardConfig:
+    """Write card.md, histograms.png and contact_sheet.jpg into a data set's folder."""
+
+    folder: tyro.conf.Positional[Path]
+    """Of a data set."""
+
+
 def main() -> None:
     """Command line."""
     try:
-        write_card(tyro.cli(tyro.conf.Positional[Path], prog="python -m data_gen.card", description=write_card.__doc__))
+        write_card(tyro.cli(CardConfig, prog="python -m data_gen.card").folder)
     except HybridError as error:
         raise SystemExit(f"error: {error}") from None
 

@@ -22,6 +22,9 @@ _LUT_MAX = 4.0
 _NOISE_BLUR = 0.6
 """Spread, in pixels, of the noise that demosaicking leaves."""
 
+_LOCAL_PX = 96
+"""Longer side of the picture on which local tone mapping is found."""
+
 _NOISE_STD = float(np.sqrt((256**2 - 1) / 24))
 """Standard deviation of the mean of two random bytes."""
 
@@ -39,7 +42,8 @@ class Lens:
 
     exposure: linear level that what is metered as white reaches. temperature: log2 red/blue gain.
     tint: log2 green gain. tone: 'srgb', 'filmic' or 'punchy'. vignette: loss in the corners. bloom: share of light
-    scattered. defocus_px, motion_px: blur in pixels of a 1000 px photo. sharpen: unsharp amount.
+    scattered. local: power by which local tone mapping evens out what is bright and dark over ``local_reach`` of the
+    photo's side; 0 without. defocus_px, motion_px: blur in pixels of a 1000 px photo. sharpen: unsharp amount.
     noise: of read and shot. jpeg: quality.
     """
 
@@ -49,6 +53,8 @@ class Lens:
     tone: str
     vignette: float
     bloom: float
+    local: float
+    local_reach: float
     defocus_px: float
     motion_px: float
     sharpen: float
@@ -64,6 +70,8 @@ def sample_lens(rng: np.random.Generator) -> Lens:
         tone=str(rng.choice(["srgb", "filmic", "punchy"], p=[0.45, 0.35, 0.2])),
         vignette=float(rng.uniform(0, 0.4)),
         bloom=float(rng.uniform(0, 0.06)) if rng.random() < 0.4 else 0.0,
+        local=float(rng.uniform(0.1, 0.45)) if rng.random() < 0.4 else 0.0,
+        local_reach=float(np.exp(rng.uniform(np.log(0.02), np.log(0.15)))),
         defocus_px=float(abs(rng.normal(0, 1.2))),
         motion_px=float(rng.uniform(1, 5)) if rng.random() < 0.15 else 0.0,
         sharpen=float(rng.uniform(0, 1.0)) if rng.random() < 0.5 else 0.0,
@@ -72,13 +80,36 @@ def sample_lens(rng: np.random.Generator) -> Lens:
     )
 
 
-def develop(linear: Float[np.ndarray, "h w 3"], lens: Lens, white: White, rng: np.random.Generator) -> bytes:
-    """JPEG bytes of a photo."""
+def local_tone(linear: Float[np.ndarray, "h w 3"], lens: Lens) -> Float32[np.ndarray, "a b"]:
+    """Factors over the photo by which the camera makes what lies in bright parts darker, in dark parts brighter.
+
+    Phones do that to show a wide range of light at once: halos run along the edges between such parts.
+    """
+    if lens.local == 0.0:
+        return np.ones((1, 1), np.float32)
+    height, width = linear.shape[:2]
+    size = [max(round(n * _LOCAL_PX / max(height, width)), 2) for n in (width, height)]
+    level = cv2.resize(linear, size, interpolation=cv2.INTER_AREA).mean(axis=-1)
+    log = np.log(np.maximum(level, 1e-3 * float(level.mean()) + 1e-9))
+    factor = np.exp(-lens.local * (cv2.GaussianBlur(log, (0, 0), lens.local_reach * _LOCAL_PX) - log.mean()))
+    return np.clip(factor, 0.25, 4.0).astype(np.float32)
+
+
+def develop(
+    linear: Float[np.ndarray, "h w 3"],
+    lens: Lens,
+    white: White,
+    rng: np.random.Generator,
+    local: Float32[np.ndarray, "a b"] | None = None,
+) -> bytes:
+    """JPEG bytes of a photo. local: as ``local_tone`` gives it."""
     size = linear.shape[:2]
     exposed = cv2.transform(
         _blurred(linear, lens, max(size) / REFERENCE_SIDE, rng), np.diag(_gains(lens, white)).astype(np.float32)
     )
     exposed = cv2.multiply(exposed, _in_each_channel(_vignette(lens, size)))
+    if local is not None and local.size > 1:
+        exposed = cv2.multiply(exposed, _in_each_channel(cv2.resize(local, size[::-1], interpolation=cv2.INTER_CUBIC)))
     variance = np.clip(exposed, 0, 1)
     variance *= np.float32(lens.noise * 0.3)
     variance += np.float32(lens.noise**2)

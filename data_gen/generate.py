@@ -42,7 +42,7 @@ class GenerateConfig:
     size: side of the photos in pixels. map_size: side of the maps; if not named that of photos, but at most 448.
     workers: processes (all cores); 0 makes everything in this one. scheduler: address of a Dask scheduler whose
         workers do the work instead; they need this package and the folders of --ct and --hdri at the same paths.
-    shard_size: photos in a shard. sources: of CT volumes and of light. sample: everything else.
+    shard_size: photos in a shard. sources: of CT volumes and of light.
     """
 
     count: int
@@ -55,6 +55,7 @@ class GenerateConfig:
     scheduler: str | None = None
     shard_size: int = 512
     sample: tyro.conf.Suppress[SampleConfig] = field(default_factory=SampleConfig)
+    """Everything else: in Python only."""
 
     def __post_init__(self) -> None:
         per_film = self.sample.photos_per_film

@@ -31,7 +31,8 @@ class Material:
 
     diffuse: share that white scatters back, transmission: lets through scattered, clear: lets through straight.
     haze: share that the sheet itself scatters to each side, whatever is printed. Their sum is at most 1.
-    roughness: GGX's, alpha = roughness^2. ior: refractive index. surfaces: 1, or 3 in a clear sleeve.
+    roughness: GGX's, alpha = roughness^2. ior: refractive index. surfaces: 1, or 3 in a clear sleeve. tint: RGB share
+    that the base lets through: films are clear or bluish.
     """
 
     diffuse: float
@@ -41,6 +42,7 @@ class Material:
     roughness: float
     ior: float
     surfaces: int = 1
+    tint: Vector = (1.0, 1.0, 1.0)
 
     def __post_init__(self) -> None:
         shares = (self.diffuse, self.transmission, self.clear, self.haze)
@@ -116,8 +118,22 @@ def room_from_film(light: Light) -> Float[np.ndarray, "3 3"]:
 # ---------------------------------------------------------------- at random
 
 
-def sample_material(rng: np.random.Generator) -> Material:
-    """A random film: a tenth as published (PAPER code), over half with clear reflections, the rest between."""
+CLEAR_SHARE = 0.3
+"""Share of films as most are: clear base, through which what lies behind is seen. None before a dark ground, where they
+would show nothing."""
+
+BLUE_SHARE = 0.4
+"""Share of films with a bluish base."""
+
+BLUE_BASE = (0.72, 0.88, 1.0)
+"""RGB share that the bluest base lets through."""
+
+
+def sample_material(rng: np.random.Generator, clear_base: bool = True) -> Material:
+    """A random film: a tenth as published (PAPER code), over half with clear reflections, the rest between.
+
+    clear_base: whether it may be one that hardly scatters.
+    """
     kind = rng.random()
     if kind < 0.1:
         diffuse, transmission, clear, roughness = 0.25, 0.7, 0.0, 0.95
@@ -125,6 +141,8 @@ def sample_material(rng: np.random.Generator) -> Material:
     else:
         diffuse, transmission = float(rng.uniform(0.2, 1.0)), float(rng.uniform(0.1, 0.9))
         clear = float(rng.uniform(0.05, 0.8)) if rng.random() < 0.4 else 0.0
+        if clear_base and rng.random() < CLEAR_SHARE:
+            diffuse, transmission, clear = float(rng.uniform(0, 0.12)), float(rng.uniform(0, 0.12)), 1.0
         roughness = float(rng.uniform(0.05, 0.3) if kind < 0.68 else rng.uniform(0.3, 0.95))
         ior, total = float(rng.uniform(1.3, 1.6)), float(rng.uniform(0.5, 0.95))
     scale = total / (diffuse + transmission + clear)
@@ -136,6 +154,7 @@ def sample_material(rng: np.random.Generator) -> Material:
         roughness=roughness,
         ior=ior,
         surfaces=3 if kind >= 0.1 and rng.random() < 0.12 else 1,
+        tint=_vector(np.array(BLUE_BASE) ** rng.random()) if rng.random() < BLUE_SHARE else (1.0, 1.0, 1.0),
     )
 
 

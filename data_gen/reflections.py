@@ -9,15 +9,18 @@ from jaxtyping import Float
 from data_gen.gloss import Gloss, smith
 from data_gen.gloss import fresnel as fresnel_reflectance
 from data_gen.lamps import Lamp, highlight
-from data_gen.lighting import Light, room_from_film
+from data_gen.lighting import room_from_film
+from data_gen.onlookers import mirrored_onlookers
 from data_gen.rooms import FilteredEnvironment, directions, sample_filtered, solid_angles
+from data_gen.scene import Scene
 from data_gen.seen_film import SeenFilm
 from hybrid.mesh.vectors import turned
 
 
-def reflection(seen: SeenFilm, light: Light, room: FilteredEnvironment, surface: Gloss) -> Float[np.ndarray, "n n 3"]:
-    """Radiance of the room in the film's glossy surface; even light comes out as the directional albedo times it."""
-    n = len(seen.points)
+def reflection(seen: SeenFilm, scene: Scene, room: FilteredEnvironment, surface: Gloss) -> Float[np.ndarray, "n n 3"]:
+    """Radiance of the room, and of who stands in it, in the film's glossy surface; even light comes out as the
+    directional albedo times it."""
+    n, light = len(seen.points), scene.light
     turn = room_from_film(light)
     if surface.alpha >= WIDE_ALPHA:
         stride = max(1, -(-n // int(np.clip(3.0 / surface.alpha, 10, 16))))
@@ -26,7 +29,11 @@ def reflection(seen: SeenFilm, light: Light, room: FilteredEnvironment, surface:
     else:
         round_lobe = surface.alpha * float(np.sqrt(seen.cosine.mean()))  # the solid angle of a lobe falls with c_o
         around = sample_filtered(room, turned(seen.mirror, turn), float(np.sqrt(round_lobe)))
-    return surface.reflected(seen.cosine) * np.float32(light.front) * np.maximum(around, 0)
+    mean = np.average(room.coarse.mean(axis=1), axis=0, weights=solid_angles(room.coarse.shape[:2]).ravel())
+    around = mirrored_onlookers(
+        scene.onlookers, scene.camera, seen.points, seen.mirror, surface.alpha, np.maximum(around, 0), mean
+    )
+    return surface.reflected(seen.cosine) * np.float32(light.front) * around
 
 
 WIDE_ALPHA = 0.1

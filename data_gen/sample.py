@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from data_gen.composite import PrintLevels, at_photo_scale, composite, on_film, print_levels
-from data_gen.develop import develop, displayed, vignetting
+from data_gen.develop import develop, displayed, local_tone, vignetting
 from data_gen.patches import hidden_share, put_over
 from data_gen.prints import FilmPrint, PrintConfig, make_print
 from data_gen.rooms import FilteredEnvironment, prefilter
@@ -22,7 +22,7 @@ from data_gen.surroundings import Surroundings, surroundings
 from data_gen.through import behind_film
 from data_gen.viewpoint import view_parameters
 from hybrid.backward import BackwardMap
-from hybrid.coords import film_centres_1d
+from hybrid.coords import film_centres_1d, opencv_from_photo
 from hybrid.levels import LEAST_CONTRAST
 from hybrid.mesh.camera import Camera
 from hybrid.mesh.film import FilmMesh, film_mesh
@@ -47,6 +47,9 @@ METERED_EVERY = 3
 
 COLOUR_TAKEN_OUT = 0.6
 """Power by which white balance follows the light's colour."""
+
+TOUCHING_MM = 15.0
+"""How far a clear film stands off its ground where the print's shadow on that no longer lies behind the print."""
 
 PLACES = (32, 32)
 """Film points whose place in the photo, and so their vignetting, is looked up; it varies slowly."""
@@ -122,17 +125,18 @@ def _photograph(
     film, camera = caster.film, scene.camera
     light, around = scene_light(film, scene, room, float(np.median(levels.reflectance[-1])))
     backward = true_backward_map(film, camera)
-    reflectance = at_photo_scale(levels.reflectance, backward.mean_film_pixels())
+    reflectance = at_photo_scale(levels.reflectance, backward.mean_film_pixels()) ** np.float32(passes(scene))
     seen = caster.annotate(camera.resized(map_size))
     view = caster.view(camera, seen if camera.size == map_size else None)
     linear = put_over(composite(view, reflectance, light, around.behind), around.before)
     white = metered(light, linear)
-    photo = develop(linear, scene.lens, white, rng)
+    local = local_tone(linear, scene.lens)
+    photo = develop(linear, scene.lens, white, rng, local)
 
     covered = cv2.resize(hidden_share(around.before, camera.size), map_size[::-1], interpolation=cv2.INTER_AREA) > 0.02
     maps = _uncovered(seen, covered)
     grid_world = film.grid_vertices
-    glare = _glare(maps, film, light, scene, white)
+    glare = _glare(maps, film, light, scene, white, local)
     return Sample(
         photo=photo,
         maps=maps,
@@ -166,6 +170,15 @@ def scene_light(film: FilmMesh, scene: Scene, room: FilteredEnvironment, grey: f
     return light, around
 
 
+def passes(scene: Scene) -> float:
+    """How often light passes the print: that of a table which a clear film touches came through it, too."""
+    material, ground = scene.material, scene.backdrop
+    if scene.light.box or ground.kind not in ("table", "wall"):
+        return 1.0
+    straight = material.clear / (material.clear + material.transmission + material.diffuse)
+    return 1.0 + straight * float(np.exp(-ground.gap_mm / TOUCHING_MM))
+
+
 def metered(light: FilmLight, linear: Float[np.ndarray, "*pixels 3"]) -> Float[np.ndarray, "3"]:
     """RGB radiance that the camera takes for white: of the film's bright parts, with regard to the rest of the photo.
 
@@ -191,26 +204,35 @@ def _albedo(
 
 
 def _glare(
-    maps: AnnotationMaps, film: FilmMesh, light: FilmLight, scene: Scene, white: Float[np.ndarray, "3"]
-) -> Bool[np.ndarray, "h w"]:
+    maps: AnnotationMaps, film: FilmMesh, light: FilmLight, scene: Scene, white: Float[np.ndarray, "3"],
+    local: Float[np.ndarray, "a b"],
+) -> Bool[np.ndarray, "h w"]:  # fmt: skip
     """Film pixels that cannot be recovered: print black and print white come out less than ``LEAST_CONTRAST`` apart.
 
     That is where reflections clip both, or veil them so much that tone curve and eight bits leave nothing between.
     Found in film space from the light's gain and veil, exposure, white balance, vignetting and tone curve; channels
     count by the one in which black and white differ most. Blur, bloom and noise are left aside.
     """
-    black, bright = black_and_white(on_sensor(light, film, scene), scene, white)
+    black, bright = black_and_white(on_sensor(light, film, scene, local), scene, white)
     red, green, blue = cv2.split(cv2.subtract(bright, black))
     (contrast,) = on_film([cv2.max(cv2.max(red, green), blue)], maps.uv)
     return maps.mask & (contrast < LEAST_CONTRAST)
 
 
-def on_sensor(light: FilmLight, film: FilmMesh, scene: Scene) -> FilmLight:
-    """The light of the film's points as it reaches the sensor: less towards the photo's corners."""
+def on_sensor(
+    light: FilmLight, film: FilmMesh, scene: Scene, local: Float[np.ndarray, "a b"] | None = None
+) -> FilmLight:
+    """The light of the film's points as the sensor tells it: less towards the photo's corners.
+
+    local: factors over the photo by which the camera makes dark parts brighter.
+    """
     v, u = (film_centres_1d(n) for n in PLACES)
     place = scene.camera.photo_from_world(film.surface(u, v)) / np.array(scene.camera.size[::-1])
     place = cv2.resize(place.astype(np.float32), light.gain.shape[1::-1], interpolation=cv2.INTER_LINEAR)
     share = vignetting(place, scene.lens)
+    if local is not None:
+        x, y = np.moveaxis(opencv_from_photo(place * np.array(local.shape[::-1], np.float32)), -1, 0)
+        share = share * cv2.remap(local, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)[..., None]
     return FilmLight(light.gain * share, light.veil * share)
 
 
@@ -242,6 +264,6 @@ def _uncovered(maps: AnnotationMaps, covered: Bool[np.ndarray, "h w"]) -> Annota
 def sheet_of(film_print: FilmPrint) -> FilmMesh:
     """The flat mesh of a print: its grid corners are vertices, subdivided as far as the simulation affords."""
     grid_u, grid_v = film_print.vertices[0, :, 0], film_print.vertices[:, 0, 1]
-    intervals = max(len(grid_u), len(grid_v)) + 1
+    intervals = max(len(at) - 1 + int(at[0] > 1e-6) + int(at[-1] < 1 - 1e-6) for at in (grid_u, grid_v))
     levels = max(1, int(np.log2(max(SIMULATION_VERTICES / intervals, 2.0))))
     return film_mesh(film_print.size_mm, grid_u, grid_v, levels)

@@ -10,6 +10,7 @@ import numpy as np
 from data_gen.backdrop import Backdrop, sample_backdrop
 from data_gen.develop import Lens, sample_lens
 from data_gen.lighting import Light, Material, sample_light, sample_material, some_mirrored
+from data_gen.onlookers import Billboard, sample_onlookers
 from data_gen.shadows import Shadow, sample_shadows
 from data_gen.things import Thing, sample_things
 from data_gen.viewpoint import ViewConfig, sample_camera
@@ -45,11 +46,12 @@ class Scene:
     backdrop: Backdrop
     things: tuple[Thing, ...]
     shadows: tuple[Shadow, ...]
+    onlookers: tuple[Billboard, ...] = ()
 
     def parameters(self) -> dict[str, Any]:
         """Everything but the camera, JSON-able."""
         things = [{"thing": type(t).__name__.lower()} | asdict(t) for t in self.things]
-        rest = {"things": things, "shadows": [asdict(s) for s in self.shadows]}
+        rest = {"things": things} | {k: [asdict(s) for s in getattr(self, k)] for k in ("shadows", "onlookers")}
         return {k: asdict(getattr(self, k)) for k in ("material", "light", "lens", "backdrop")} | rest
 
 
@@ -61,4 +63,5 @@ def sample_scene(film: FilmMesh, size: tuple[int, int], rng: np.random.Generator
     lying = backdrop.kind in ("table", "wall", "panel") and backdrop.gap_mm < REACH_BEHIND_MM
     things = sample_things(lying, rng) if rng.random() < config.thing_share else ()
     shadows = sample_shadows(rng) if rng.random() < config.shadow_share else ()
-    return Scene(camera, sample_material(rng), light, sample_lens(rng), backdrop, things, shadows)
+    material, lens = sample_material(rng, clear_base=light.light_box or backdrop.kind != "dark"), sample_lens(rng)
+    return Scene(camera, material, light, lens, backdrop, things, shadows, sample_onlookers(rng))

@@ -120,12 +120,13 @@ def lit_film(film: FilmMesh, scene: Scene) -> LitFilm:
 
 def light_before(lit: LitFilm, room: FilteredEnvironment) -> FilmLight:
     """What the light on the seen side does: scattered by the print, and reflected by the surface."""
-    material, light, (lamps, _) = lit.scene.material, lit.scene.light, lit.sources
+    material, (lamps, _) = lit.scene.material, lit.sources
     entering = lit.inside * entering_light(lit, lit.smooth.normals, room)
-    veil = lit.matt(material.haze * entering) * lit.shadow + reflection(lit.fine, light, room, lit.surface)
+    veil = lit.matt(material.haze * entering) * lit.shadow + reflection(lit.fine, lit.scene, room, lit.surface)
     for lamp in lamps:
         veil += lamp_highlight(lamp, lit.fine, lit.surface)[..., None] * np.array(lamp.radiance, np.float32)
-    return FilmLight(lit.matt(material.diffuse * entering) * lit.shadow, veil)
+    base = np.array(material.tint, np.float32) ** 2  # once in, once out
+    return FilmLight(lit.matt(material.diffuse * entering) * lit.shadow * base, veil)
 
 
 def light_through(lit: LitFilm, behind: Behind) -> FilmLight:
@@ -136,7 +137,7 @@ def light_through(lit: LitFilm, behind: Behind) -> FilmLight:
     if material.clear:
         straight = cv2.resize(behind.straight, gain.shape[1::-1], interpolation=cv2.INTER_LINEAR)
         gain += np.float32(material.clear) * (1 - lit.surface.reflected(lit.fine.cosine)) * straight
-    return FilmLight(gain, lit.matt(material.haze * entering))
+    return FilmLight(gain * np.array(material.tint, np.float32), lit.matt(material.haze * entering))
 
 
 def glossy_lattice(material: Material, photo_size: tuple[int, int]) -> int:

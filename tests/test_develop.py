@@ -9,7 +9,7 @@ from PIL import Image
 
 from data_gen.develop import Lens, _streak, develop, displayed, tone, vignetting
 
-PLAIN = Lens(0.18, 0.0, 0.0, "srgb", 0.0, 0.0, 0.0, 0.0, 0.0, 1e-4, 96)
+PLAIN = Lens(0.18, 0.0, 0.0, "srgb", 0.0, 0.0, 0.0, 0.1, 0.0, 0.0, 0.0, 1e-4, 96)
 
 
 def photo(linear, lens, seed=0):

@@ -72,14 +72,6 @@ class FilmMesh:
         """What two one-dimensional interpolations make of the vertices."""
         return np.stack([rows @ self.vertices[..., k] @ cols.T for k in range(3)], axis=-1)
 
-    def dihedral_angles(self) -> Float[np.ndarray, "r1 c1"]:
-        """Angle (rad) by which the two triangles of each lattice cell are bent against each other; 0 when flat."""
-        a, b, c = self._corners()
-        normal = np.cross(b - a, c - a)
-        upper, lower = np.split(normal, 2)
-        bend = np.arctan2(np.linalg.norm(np.cross(upper, lower), axis=1), np.einsum("tk,tk->t", upper, lower))
-        return bend.reshape(self.shape[0] - 1, self.shape[1] - 1)
-
     def angle_defects(self) -> Float[np.ndarray, "r2 c2"]:
         """Gaussian curvature times area (rad) at the inner vertices: 2 pi less the angles of the triangles there."""
         corners = self._corners()

@@ -37,10 +37,11 @@ def film_points(network: MassSpring) -> Float[np.ndarray, "v 2"]:
 
 
 def near_point(network: MassSpring, uv: Float[np.ndarray, "2"], radius_mm: float) -> Bool[np.ndarray, " v"]:
-    """Vertices within ``radius_mm`` of a film point; always at least one."""
+    """Vertices within ``radius_mm`` of a film point; always the lattice's cell nearest to it, which can be tilted."""
     height, width = network.film.size_mm
-    distance = np.linalg.norm((film_points(network) - uv) * [width, height], axis=1)
-    return distance <= max(radius_mm, float(distance.min()))
+    beside = np.abs(film_points(network) - uv) * [width, height]
+    cell = [beside[:, k] <= np.unique(beside[:, k].round(6))[1] + 1e-6 for k in range(2)]
+    return (np.linalg.norm(beside, axis=1) <= radius_mm) | (cell[0] & cell[1])
 
 
 def edge_part(
@@ -48,18 +49,20 @@ def edge_part(
 ) -> Bool[np.ndarray, " v"]:
     """Vertices of an edge (0 left, 1 right, 2 top, 3 bottom), ``low`` to ``high`` along it, ``depth_mm`` inwards.
 
-    At least one: the one nearest to the middle, where the lattice is coarser than the part is long.
+    Two lines of the lattice inwards at least: one alone turns about itself, as a hinge does. Of each at least one
+    vertex, the nearest to the middle, where the lattice is coarser than the part is long.
     """
     uv = film_points(network)
     axis, far = (0, side == 1) if side < 2 else (1, side == 3)
     size = network.film.size_mm[1 - axis]
     inwards = (1 - uv[:, axis] if far else uv[:, axis]) * size
     along = uv[:, 1 - axis]
-    near = inwards <= depth_mm + 1e-9
-    chosen = near & (along >= low - 1e-9) & (along <= high + 1e-9)
-    if not chosen.any():
-        chosen[np.where(near, np.abs(along - 0.5 * (low + high)), np.inf).argmin()] = True
-    return chosen
+    near = inwards <= max(depth_mm, np.unique(inwards)[1]) + 1e-6
+    within = (along >= low - 1e-9) & (along <= high + 1e-9)
+    if not (near & within).any():
+        beside = np.abs(along - 0.5 * (low + high))
+        within = beside <= beside.min() + 1e-9
+    return near & within
 
 
 def rigid(network: MassSpring, chosen: Bool[np.ndarray, " v"], turn_rad: np.ndarray, shift: np.ndarray) -> Grip:

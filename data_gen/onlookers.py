@@ -1,0 +1,101 @@
+"""Who stands before the film: the phone that photographs it and the person who holds it, as its gloss mirrors them.
+
+They are flat shapes that face the film, at rest before the camera: what a reflection shows of them is their outline,
+dark against the room or, of a white coat, bright against a dark one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float, Float32
+
+from data_gen.lamps import Vector
+from hybrid.mesh.camera import Camera
+
+PERSON_SHARE = 0.75
+"""Photos that a person takes who stands behind the phone; else it stands by itself, or is held at arm's length."""
+
+PHONE_HALF_MM = (37.0, 76.0)
+
+
+@dataclass(frozen=True)
+class Billboard:
+    """A flat shape that faces the film.
+
+    shape: of its outline. centre_mm: in camera axes; z < 0 is behind the camera. half_mm: its half width and height.
+    reflectance: linear RGB share that it scatters of the room's mean light.
+    """
+
+    shape: Literal["ellipse", "box"]
+    centre_mm: Vector
+    half_mm: tuple[float, float]
+    reflectance: Vector
+
+    def outside_mm(self, x: Float[np.ndarray, "*n"], y: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
+        """About how far points of its plane lie outside of it; negative within."""
+        dx, dy = x - np.float32(self.centre_mm[0]), y - np.float32(self.centre_mm[1])
+        wide, high = (np.float32(half) for half in self.half_mm)
+        if self.shape == "ellipse":
+            return (np.hypot(dx / wide, dy / high) - 1) * min(wide, high)
+        return np.maximum(np.abs(dx) - wide, np.abs(dy) - high)
+
+
+def sample_onlookers(rng: np.random.Generator) -> tuple[Billboard, ...]:
+    """A phone, its camera near one of its ends, and mostly a person behind it, farthest first."""
+    upright = rng.random() < 0.5
+    half = PHONE_HALF_MM if upright else PHONE_HALF_MM[::-1]
+    off = [float(rng.choice([-1, 1]) * rng.uniform(0.4, 0.85) * side) for side in half]
+    phone = Billboard("box", (off[0], off[1], 0.0), half, _grey(rng, 0.02, 0.15))
+    if rng.random() >= PERSON_SHARE:
+        return (phone,)
+    back, aside, level = -rng.uniform(180, 450), rng.normal(0, 70), rng.normal(-40, 80)
+    head_high = float(rng.uniform(105, 135))
+    head = Billboard("ellipse", (aside, level, back), (0.75 * head_high, head_high), _skin(rng))
+    wide, high = float(rng.uniform(190, 270)), 400.0
+    coat = _grey(rng, 0.4, 0.8) if rng.random() < 0.3 else _cloth(rng)
+    torso = Billboard("ellipse", (aside, level + head_high + 0.9 * high, back - 40), (wide, high), coat)
+    return torso, head, phone
+
+
+def mirrored_onlookers(
+    onlookers: tuple[Billboard, ...],
+    camera: Camera,
+    points: Float[np.ndarray, "m n 3"],
+    mirror: Float[np.ndarray, "m n 3"],
+    alpha: float,
+    around: Float[np.ndarray, "m n 3"],
+    mean: Float[np.ndarray, "3"],
+) -> Float32[np.ndarray, "m n 3"]:
+    """What a film mirrors: ``around``, with those before it whom the mirror's directions meet, as sharp as its lobe.
+
+    points, mirror: of the film, in the world. alpha: the lobe's half width. mean: light of the room.
+    """
+    turn = camera.camera_from_world[:3, :3].T.astype(np.float32)
+    start, way = camera.camera_points(points).astype(np.float32), mirror @ turn
+    seen = around.astype(np.float32)
+    for one in onlookers:
+        ahead = (np.float32(one.centre_mm[2]) - start[..., 2]) / np.minimum(way[..., 2], np.float32(-1e-3))
+        x, y = (start[..., k] + ahead * way[..., k] for k in (0, 1))
+        soft = np.maximum(np.float32(2 * alpha) * ahead, 3)
+        share = np.clip(0.5 - one.outside_mm(x, y) / soft, 0, 1) * (way[..., 2] < 0)
+        colour = (np.array(one.reflectance) * mean).astype(np.float32)
+        seen += share[..., None].astype(np.float32) * (colour - seen)
+    return seen
+
+
+def _grey(rng: np.random.Generator, low: float, high: float) -> Vector:
+    level = float(rng.uniform(low, high))
+    return level, level, level
+
+
+def _skin(rng: np.random.Generator) -> Vector:
+    level = float(rng.uniform(0.08, 0.5))
+    return level, 0.7 * level, 0.55 * level
+
+
+def _cloth(rng: np.random.Generator) -> Vector:
+    red, green, blue = (float(level) for level in rng.uniform(0.02, 0.4, 3))
+    return red, green, blue

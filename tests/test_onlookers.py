@@ -1,0 +1,81 @@
+"""The phone and the person before a film, as its gloss mirrors them; bases of real films, local tones of phones."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from test_develop import PLAIN
+
+from data_gen.develop import develop, local_tone, sample_lens
+from data_gen.lighting import BLUE_BASE, sample_material
+from data_gen.onlookers import Billboard, mirrored_onlookers, sample_onlookers
+from hybrid.mesh.camera import Camera
+
+CAMERA = Camera(np.diag([1000.0, 1000.0, 1.0]), np.eye(4), (0.0, 0.0), (100, 100))
+"""At the world's origin, looking along z."""
+PHONE = Billboard("box", (0.0, 0.0, 0.0), (40.0, 80.0), (0.1, 0.1, 0.1))
+
+
+def mirrored(onlooker: Billboard, x: float, y: float, alpha: float = 0.0) -> float:
+    """What a flat mirror 400 mm away, parallel to the phone, shows at (x, y) in a room of light 1."""
+    point = np.array([[[x, y, 400.0]]], np.float32)
+    view = -point / np.linalg.norm(point)
+    mirror = view * [-1, -1, 1]  # the mirror turns over the way along its normal
+    around, mean = np.ones((1, 1, 3), np.float32), np.ones(3)
+    return float(mirrored_onlookers((onlooker,), CAMERA, point, mirror.astype(np.float32), alpha, around, mean).mean())
+
+
+def test_a_flat_mirror_shows_the_phone_at_half_its_size():
+    assert mirrored(PHONE, 0.0, 0.0) == pytest.approx(0.1)
+    assert mirrored(PHONE, 17.0, 37.0) == pytest.approx(0.1)  # seen at (34, 74) of the phone's plane
+    assert mirrored(PHONE, 23.0, 0.0) == pytest.approx(1.0)
+    assert mirrored(PHONE, 0.0, 43.0) == pytest.approx(1.0)
+
+
+def test_what_is_farther_away_looks_smaller_and_a_rough_film_blurs_it():
+    behind = replace(PHONE, centre_mm=(0.0, 0.0, -400.0))
+    assert mirrored(behind, 12.0, 0.0) == pytest.approx(0.1)  # three lengths of 400 mm for one: at 36 mm
+    assert mirrored(behind, 16.0, 0.0) == pytest.approx(1.0)
+    assert 0.3 < mirrored(PHONE, 20.0, 0.0, alpha=0.05) < 0.8
+    assert 0.1 < mirrored(PHONE, 18.0, 0.0, alpha=0.05) < mirrored(PHONE, 22.0, 0.0, alpha=0.05) < 1.0
+
+
+def test_a_phone_is_always_there_and_mostly_a_person():
+    rng = np.random.default_rng(0)
+    drawn = [sample_onlookers(rng) for _ in range(200)]
+    assert all(each[-1].shape == "box" and each[-1].centre_mm[2] == 0 for each in drawn)
+    assert 0.6 < np.mean([len(each) == 3 for each in drawn]) < 0.9
+    for each in drawn:  # the camera looks out of its phone
+        assert each[-1].outside_mm(np.zeros(1), np.zeros(1))[0] < 0
+
+
+def test_films_are_milky_clear_and_bluish():
+    rng = np.random.default_rng(1)
+    drawn = [sample_material(rng) for _ in range(2000)]
+    clear = np.array([one.clear / (one.clear + one.diffuse + one.transmission) for one in drawn])
+    assert 0.2 < (clear > 0.75).mean() < 0.35
+    assert not any(
+        m.clear > 3 * (m.diffuse + m.transmission) for m in (sample_material(rng, False) for _ in range(500))
+    )
+    tint = np.array([one.tint for one in drawn])
+    assert 0.3 < (tint[:, 0] < 1).mean() < 0.5
+    assert (tint >= np.array(BLUE_BASE) - 1e-9).all()
+
+
+def test_local_tone_mapping_makes_dark_parts_brighter_beside_bright_ones():
+    linear = np.full((96, 96, 3), 0.02, np.float32)
+    linear[:, 48:] = 1.0
+    lens = replace(PLAIN, local=0.4, local_reach=0.05)
+    factor = local_tone(linear, lens)
+    assert factor[40, 4] > 1.5 > 1 > factor[40, -4]
+    assert factor[40, 4] / factor[40, -4] == pytest.approx(50**0.4, rel=0.05)
+    assert local_tone(linear, PLAIN).size == 1
+    plain, toned = (
+        np.frombuffer(develop(linear, lens, 1.0, np.random.default_rng(0), local), np.uint8) for local in (None, factor)
+    )
+    assert plain.tobytes() != toned.tobytes()
+
+
+def test_two_lenses_in_five_map_tones_locally():
+    rng = np.random.default_rng(2)
+    assert 0.3 < np.mean([sample_lens(rng).local > 0 for _ in range(500)]) < 0.5
