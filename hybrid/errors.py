@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import zlib
+from collections.abc import Callable, Sequence
 from dataclasses import fields, is_dataclass
 from typing import Any
 from zipfile import BadZipFile
@@ -55,12 +56,21 @@ def require_at_least(config: Any, least: int | float, *names: str) -> None:
     Raises:
         ConfigError: one is, or is empty or not a number.
     """
+    _require(config, lambda each: each >= least, f">= {least:g}", names)
+
+
+def require_at_most(config: Any, most: int | float, *names: str) -> None:
+    """The same of options that are more than they may be."""
+    _require(config, lambda each: each <= most, f"<= {most:g}", names)
+
+
+def _require(config: Any, allowed: Callable[[Any], bool], told: str, names: Sequence[str]) -> None:
     for name in names:
         value = getattr(config, name)
         values = value if isinstance(value, tuple) else (value,)
-        if not values or not all(each >= least for each in values):
+        if not values or not all(map(allowed, values)):
             option = f"{type(config).__name__}.{name}"
-            raise ConfigError(describe(what=option, got=value, allowed=f">= {least:g}", do="Choose another."))
+            raise ConfigError(describe(what=option, got=value, allowed=told, do="Choose another."))
 
 
 def require_numbers(config: Any) -> None:

@@ -84,11 +84,13 @@ def test_layers_that_are_never_read_change_nothing():
         assert torch.equal(whole(code).backward, lean(code).backward)
 
 
-@pytest.mark.parametrize("name", ["dewarpnet", "dewarpnet_shape", "dewarpnet_bw", "net_bw", "net_uv"])
-def test_shipped_weights_fit_25_mb_in_half_precision(name):
-    chosen = preset(name)
+@pytest.mark.parametrize(
+    ("name", "width"),
+    [("dewarpnet", 0.25), ("dewarpnet_shape", 0.25), ("dewarpnet_bw", 0.25), ("net_bw", 0.125), ("net_uv", 0.125)],
+)
+def test_weights_as_trained_here_fit_25_mb_in_half_precision(name, width):
     with torch.device("meta"):
-        network = chosen.at_width(chosen.ship_width).network()
+        network = preset(name).at_width(width).network()
     assert 2 * parameter_count(network) <= 25e6
 
 

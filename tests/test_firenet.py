@@ -43,9 +43,8 @@ def test_a_step_of_table_3_is_a_matter_of_whole_decoders():
 
 
 @pytest.mark.parametrize("name", ["firenet", "firenet_multimap", "firenet_uv_only"])
-def test_shipped_weights_fit_25_mb_in_half_precision(name):
-    chosen = preset(name)
-    assert 2 * parameter_count(on_paper(chosen.at_width(chosen.ship_width).config)) <= 25e6
+def test_weights_of_a_fifth_of_the_width_fit_25_mb_in_half_precision(name):
+    assert 2 * parameter_count(on_paper(preset(name).at_width(0.2).config)) <= 25e6
 
 
 @pytest.mark.parametrize("config", [FiReNetConfig(), MULTI_MAP, UV_ONLY])

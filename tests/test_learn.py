@@ -408,6 +408,9 @@ def test_training_resumes_exactly(dataset, tmp_path, monkeypatch):
         ({"coarse_share": 0.5, "coarse_px": 100}, "--coarse-px: got 100; allowed: multiples of 32"),
         ({"input_px": 100}, "--input-px: got 100; allowed: multiples of 32"),
         ({"input_px": 192, "preset": "dewarpnet"}, "--input-px: got 192; allowed: multiples of 128"),
+        ({"width": float("nan"), "preset": "dewarpnet"}, "--width: got nan; allowed: > 0"),
+        ({"weight_decay": -1.0}, "--weight-decay: got -1.0; allowed: >= 0"),
+        ({"preset": "slices", "coarse_share": 0.5, "coarse_px": 32}, "--preset slices: got --coarse-share 0.5"),
     ],
 )
 def test_options_that_cannot_be_are_refused_before_any_data_is_read(options, told, tmp_path):
@@ -424,7 +427,7 @@ def test_presets_reach_processes_that_share_no_memory(name):
 def test_a_training_can_start_from_weights(dataset, tmp_path):
     train(quick_run(dataset, tmp_path / "first", 4))
     start = tmp_path / "first" / "filmnet.safetensors"
-    train(quick_run(dataset, tmp_path / "second", 4, start=start, learning_rate=1e-12, weight_decay=0.0))
+    train(quick_run(dataset, tmp_path / "second", 4, start=(start,), learning_rate=1e-12, weight_decay=0.0))
     before, after = (load_weights(p, FilmNet, FilmNetConfig) for p in (start, tmp_path / "second/filmnet.safetensors"))
     torch.testing.assert_close(after.head.weight, before.head.weight)
 

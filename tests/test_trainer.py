@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import os
+import signal
 import socket
 import subprocess
 import sys
@@ -19,10 +20,11 @@ from simple_samples import simple_dataset
 
 from data_gen.generate import GenerateConfig, generate
 from data_gen.sample import SampleConfig
-from hybrid.errors import ConfigError
+from hybrid.errors import ConfigError, DataError
 from hybrid.image_io import read_photo
 from hybrid.learn import train as train_module
 from hybrid.learn.data import batch_of, training_view
+from hybrid.learn.dewarpnet import DewarpNetConfig, ShapeNet
 from hybrid.learn.edges import EdgeNet, EdgeNetConfig
 from hybrid.learn.feeds import FILM_FEED, Feed
 from hybrid.learn.firenet import FiReNet, FiReNetConfig
@@ -31,7 +33,7 @@ from hybrid.learn.network import FilmNet, FilmNetConfig
 from hybrid.learn.presets import PRESETS
 from hybrid.learn.samples import film_of, photo_of
 from hybrid.learn.train import Rank, TrainConfig, train
-from hybrid.learn.weights import load_weights
+from hybrid.learn.weights import load_weights, save_weights
 
 ROOT = Path(__file__).parents[1]
 TINY = FilmNetConfig(widths=(4, 8, 8, 8), blocks=(1, 1, 1), input_px=64)
@@ -104,6 +106,79 @@ def test_curves_of_steps_that_come_again_are_left_out(tmp_path):
     path.write_text("passes,loss\n100,3\n200,2\n300,1\n")
     train_module._cut_curves(path, 200)
     assert path.read_text() == "passes,loss\n100,3\n200,2\n"
+
+
+def test_an_empty_file_of_curves_stops_no_run(tmp_path):
+    path = tmp_path / "curves.csv"
+    path.write_text("")
+    train_module._cut_curves(path, 200)
+    train_module._log(path, {"passes": 1, "loss": 2})
+    assert path.read_text().split() == ["passes,loss", "1,2"]
+
+
+@pytest.mark.usefixtures("tiny")
+def test_a_complete_run_gives_its_weights_again(dataset, tmp_path):
+    train(quick_run(dataset, tmp_path))
+    path = tmp_path / "filmnet.safetensors"
+    weights = load_weights(path, FilmNet, FilmNetConfig).state_dict()
+    path.unlink()
+    train(quick_run(dataset, tmp_path))
+    again = load_weights(path, FilmNet, FilmNetConfig).state_dict()
+    assert all(torch.equal(value, again[name]) for name, value in weights.items())
+
+
+@pytest.mark.usefixtures("tiny")
+def test_a_run_goes_on_without_the_file_that_it_started_from(dataset, tmp_path):
+    train(quick_run(dataset, tmp_path / "first"))
+    start = tmp_path / "first" / "filmnet.safetensors"
+    train(quick_run(dataset, tmp_path / "second", passes=8, start=(start,)))
+    start.unlink()
+    train(quick_run(dataset, tmp_path / "second", passes=16, start=(start,)))
+    assert len((tmp_path / "second" / "curves.csv").read_text().split()) == 3
+
+
+@pytest.mark.parametrize("loaders", [0, 1])
+@pytest.mark.usefixtures("tiny")
+def test_data_that_cannot_be_used_is_told_in_a_line(dataset, tmp_path, monkeypatch, loaders):
+    def refuse(*_):
+        raise DataError("these photos will not do")
+
+    feed = replace(PRESETS["filmnet"].feed, batch=refuse)
+    monkeypatch.setitem(PRESETS, "filmnet", replace(PRESETS["filmnet"], own_feed=feed))
+    with pytest.raises(DataError) as told:
+        train(quick_run(dataset, tmp_path, loaders=loaders))
+    assert str(told.value) == "these photos will not do"
+
+
+@pytest.mark.usefixtures("tiny")
+def test_ctrl_c_amid_a_test_loses_none_of_its_figures(dataset, tmp_path, monkeypatch):
+    def interrupted(*arguments):
+        signal.raise_signal(signal.SIGINT)
+        return FILM_FEED.test(*arguments)
+
+    feed = replace(PRESETS["filmnet"].feed, test=interrupted)
+    monkeypatch.setitem(PRESETS, "filmnet", replace(PRESETS["filmnet"], own_feed=feed))
+    with pytest.raises(KeyboardInterrupt):
+        train(quick_run(dataset, tmp_path))
+    monkeypatch.setitem(PRESETS, "filmnet", replace(PRESETS["filmnet"], own_feed=FILM_FEED))
+    train(quick_run(dataset, tmp_path))
+    rows = list(csv.DictReader((tmp_path / "curves.csv").read_text().splitlines()))
+    assert [row["passes"] for row in rows] == ["16"]
+
+
+def test_dewarpnet_starts_from_its_stages(tmp_path):
+    chosen = {name: PRESETS[name].at_width(0.03) for name in ("dewarpnet", "dewarpnet_shape", "dewarpnet_bw")}
+    files = []
+    for name in ("dewarpnet_shape", "dewarpnet_bw"):
+        files.append(tmp_path / f"{name}.safetensors")
+        save_weights(files[-1], chosen[name].network(), chosen[name].config, {})
+    network = chosen["dewarpnet"].network()
+    train_module._load_start(network, tuple(files))
+    shape = load_weights(files[0], ShapeNet, DewarpNetConfig)
+    for name, value in network.shape_net.state_dict().items():
+        torch.testing.assert_close(value, shape.state_dict()[name], rtol=0, atol=1e-2)
+    with pytest.raises(ConfigError, match="--start"):
+        train_module._load_start(shape, tuple(files))
 
 
 @pytest.mark.usefixtures("tiny")

@@ -126,13 +126,9 @@ def split_films(places: Sequence[LitPlace], held_out: int) -> tuple[list[LitPlac
     """The photos of the first films, at least ``held_out`` of them, and all others, which know nothing of those prints
     either."""
     held = {place.path for place in places[:held_out]}
-    first, rest = [], []
-    for place in places:
-        if place.path in held:
-            first.append(place)
-        else:
-            rest.append(replace(place, films=tuple(path for path in place.films if path not in held)))
-    return first, rest
+    free = {films: tuple(path for path in films if path not in held) for films in {place.films for place in places}}
+    first = [place for place in places if place.path in held]
+    return first, [replace(place, films=free[place.films]) for place in places if place.path not in held]
 
 
 def _open_folder(folder: Path) -> list[LitPlace]:

@@ -14,7 +14,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from hybrid.backward import Orientation
-from hybrid.errors import ConfigError, describe, require_at_least
+from hybrid.errors import ConfigError, describe, require_at_least, require_at_most
 from hybrid.learn.slices import SliceNet, least_side, turn_logits
 from hybrid.learn.upright import WAYS, PatchVotes, UprightNet, joined
 from hybrid.learn.upright_patches import text_patches
@@ -56,6 +56,8 @@ class UprightConfig:
 
     def __post_init__(self) -> None:
         require_at_least(self, 1, "min_slice_px")
+        require_at_least(self, 0, "turned", "mirrored")
+        require_at_most(self, 1, "turned", "mirrored")
         if self.mirror and self.turn == "read":
             do = "Name the turn as well: 0, 90, 180 or 270."
             raise ConfigError(describe(what="UprightConfig.mirror", got="no turn beside it", do=do))

@@ -10,7 +10,7 @@ import torch
 from jaxtyping import UInt8
 
 from hybrid.backward import BackwardMap, Orientation
-from hybrid.errors import require_at_least
+from hybrid.errors import require_at_least, require_at_most
 from hybrid.learn.network import STRIDE, FilmNet
 from hybrid.learn.views import output_points, view_image
 from hybrid.records import CoarseMaps
@@ -37,6 +37,7 @@ class PredictConfig:
     def __post_init__(self) -> None:
         require_at_least(self, 1, "looks", "least_px")
         require_at_least(self, 0, "sides", "margin")
+        require_at_most(self, 0.4, "margin")
 
 
 def look(network: FilmNet, photo: UInt8[np.ndarray, "H W 3"], views: Sequence[BackwardMap]) -> list[CoarseMaps]:

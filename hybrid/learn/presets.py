@@ -59,8 +59,8 @@ class Preset:
     config, build: ``build(config)`` makes the network; ``config.input_px`` is the side of its input. losses: terms by
     name, of output and targets. weights: of the terms; those left out count once. nodes: side of the true backward map
     for an input of so many pixels; 0 if it is not needed. inputs: what the network reads. own_feed: where its batches
-    come from, if not the paper's. ship_width: width at which weights are shipped: the largest that fits 25 MB in half
-    precision, or that two cores can train, if that is less. batch, learning_rate: as published.
+    come from, if not the paper's. batch, learning_rate: as published. px_multiple: what the input's side is a multiple
+    of. one_size: whether the network takes inputs of its configuration's size only.
     """
 
     config: FilmNetConfig | UprightNetConfig | SliceNetConfig | EdgeNetConfig | LightNetConfig | PaperConfig
@@ -70,10 +70,10 @@ class Preset:
     nodes: Callable[[int], int] = no_nodes
     inputs: Callable[[Tensor, Any], Tensor] = image_input
     own_feed: Feed | None = None
-    ship_width: float = 1.0
     batch: int = 16
     learning_rate: float = 1e-3
     px_multiple: int = 32
+    one_size: bool = False
 
     @property
     def feed(self) -> Feed:
@@ -106,7 +106,6 @@ _FIRENET = Preset(
     FiReNet,
     paper_losses.firenet_losses,
     nodes=node_per_pixel,
-    ship_width=0.23,
     px_multiple=64,
 )
 _DEWARPNET = Preset(
@@ -115,7 +114,6 @@ _DEWARPNET = Preset(
     paper_losses.dewarpnet_losses,
     weights={"backward": 10.0, "reconstruction": 0.5},
     nodes=dewarpnet_nodes,
-    ship_width=0.25,
     batch=50,
     learning_rate=1e-4,
     px_multiple=128,
@@ -126,7 +124,6 @@ _NET_BW = Preset(
     paper_losses.net_bw_losses,
     nodes=node_per_pixel,
     inputs=coordinate_input,
-    ship_width=0.125,
 )
 
 PRESETS: dict[str, Preset] = {
@@ -156,6 +153,7 @@ PRESETS: dict[str, Preset] = {
         batch=32,
         learning_rate=3e-3,
         px_multiple=16,
+        one_size=True,
     ),
     "edges": Preset(
         EdgeNetConfig(),
@@ -194,7 +192,7 @@ PRESETS: dict[str, Preset] = {
     "net_uv": replace(_NET_BW, build=NetUv, losses=paper_losses.net_uv_losses, nodes=no_nodes),
 }
 """DewarpNet's stages are trained apart first, shape from photos and the map from true 3D maps. ``dewarpnet.joined``
-makes one network of them, which "dewarpnet" trains further."""
+makes one network of them, which "dewarpnet" trains further (``hybrid train --start``)."""
 
 
 def preset(name: str) -> Preset:

@@ -28,8 +28,9 @@ from torch import Tensor, nn
 from torch.utils.data import DataLoader, Dataset
 from tqdm import tqdm
 
-from hybrid.errors import ConfigError, describe
-from hybrid.image_io import write_rgb
+from hybrid.errors import ConfigError, HybridError, describe
+from hybrid.image_io import write_bytes, write_rgb
+from hybrid.learn.dewarpnet import DewarpNet
 from hybrid.learn.presets import Preset, preset, weighted_sum
 from hybrid.learn.weights import load_into, save_weights
 from hybrid.outputs import make_folder
@@ -37,20 +38,22 @@ from hybrid.outputs import make_folder
 
 @dataclass(frozen=True)
 class TrainConfig:
-    """Train a network on data of ``python -m data_gen.generate``; the same command goes on with a run cut off."""
+    """Train a network on data of ``python -m data_gen.generate`` (for upright and slices ``data_gen.flat_prints``, for
+    light ``data_gen.lit_films``). The same command goes on with a run that was cut off."""
 
     data: tuple[Path, ...]
     """Data set folders."""
     out: Path
     """Folder for checkpoint, curves and weights."""
     preset: str = "filmnet"
-    """Which network: filmnet, upright, edges, light, or one of the paper's (docs/training.md lists all)."""
+    """Which network: filmnet, upright, slices, edges, light, or one of the paper's (docs/training.md lists all)."""
     width: float | None = None
     """Factor on the channels of the paper's networks."""
     input_px: int | None = None
     """Side of the network's input, if not the preset's."""
-    start: Path | None = None
-    """Weights to start from, as for fine-tuning."""
+    start: tuple[Path, ...] = ()
+    """Weights to start from, as for fine-tuning; of dewarpnet those of its stages, shape first, where they were trained
+    apart."""
     passes: int = 200_000
     """Images shown in all."""
     coarse_share: float = 0.0
@@ -110,15 +113,18 @@ class Plan:
             if value is not None and value < least:
                 allowed, do = f">= {least}", "Choose another."
                 raise ConfigError(describe(what=_flag(name), got=value, allowed=allowed, do=do))
+        for name, number in (("learning_rate", config.learning_rate), ("width", config.width)):
+            if number is not None and not 0 < number < math.inf:
+                raise ConfigError(describe(what=_flag(name), got=number, allowed="> 0", do="Choose another."))
+        if not 0 <= config.weight_decay < math.inf:
+            raise ConfigError(
+                describe(what="--weight-decay", got=config.weight_decay, allowed=">= 0", do="Choose another.")
+            )
         for name, share in (("ema", config.ema), ("coarse_share", config.coarse_share)):
             if not 0 <= share < 1:
                 raise ConfigError(
                     describe(what=_flag(name), got=share, allowed="from 0 to below 1", do="Choose another.")
                 )
-        if config.learning_rate is not None and not config.learning_rate > 0:
-            raise ConfigError(
-                describe(what="--learning-rate", got=config.learning_rate, allowed="> 0", do="Choose another.")
-            )
         if config.device == "cuda" and not torch.cuda.is_available():
             do = "Train on the processor (--device cpu), or install a PyTorch that was built for CUDA."
             raise ConfigError(describe(what="--device", got="cuda, of which PyTorch finds none", do=do))
@@ -127,6 +133,9 @@ class Plan:
             chosen = chosen.at_width(config.width)
         if config.input_px is not None:
             chosen = chosen.at_input(config.input_px)
+        if coarse_px is not None and chosen.one_size:
+            got, do = f"--coarse-share {config.coarse_share}", "Leave it out."
+            raise ConfigError(describe(what=f"--preset {config.preset}", got=got, allowed="one input size", do=do))
         for name, px in (("input_px", chosen.config.input_px), ("coarse_px", coarse_px)):
             if px is not None and px % chosen.px_multiple:
                 allowed, do = f"multiples of {chosen.px_multiple}", "Choose another."
@@ -177,11 +186,16 @@ class _Batches(Dataset):
     def __len__(self) -> int:
         return self.plan.steps
 
-    def __getitem__(self, step: int) -> tuple[Tensor, Any]:
+    def __getitem__(self, step: int) -> tuple[Tensor, Any] | HybridError:
+        """An error is given, not raised: PyTorch would make a stack trace of it where a loader meets it."""
         plan, seed = self.plan, self.plan.config.seed
         mine = range(step * plan.batch + self.rank.number, (step + 1) * plan.batch, self.rank.count)
         places = [self.places[_place_of(k, seed, len(self.places))] for k in mine]
-        return plan.preset.feed.batch(places, plan.px_at(step), [np.random.default_rng([seed, 1, k]) for k in mine])
+        generators = [np.random.default_rng([seed, 1, k]) for k in mine]
+        try:
+            return plan.preset.feed.batch(places, plan.px_at(step), generators)
+        except HybridError as error:
+            return error
 
 
 def _place_of(image: int, seed: int, count: int) -> int:
@@ -239,17 +253,21 @@ def _run(state: _State, loader: DataLoader, held_out: list[Any]) -> None:
     saved = time.monotonic()
     done = {"total": plan.steps * plan.batch, "initial": state.step * plan.batch}
     with tqdm(unit="image", disable=not state.rank.first, **done) as bar, _saved_if_stopped(state):
-        for images, targets in loader:
+        if state.step >= plan.steps and state.rank.first:
+            state.save()  # what it left may have been taken away since, or never have been written
+        for batch in loader:
+            if isinstance(batch, HybridError):
+                raise batch
+            last = state.step + 1 == plan.steps
             with _undivided():
-                terms = state.update(images, targets)
+                terms = state.update(*batch)
+                if state.rank.first and (state.step % config.steps_per_test == 0 or last):
+                    figures = _test(state, held_out)
+                    _log(state.curves, {"passes": state.step * plan.batch} | terms | figures)
+                    bar.set_postfix({name.removeprefix("test_"): f"{value:.3g}" for name, value in figures.items()})
             bar.update(plan.batch)
             if not state.rank.first:
                 continue
-            last = state.step == plan.steps
-            if state.step % config.steps_per_test == 0 or last:
-                figures = _test(state, held_out)
-                _log(state.curves, {"passes": state.step * plan.batch} | terms | figures)
-                bar.set_postfix({name.removeprefix("test_"): f"{value:.3g}" for name, value in figures.items()})
             if time.monotonic() - saved > 60 * config.minutes_per_save or last:
                 state.save()
                 saved = time.monotonic()
@@ -268,7 +286,8 @@ def _saved_if_stopped(state: _State) -> Iterator[None]:
 
 @contextmanager
 def _undivided() -> Iterator[None]:
-    """Ctrl-C comes after what is done here, not amid it: half a step would be saved, and resumed as none."""
+    """Ctrl-C comes after what is done here, not amid it: half a step would be saved, and resumed as none, or a step
+    without the figures of its test."""
     if threading.current_thread() is not threading.main_thread():  # no other is interrupted
         yield
         return
@@ -303,14 +322,14 @@ class _State:
         self.began = {name: str(getattr(plan, name, getattr(config, name, None))) for name in _KEPT}
         self.began |= {"preset": config.preset, "samples": str(samples)}
         self.network = plan.preset.network()
-        if config.start is not None:
-            load_into(self.network, config.start)
+        self.path = config.out / "checkpoint.pt"
+        if config.start and not self.path.exists():
+            _load_start(self.network, config.start)
         self.network.to(config.device, memory_format=torch.channels_last)  # type: ignore[call-overload]
         self.averaged = copy.deepcopy(self.network).eval().requires_grad_(False)
         self.optimiser = torch.optim.AdamW(
             self.network.parameters(), lr=plan.learning_rate, weight_decay=config.weight_decay, fused=True
         )
-        self.path = config.out / "checkpoint.pt"
         self.curves = config.out / "curves.csv"
         if self.path.exists():
             self._load()
@@ -344,9 +363,9 @@ class _State:
         torch.save(
             {"step": self.step, "began": self.began} | {name: getattr(self, name).state_dict() for name in names}, part
         )
-        part.replace(self.path)
         notes = {"passes": self.step * self.plan.batch, "seed": config.seed, "weights": dict(self.plan.preset.weights)}
         save_weights(config.out / f"{config.preset}.safetensors", self.averaged, self.plan.preset.config, notes)
+        part.replace(self.path)
 
     def _load(self) -> None:
         stored = torch.load(self.path, map_location=self.plan.config.device, weights_only=True)
@@ -370,6 +389,18 @@ class _State:
                     value.lerp_(theirs[name], 1 - decay)
                 else:
                     value.copy_(theirs[name])
+
+
+def _load_start(network: nn.Module, files: tuple[Path, ...]) -> None:
+    """Read the weights to start from: of the whole network, or of its stages."""
+    parts = [network]
+    if len(files) > 1 and isinstance(network, DewarpNet):
+        parts = [network.shape_net, network.backward_net]
+    if len(files) != len(parts):
+        got, do = f"{len(files)} files", "Name one, or for dewarpnet those of its two stages."
+        raise ConfigError(describe(what="--start", got=got, allowed=f"{len(parts)}", do=do))
+    for part, file in zip(parts, files, strict=True):
+        load_into(part, file)
 
 
 @contextmanager
@@ -404,14 +435,14 @@ _KEPT = (
 
 def _cut_curves(path: Path, passes: int) -> None:
     """Leave out what a run wrote after its last checkpoint: it will be written again."""
-    if path.exists():
-        header, *rows = path.read_text().splitlines(keepends=True)
-        path.write_text("".join([header, *(row for row in rows if int(row.split(",")[0]) <= passes)]))
+    if path.exists() and (lines := path.read_text().splitlines(keepends=True)):
+        kept = [row for row in lines[1:] if int(row.split(",")[0]) <= passes]
+        write_bytes(path, "".join([lines[0], *kept]).encode())
 
 
 def _log(path: Path, row: dict[str, Any]) -> None:
     """Append a row to a CSV file, with a header if it is new."""
-    new = not path.exists()
+    new = not path.exists() or not path.stat().st_size
     with path.open("a", newline="") as file:
         writer = csv.DictWriter(file, fieldnames=list(row))
         if new:

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float, Float32, UInt8
 
+from hybrid.coords import opencv_from_photo
 from hybrid.errors import DataError, describe
 from hybrid.learn.data import log_uniform
 from hybrid.learn.upright import UprightNetConfig
@@ -107,7 +108,8 @@ def _reduced(
         @ np.array([[1.0, skew - angle], [angle, 1.0]])
         @ np.diag(scale)
     )
-    affine = np.column_stack([linear, np.array(size) / 2 - linear @ (np.array(flat.shape[::-1]) / 2)])
+    middle, print_middle = (opencv_from_photo(np.array(each) / 2) for each in (size, flat.shape[::-1]))
+    affine = np.column_stack([linear, middle - linear @ print_middle])
     # A blur and linear interpolation stand for the mean over a pixel's area, at a third of the time.
     soft = cv2.GaussianBlur(flat, (0, 0), 0.4 / scale[0], sigmaY=0.4 / scale[1])
     return cv2.warpAffine(soft, affine, size, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
