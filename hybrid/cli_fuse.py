@@ -8,7 +8,7 @@ from typing import Annotated
 
 import tyro
 
-from hybrid.cli_options import PhotoOptions, made_by, parse
+from hybrid.cli_options import PhotoOptions, made_by, parse, photos_among
 from hybrid.image_io import read_photo
 from hybrid.outputs import make_folder, report_lines, write_result
 from hybrid.pipeline import Rectifier, RectifyConfig
@@ -29,17 +29,18 @@ class FuseOptions(PhotoOptions):
 def run(arguments: list[str]) -> int:
     """Parse the command line and fuse; 0 if the photos gave a film."""
     options = parse(FuseOptions, PhotoOptions, arguments, "hybrid fuse", RectifyConfig.of)
-    if len(options.photos) < 2:
+    paths = photos_among(options.photos)
+    if len(paths) < 2:
         told = "name two or more photos of one film, for example: hybrid fuse a.jpg b.jpg -o out"
         print(f"hybrid fuse: {told}", file=sys.stderr)
         return 2
     make_folder(options.out)
-    photos = [read_photo(path) for path in options.photos]
-    result = Rectifier(options.config).fuse(photos, [path.name for path in options.photos])
+    photos = [read_photo(path) for path in paths]
+    result = Rectifier(options.config).fuse(photos, [path.name for path in paths])
     made = made_by(options.effort, RectifyConfig.of(options.effort), options.config)
     shown = photos[result.photo]
-    files = write_result(options.out, options.photos, shown, result, options.rectified_format, "_fused", made)
-    print("\n".join(report_lines(options.photos[0], result, files, options.verbose)))
+    files = write_result(options.out, paths, shown, result, options.rectified_format, made, options.dicom)
+    print("\n".join(report_lines(paths[0], result, files, options.verbose)))
     if not options.verbose:
         print("\n".join(f"  {stage.name}: {stage.reason}" for stage in result.stages if stage.name == "fuse"))
     return 0 if result.status.has_film else 1

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import threading
+import uuid
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -13,7 +14,7 @@ from typing import Any, NoReturn
 
 import cv2
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Float, UInt8, UInt16
 from PIL import Image, ImageOps, UnidentifiedImageError
 
 from hybrid.coords import rgb_from_bgr
@@ -27,6 +28,9 @@ MIN_SIDE = 2
 
 PHOTOMETRIC, WHITE_IS_ZERO = 262, 0
 """The tag of TIFF that says what a grey value means, and the value of films that were scanned as densities."""
+
+BITS, COMPRESSION, PLANES = 258, 259, 284
+"""Further tags. Pillow reads uncompressed (1) planes (2) of 16 bits as if they had 8."""
 
 READABLE = "JPEG, PNG, TIFF, WebP or HEIC"
 _JPEG_START = b"\xff\xd8\xff"
@@ -156,6 +160,10 @@ def _decode_with_pillow(path: Path) -> UInt8[np.ndarray, "h w 3"]:
         # Opened by name, Pillow maps uncompressed TIFFs into memory, and reads them askew where they lie on their side.
         with _pillow_limits(), path.open("rb") as file, Image.open(file) as image:
             _check_size(image.height, image.width, path)
+            tags = getattr(image, "tag_v2", {})
+            if (tags.get(PLANES), tags.get(COMPRESSION)) == (2, 1) and 16 in tags.get(BITS, ()):
+                do = "Save it with the colours of each pixel together, or with 8 bits."
+                raise PhotoError(describe(what="The TIFF has 16 bits and a plane for each colour", where=path, do=do))
             image.load()
             return _rgb_from_pillow(image, path)
     except UnidentifiedImageError as error:
@@ -171,7 +179,10 @@ def _decode_with_pillow(path: Path) -> UInt8[np.ndarray, "h w 3"]:
 
 
 def _rgb_from_pillow(picture: Image.Image, path: Path) -> UInt8[np.ndarray, "h w 3"]:
-    image = ImageOps.exif_transpose(picture)
+    try:
+        image = ImageOps.exif_transpose(picture)
+    except Exception:  # damaged EXIF, of which Pillow raises nearly anything, tells nothing of the picture
+        image = picture
     if image.mode.startswith("I;16"):
         grey = np.rint(np.asarray(image, dtype=np.float32) / 257).astype(np.uint8)
         if getattr(picture, "tag_v2", {}).get(PHOTOMETRIC) == WHITE_IS_ZERO:  # Pillow turns over 8 bits, not 16
@@ -256,11 +267,15 @@ def _how_to_reshape(shape: tuple[int, ...]) -> str:
 
 
 def write_film(path: str | os.PathLike[str], film: Float[np.ndarray, "h w"]) -> None:
-    """Write display grey in [0, 1] as a 16-bit grey PNG; values outside are clipped, NaN is a ValueError."""
+    """Write display grey as a 16-bit grey PNG; see ``levels_16``."""
+    write_bytes(path, _encoded(".png", levels_16(film), [cv2.IMWRITE_PNG_COMPRESSION, _PNG_LEVEL]))
+
+
+def levels_16(film: Float[np.ndarray, "h w"]) -> UInt16[np.ndarray, "h w"]:
+    """Display grey in [0, 1] in 16 bits; values outside are clipped, NaN is a ValueError."""
     if np.isnan(film).any():
-        raise ValueError(f"write_film: got NaN in {int(np.isnan(film).sum())} pixels; allowed: numbers in [0, 1]")
-    levels = np.rint(np.clip(film, 0.0, 1.0) * 65535).astype(np.uint16)
-    write_bytes(path, _encoded(".png", levels, [cv2.IMWRITE_PNG_COMPRESSION, _PNG_LEVEL]))
+        raise ValueError(f"film: got NaN in {int(np.isnan(film).sum())} pixels; allowed: numbers in [0, 1]")
+    return np.rint(np.clip(film, 0.0, 1.0) * 65535).astype(np.uint16)
 
 
 def write_rgb(path: str | os.PathLike[str], rgb: UInt8[np.ndarray, "h w 3"]) -> None:
@@ -279,7 +294,7 @@ def write_rgb(path: str | os.PathLike[str], rgb: UInt8[np.ndarray, "h w 3"]) -> 
 def write_bytes(path: str | os.PathLike[str], data: bytes) -> None:
     """Write a file whole or not at all: a file of that name stays as it was until the new one is complete."""
     path = Path(path)
-    unfinished = path.with_name(f".{path.name}.{os.getpid()}.part")
+    unfinished = path.with_name(f".{path.name}.{uuid.uuid4().hex[:12]}.part")
     try:
         unfinished.write_bytes(data)
         os.replace(unfinished, path)
@@ -294,4 +309,4 @@ def _encoded(suffix: str, image: np.ndarray, options: list[int]) -> bytes:
     return buffer.tobytes()
 
 
-__all__ = ["MAX_PIXELS", "MIN_SIDE", "as_photo", "read_photo", "write_bytes", "write_film", "write_rgb"]
+__all__ = ["MAX_PIXELS", "MIN_SIDE", "as_photo", "levels_16", "read_photo", "write_bytes", "write_film", "write_rgb"]

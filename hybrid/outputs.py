@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import io
 import json
 import os
 import tempfile
@@ -56,17 +57,18 @@ def rectify_files(
     made: Mapping[str, Any] | None = None,
     verbose: bool = False,
     workers: int = 1,
+    dicom: bool = False,
 ) -> list[Outcome]:
     """Rectify photos into the folder ``out``; a bad photo is told, and the next one follows.
 
     made: what goes into the JSON of how it was made. verbose: whether each stage is told, too. workers: processes that
-    share the photos. Photos of one name are one task, so that they are numbered in their order.
+    share the photos. Photos of one name are one task, so that they are numbered in their order. dicom: as write_result.
     """
     make_folder(out)
     named: dict[str, list[Path]] = {}
     for path in photos:
         named.setdefault(path.stem, []).append(path)
-    task = partial(_all_rectified, out, rectified_format, made or {}, verbose)
+    task = partial(_all_rectified, out, rectified_format, made or {}, verbose, dicom)
     outcomes: dict[Path, Outcome] = {}
     with tqdm(total=len(photos), desc="rectify", unit="photo", disable=len(photos) < 2) as bar:
         for group, done in zip(
@@ -82,10 +84,10 @@ def rectify_files(
 
 
 def _all_rectified(
-    out: Path, rectified_format: RectifiedFormat, made: Mapping[str, Any], verbose: bool, rectify: Rectify,
+    out: Path, rectified_format: RectifiedFormat, made: Mapping[str, Any], verbose: bool, dicom: bool, rectify: Rectify,
     paths: Sequence[Path],
 ) -> list[tuple[Outcome, str]]:  # fmt: skip
-    return [_rectified(path, out, rectify, rectified_format, made, verbose) for path in paths]
+    return [_rectified(path, out, rectify, rectified_format, made, verbose, dicom) for path in paths]
 
 
 def _lost(paths: Sequence[Path], error: HybridError) -> list[tuple[Outcome, str]]:
@@ -94,8 +96,9 @@ def _lost(paths: Sequence[Path], error: HybridError) -> list[tuple[Outcome, str]
 
 
 def _rectified(
-    path: Path, out: Path, rectify: Rectify, rectified_format: RectifiedFormat, made: Mapping[str, Any], verbose: bool
-) -> tuple[Outcome, str]:
+    path: Path, out: Path, rectify: Rectify, rectified_format: RectifiedFormat, made: Mapping[str, Any], verbose: bool,
+    dicom: bool,
+) -> tuple[Outcome, str]:  # fmt: skip
     """How a photo ended, and what is said of it."""
     try:
         start = time.perf_counter()
@@ -103,7 +106,7 @@ def _rectified(
         read = StageReport("file", True, f"{path.stat().st_size / 1e6:.1f} MB", time.perf_counter() - start)
         result = rectify(photo)
         result = replace(result, stages=(read, *result.stages))
-        files = write_result(out, [path], photo, result, rectified_format, made=made)
+        files = write_result(out, [path], photo, result, rectified_format, made=made, dicom=dicom)
         outcome = Outcome(path, result.status.has_film, str(result.status), files, tuple(warnings_of(result)))
         return outcome, "\n".join(report_lines(path, result, files, verbose))
     except (HybridError, OSError, MemoryError) as error:
@@ -135,7 +138,7 @@ def report_lines(path: Path, result: RectifyResult, files: Iterable[Path], verbo
     found = f"{grid}, {seconds:.2f} s" if result.status.has_film else f"{seconds:.2f} s"
     lines.append(f"  {status_word(result)}  {result.status}  ({found})")
     lines += [f"  LOOK  {warning}" for warning in warnings_of(result)]
-    folders = dict.fromkeys(file.parent if SLICES_SUFFIX in file.parent.name else file for file in files)
+    folders = dict.fromkeys(file.parent if file.parent.name.endswith(FOLDERS) else file for file in files)
     return lines + [f"  -> {path}" for path in folders]
 
 
@@ -165,12 +168,17 @@ def status_word(result: RectifyResult) -> str:
 
 # ---------------------------------------------------------------- names
 
-SLICES_SUFFIX = "_slices"
+SLICES_SUFFIX, DICOM_SUFFIX = "_slices", "_dicom"
+FOLDERS = (SLICES_SUFFIX, DICOM_SUFFIX)
 PICTURES = (
     *("_film.png", "_confidence.png", "_rectified.jpg", "_rectified.png", "_side_by_side.jpg"),
-    SLICES_SUFFIX,
+    *FOLDERS,
 )
 """What is written beside NAME.json, by what follows NAME."""
+UNFINISHED = "UNFINISHED"
+"""Status of a result whose files are still being written, or never were."""
+FUSED_SUFFIX = "_fused"
+"""Follows the first photo's name in that of a film made of several."""
 
 
 def reserved(out: Path, stem: str, about: dict[str, Any]) -> tuple[str, dict[str, Any]]:
@@ -187,6 +195,8 @@ def reserved(out: Path, stem: str, about: dict[str, Any]) -> tuple[str, dict[str
         if record.exists():
             known = _read_record(record)
             if {key: known.get(key) for key in about} == about:
+                if known.get("status") == UNFINISHED:  # of what it wrote its JSON does not tell
+                    known = {"earlier_files": sorted({*_files_in(known), *_files_of(out, name)})}
                 write_bytes(record, _json_bytes(_unfinished(about, known)))
                 return name, known
             continue
@@ -201,7 +211,8 @@ def reserved(out: Path, stem: str, about: dict[str, Any]) -> tuple[str, dict[str
 
 
 def is_result(path: Path) -> bool:
-    """Whether an earlier run wrote this file: the JSON beside it, of a slice the one beside its folder, names it."""
+    """Whether an earlier run wrote this file: the JSON beside it, of a slice the one beside its folder, names it, or is
+    of a run that was cut off or still goes on."""
     path = path.absolute()
     records = [
         at.with_name(f"{at.name.removesuffix(suffix)}.json")
@@ -209,7 +220,11 @@ def is_result(path: Path) -> bool:
         for suffix in PICTURES
         if at.name.endswith(suffix)
     ]
-    return any(path.relative_to(record.parent).as_posix() in _files_in(_read_record(record)) for record in records)
+    known = [(record.parent, _read_record(record)) for record in records]
+    return any(
+        one.get("status") == UNFINISHED or path.relative_to(folder).as_posix() in _files_in(one)
+        for folder, one in known
+    )
 
 
 def _unfinished(about: dict[str, Any], known: dict[str, Any]) -> dict[str, Any]:
@@ -217,7 +232,7 @@ def _unfinished(about: dict[str, Any], known: dict[str, Any]) -> dict[str, Any]:
         "hybrid_version": __version__,
         **about,
         "ok": False,
-        "status": "UNFINISHED",
+        "status": UNFINISHED,
         "earlier_files": _files_in(known),
     }
 
@@ -226,6 +241,13 @@ def _files_in(record: dict[str, Any]) -> list[str]:
     """All files that a record names, relative to its folder."""
     named = [record.get(key) for key in ("files", "earlier_files")]
     return [file for files in named if isinstance(files, list) for file in files if isinstance(file, str)]
+
+
+def _files_of(out: Path, name: str) -> list[str]:
+    """All files there that are called as those of a result of that name, relative to the folder."""
+    found = [out / f"{name}{suffix}" for suffix in PICTURES]
+    files = [file for at in found for file in (at.iterdir() if at.is_dir() else [at]) if file.is_file()]
+    return [file.relative_to(out).as_posix() for file in files]
 
 
 def _json_bytes(record: dict[str, Any]) -> bytes:
@@ -266,18 +288,18 @@ def write_result(
     photo: UInt8[np.ndarray, "h w 3"],
     result: RectifyResult,
     rectified_format: RectifiedFormat,
-    suffix: str = "",
     made: Mapping[str, Any] | None = None,
+    dicom: bool = False,
 ) -> tuple[Path, ...]:
     """Write everything that the result holds, named after the first photo; the JSON says when the rest is complete.
 
-    paths: of the photos that it was made of; ``photo`` is the one of ``result.photo``. suffix: of the name. made: of
-    how it was made, for the JSON. What is there of other photos is left alone. Files that an earlier run over the same
-    photos left and this one does not make (slices of another grid) are removed, once the new ones are there; where this
-    one finds no film they stay, and the JSON names them ("earlier_files").
+    paths: of the photos that it was made of; ``photo`` is the one of ``result.photo``. made: of how it was made, for
+    the JSON. dicom: whether film and slices are written as DICOM, too. What is there of other photos is left alone.
+    Files that an earlier run over the same photos left and this one does not make (slices of another grid) are removed,
+    once the new ones are there; where this one finds no film they stay, and the JSON names them ("earlier_files").
     """
     about = photo_record(paths)
-    name, known = reserved(out, f"{paths[0].stem}{suffix}", about)
+    name, known = reserved(out, f"{paths[0].stem}{FUSED_SUFFIX if len(paths) > 1 else ''}", about)
     files: list[Path] = []
     if result.film is not None:
         files.append(out / f"{name}_film.png")
@@ -292,6 +314,8 @@ def write_result(
     if result.film is not None:
         files.append(out / f"{name}_side_by_side.jpg")
         write_rgb(files[-1], side_by_side([annotated(photo, result), rgb_from_film(result.film)]))
+        if dicom:
+            files += _write_dicom(out / f"{name}{DICOM_SUFFIX}", paths[result.photo], photo.shape, result)
     of = {"map_of": paths[result.photo].name} if len(paths) > 1 else {}
     record = {"hybrid_version": __version__, **(made or {}), **about, **of, **result_record(photo.shape[:2], result)}
     record["files"] = [file.relative_to(out).as_posix() for file in files]
@@ -306,25 +330,28 @@ def write_result(
 
 
 def save_result(
-    path: str | os.PathLike[str],
+    path: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
     result: RectifyResult,
     out: str | os.PathLike[str],
     rectified_format: RectifiedFormat = "jpg",
+    dicom: bool = False,
 ) -> tuple[Path, ...]:
-    """Write what ``hybrid rectify`` writes of a photo into the folder ``out``, which is made if need be; the files.
+    """Write what ``hybrid rectify`` (of a fused film ``hybrid fuse``) writes into a folder; the files.
 
     Args:
-        path: the photo that the result is of; of a fused film the one of ``result.photo``.
+        path: the photo that the result is of; of a fused film all of its photos.
         result: what ``rectify`` or a ``Rectifier`` gave; without a film the JSON alone is written, which says why.
-        out: results of the same photo there are replaced, and other photos of its name get a number.
+        out: made if need be; results of the same photo there are replaced, other photos of its name get a number.
         rectified_format: of the rectified photo.
+        dicom: whether film and slices are written as DICOM, too (``hybrid.dicom``).
 
     Raises:
         PhotoError: the photo cannot be read. ConfigError: nothing can be written there.
     """
-    photo, folder = read_photo(path), Path(out)
+    paths, folder = [Path(one) for one in ([path] if isinstance(path, (str, os.PathLike)) else path)], Path(out)
+    photo = read_photo(paths[result.photo])
     make_folder(folder, "the argument out")
-    return write_result(folder, [Path(path)], photo, result, rectified_format)
+    return write_result(folder, paths, photo, result, rectified_format, dicom=dicom)
 
 
 def write_slices(folder: Path, result: RectifyResult) -> list[Path]:
@@ -335,6 +362,20 @@ def write_slices(folder: Path, result: RectifyResult) -> list[Path]:
     files = [folder / f"{number:02d}.png" for number in range(1, len(slices) + 1)]
     for file, cell in zip(files, slices, strict=True):
         write_film(file, cell)
+    return files
+
+
+def _write_dicom(folder: Path, path: Path, size: tuple[int, ...], result: RectifyResult) -> list[Path]:
+    """Write the film as film.dcm and the slices as 01.dcm and so on. path, size: of the photo."""
+    from hybrid.dicom import PhotoFile, secondary_captures  # with pydicom, which few need
+
+    folder.mkdir(exist_ok=True)
+    files = []
+    for number, capture in enumerate(secondary_captures(result, PhotoFile.of(path, photo_digest(path), *size[:2]))):
+        files.append(folder / (f"{number:02d}.dcm" if number else "film.dcm"))
+        data = io.BytesIO()
+        capture.save_as(data, enforce_file_format=True)
+        write_bytes(files[-1], data.getvalue())
     return files
 
 

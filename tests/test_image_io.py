@@ -63,6 +63,14 @@ def test_heic(tmp_path: Path, picture: np.ndarray) -> None:
     assert mean_difference(read_photo(tmp_path / "a.heic"), picture) <= 3 * JPEG_GREY_LEVELS  # colour is halved
 
 
+@pytest.mark.parametrize("exif", [b"Exif\x00\x00garbage", b"Exif\x00\x00MM\x00*"])
+@pytest.mark.parametrize("suffix", ["jpg", "png", "webp"])
+def test_damaged_exif_costs_no_picture(tmp_path: Path, picture: np.ndarray, suffix: str, exif: bytes) -> None:
+    path = tmp_path / f"a.{suffix}"
+    Image.fromarray(picture).save(path, exif=exif, **({"lossless": True} if suffix == "webp" else {"quality": 95}))
+    assert mean_difference(read_photo(path), picture) <= (JPEG_GREY_LEVELS if suffix == "jpg" else LOSSLESS)
+
+
 @pytest.mark.parametrize("suffix", ["jpg", "png", "tif", "webp"])
 @pytest.mark.parametrize("orientation", range(1, 9))
 def test_exif_orientation_is_undone(tmp_path: Path, picture: np.ndarray, suffix: str, orientation: int) -> None:
@@ -130,6 +138,31 @@ def write_tiff(path: Path, grey: np.ndarray, photometric: int) -> None:
     entries = b"".join(struct.pack("<HHII", tag, 4, 1, value) for tag, value in tags.items())
     head = struct.pack("<2sHI", b"II", 42, 8 + grey.nbytes)
     path.write_bytes(head + grey.tobytes() + struct.pack("<H", len(tags)) + entries + struct.pack("<I", 0))
+
+
+def planar_tiff(picture: np.ndarray) -> bytes:
+    """An uncompressed TIFF of 16 bits with its colours in planes."""
+    height, width = picture.shape[:2]
+    planes = (picture.astype("<u2") * 257).transpose(2, 0, 1)
+    first = 8 + 2 + 9 * 12 + 4
+    lists = struct.pack(
+        "<3H3I3I", 16, 16, 16, *(first + 30 + k * planes[0].nbytes for k in range(3)), *[planes[0].nbytes] * 3
+    )
+    tags = [
+        *((256, 4, 1, width), (257, 4, 1, height), (258, 3, 3, first), (259, 3, 1, 1), (262, 3, 1, 2)),
+        *((273, 4, 3, first + 6), (277, 3, 1, 3), (279, 4, 3, first + 18), (284, 3, 1, 2)),
+    ]
+    directory = b"".join(struct.pack("<HHII", *tag) for tag in tags)
+    return b"II*\0" + struct.pack("<IH", 8, len(tags)) + directory + bytes(4) + lists + planes.tobytes()
+
+
+def test_planes_of_16_bits_are_refused_and_not_misread(tmp_path: Path, picture: np.ndarray) -> None:
+    path = tmp_path / "a.tif"
+    path.write_bytes(planar_tiff(picture))
+    with Image.open(path) as image:  # as Pillow reads it
+        assert mean_difference(np.asarray(image), picture) > 20
+    with pytest.raises(PhotoError, match="plane for each colour"):
+        read_photo(path)
 
 
 @pytest.mark.parametrize("suffix", ["png", "tif"])

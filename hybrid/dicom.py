@@ -1,0 +1,112 @@
+"""A film and its slices as DICOM: Secondary Captures of a digitised film, for archives and viewers.
+
+They say of themselves what a photo of a film is: derived, secondary, its texts burned in, compressed with loss. What it
+cannot tell stays out of them: no spacing of pixels, no place in the patient, no Hounsfield units, no patient, no date.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import uuid
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+from pydicom.dataset import Dataset, FileMetaDataset
+from pydicom.uid import ExplicitVRLittleEndian, SecondaryCaptureImageStorage
+
+from hybrid import __version__
+from hybrid.image_io import levels_16
+from hybrid.records import RectifyResult
+
+LOSSY = {".jpg": "ISO_10918_1", ".jpeg": "ISO_10918_1", ".heic": "ISO_23008_2", ".heif": "ISO_23008_2"}
+"""How photos are compressed with loss, by the ends of their names, in DICOM's terms (PS3.3 C.7.6.1.1.5.1)."""
+
+NOT_DIAGNOSTIC = "Made of a photo of a film. Not for diagnosis: greys are not Hounsfield units, geometry is the film's."
+
+FILM, SLICES = 1, 2
+"""Numbers of the series."""
+
+
+@dataclass(frozen=True)
+class PhotoFile:
+    """What is to be known of the photo's file. digest: SHA-256. ratio: of its pixels' bytes to its own; method: of its
+    compression, in DICOM's terms; None where it is not known to lose anything."""
+
+    digest: str
+    ratio: float
+    method: str | None
+
+    @staticmethod
+    def of(path: Path, digest: str, height: int, width: int) -> PhotoFile:
+        """Of an RGB photo of that size."""
+        return PhotoFile(digest, 3 * height * width / path.stat().st_size, LOSSY.get(path.suffix.lower()))
+
+
+def secondary_captures(result: RectifyResult, photo: PhotoFile) -> Iterator[Dataset]:
+    """The film, then its slices row by row: one study, a series of each. Nothing where there is no film.
+
+    The same photo and result give the same bytes, identifiers included; what differs has other identifiers.
+    """
+    if result.film is None:
+        return
+    of = hashlib.sha256(f"{__version__} {result.status.doubts}".encode() + result.film.tobytes()).hexdigest()
+    yield _capture(result, photo, result.film, of, (FILM, 1), "Film, flattened")
+    for number, cell in enumerate(filter(np.size, result.slices()), start=1):
+        yield _capture(result, photo, cell, of, (SLICES, number), "Slices of a film, row by row")
+
+
+def _capture(
+    result: RectifyResult,
+    photo: PhotoFile,
+    picture: Float[np.ndarray, "h w"],
+    of: str,
+    number: tuple[int, int],
+    series: str,
+) -> Dataset:
+    """One Secondary Capture (PS3.3 A.8.1). of: digest of the whole film. number: of the series, and within it."""
+    sure = "; ".join(result.status.doubts) or "no doubts"
+    it = Dataset()
+    it.SpecificCharacterSet = "ISO_IR 192"
+    it.SOPClassUID = SecondaryCaptureImageStorage
+    it.SOPInstanceUID = _uid(photo.digest, of, f"{number}")
+    it.StudyInstanceUID = _uid(photo.digest)
+    it.SeriesInstanceUID = _uid(photo.digest, of, f"{number[0]}")
+    it.SeriesNumber, it.InstanceNumber = number
+    it.SeriesDescription = series
+    for unknown in (
+        *("PatientName", "PatientID", "PatientBirthDate", "PatientSex", "StudyDate", "StudyTime", "StudyID"),
+        *("ReferringPhysicianName", "AccessionNumber", "PatientOrientation", "Laterality"),
+    ):
+        setattr(it, unknown, "")
+    it.Modality = "OT"
+    it.ConversionType = "DF"  # digitised film
+    it.SecondaryCaptureDeviceManufacturer = "hybrid"
+    it.SecondaryCaptureDeviceSoftwareVersions = __version__
+    it.ImageType = ["DERIVED", "SECONDARY"]
+    it.DerivationDescription = f"hybrid {__version__}: flat, its light taken out; {sure}."
+    it.ImageComments = NOT_DIAGNOSTIC
+    it.BurnedInAnnotation = "YES"
+    if photo.method is not None:
+        it.LossyImageCompression = "01"
+        it.LossyImageCompressionMethod = photo.method
+        it.LossyImageCompressionRatio = f"{photo.ratio:.2f}"
+    it.SamplesPerPixel, it.PhotometricInterpretation = 1, "MONOCHROME2"
+    it.Rows, it.Columns = picture.shape
+    it.BitsAllocated = it.BitsStored = 16
+    it.HighBit, it.PixelRepresentation = 15, 0
+    it.WindowCenter, it.WindowWidth = 2**15, 2**16
+    it.PixelData = levels_16(picture).astype("<u2").tobytes()
+    it.file_meta = FileMetaDataset()
+    it.file_meta.TransferSyntaxUID = ExplicitVRLittleEndian
+    return it
+
+
+def _uid(*parts: str) -> str:
+    """An identifier that follows from what it is of (PS3.5 B.2)."""
+    return f"2.25.{uuid.uuid5(uuid.NAMESPACE_OID, '/'.join(parts)).int}"
+
+
+__all__ = ["PhotoFile", "secondary_captures"]

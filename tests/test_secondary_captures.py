@@ -1,0 +1,104 @@
+"""Export as DICOM (failure 29): valid Secondary Captures that say what they are made of and invent nothing."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pydicom
+import pytest
+from pydicom.dataset import Dataset
+from test_cli import StandIn
+
+from hybrid.dicom import PhotoFile, secondary_captures
+from hybrid.errors import HybridError
+from hybrid.image_io import levels_16, read_photo, write_rgb
+from hybrid.outputs import is_result, save_result
+from hybrid.records import RectifyResult, Status, StatusCode
+
+FILE = PhotoFile("0" * 64, 12.5, "ISO_10918_1")
+INVENTED = (
+    *("PixelSpacing", "ImagerPixelSpacing", "NominalScannedPixelSpacing", "PixelAspectRatio", "SliceThickness"),
+    *("ImagePositionPatient", "ImageOrientationPatient", "FrameOfReferenceUID", "SliceLocation"),
+    *("RescaleSlope", "RescaleIntercept", "RescaleType"),
+)
+UNKNOWN = ("PatientName", "PatientID", "PatientBirthDate", "PatientSex", "StudyDate", "StudyTime", "AccessionNumber")
+
+
+@pytest.fixture
+def result() -> RectifyResult:
+    picture = np.random.default_rng(3).integers(0, 255, (61, 92, 3), dtype=np.uint8)
+    return replace(StandIn()(picture), status=Status(StatusCode.UNSURE, ("3 of 4 edges seen",)))
+
+
+def captures(result: RectifyResult, photo: PhotoFile = FILE) -> list[Dataset]:
+    return list(secondary_captures(result, photo))
+
+
+def test_film_and_slices_hold_the_film_s_greys(result: RectifyResult):
+    film, *slices = captures(result)
+    np.testing.assert_array_equal(film.pixel_array, levels_16(result.film))
+    assert len(slices) == len(result.slices()) == 6
+    for k, (capture, cell) in enumerate(zip(slices, result.slices(), strict=True), start=1):
+        np.testing.assert_array_equal(capture.pixel_array, levels_16(cell))
+        assert (capture.SeriesNumber, capture.InstanceNumber) == (2, k)
+    levels = pydicom.pixels.apply_voi_lut(film.pixel_array, film)
+    np.testing.assert_allclose(levels, film.pixel_array, atol=1)  # the window is the whole range
+
+
+def test_they_say_what_they_are_and_invent_nothing(result: RectifyResult):
+    for it in captures(result):
+        assert it.SOPClassUID == pydicom.uid.SecondaryCaptureImageStorage
+        assert it.ConversionType == "DF"
+        assert list(it.ImageType) == ["DERIVED", "SECONDARY"]
+        assert (it.Modality, it.BurnedInAnnotation, it.LossyImageCompression) == ("OT", "YES", "01")
+        assert float(it.LossyImageCompressionRatio) == pytest.approx(12.5)
+        assert "photo" in it.ImageComments
+        assert "Not for diagnosis" in it.ImageComments
+        assert "3 of 4 edges seen" in it.DerivationDescription
+        assert all(it[name].is_empty for name in UNKNOWN)
+        assert not [name for name in INVENTED if name in it]
+
+
+def test_a_photo_without_loss_is_not_called_compressed(result: RectifyResult):
+    assert all("LossyImageCompression" not in it for it in captures(result, replace(FILE, method=None)))
+
+
+def test_identifiers_follow_from_what_they_are_of(result: RectifyResult):
+    first, again = captures(result), captures(result)
+    assert [it.SOPInstanceUID for it in first] == [it.SOPInstanceUID for it in again]
+    assert len({it.SOPInstanceUID for it in first}) == len(first)
+    assert len({it.SeriesInstanceUID for it in first}) == 2
+    other = captures(replace(result, film=1 - result.film))
+    assert {it.StudyInstanceUID for it in other} == {it.StudyInstanceUID for it in first}
+    assert not {it.SOPInstanceUID for it in other} & {it.SOPInstanceUID for it in first}
+    assert not {it.StudyInstanceUID for it in captures(result, replace(FILE, digest="1" * 64))} & {
+        it.StudyInstanceUID for it in first
+    }
+    assert all(pydicom.uid.UID(it.SOPInstanceUID).is_valid for it in first)
+
+
+def test_without_a_grid_the_film_alone_and_without_a_film_nothing(result: RectifyResult):
+    assert len(captures(replace(result, grid=None))) == 1
+    assert captures(RectifyResult(Status(StatusCode.NO_FILM))) == []
+
+
+def test_files_can_be_read_and_belong_to_the_result(result: RectifyResult, tmp_path: Path):
+    photo = tmp_path / "film.png"
+    write_rgb(photo, result.rectified)
+    files = save_result(photo, result, tmp_path / "out", dicom=True)
+    names = [file.relative_to(tmp_path / "out").as_posix() for file in files if file.suffix == ".dcm"]
+    assert names == ["film_dicom/film.dcm", *(f"film_dicom/{k:02d}.dcm" for k in range(1, 7))]
+    assert set(names) <= set(json.loads((tmp_path / "out" / "film.json").read_text())["files"])
+    it = pydicom.dcmread(tmp_path / "out" / names[0])
+    assert it.file_meta.TransferSyntaxUID == pydicom.uid.ExplicitVRLittleEndian
+    assert it.file_meta.MediaStorageSOPInstanceUID == it.SOPInstanceUID
+    np.testing.assert_array_equal(it.pixel_array, levels_16(result.film))
+    assert is_result(tmp_path / "out" / names[1])
+    with pytest.raises(HybridError):  # no photo: they would tell other photos apart by what was made of one
+        read_photo(tmp_path / "out" / names[0])
+    before = (tmp_path / "out" / names[0]).read_bytes()
+    save_result(photo, result, tmp_path / "out", dicom=True)
+    assert (tmp_path / "out" / names[0]).read_bytes() == before
+    save_result(photo, result, tmp_path / "out")
+    assert not any((tmp_path / "out" / name).exists() for name in names)
