@@ -71,6 +71,16 @@ def test_edges_stay_where_the_map_has_them():
     assert max(apart[[0, -1], :, 1].max(), apart[:, [0, -1], 0].max()) < 1.0
 
 
+def test_edges_that_lie_beside_the_maps_are_left_where_they_are():
+    """They are seen through the bent map, and have to be told as through the straightened one."""
+    coarse = bent_along(FLAT, (0.3, 0.0), (0.0, 0.0))
+    beside = BackwardMap(coarse.photo_from_film(0.98 * film_nodes((33, 33)) + 0.01))
+    told = told_of(FLAT, even_grid(5, 4), np.random.default_rng(1))
+    found = even(beside, told, edges_of(FLAT, beside), CONFIG)
+    apart = np.abs(found.resized((33, 33)).nodes - FLAT.resized((33, 33)).nodes)
+    assert max(apart[[0, -1], :, 1].max(), apart[:, [0, -1], 0].max()) < 1.0
+
+
 def test_where_nothing_is_sure_nothing_moves():
     told = told_of(FLAT, even_grid(5, 4), np.random.default_rng(0))
     unsure = CellPhases(told.points, told.near, 0.2 * told.turns, told.in_grid)

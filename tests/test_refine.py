@@ -16,6 +16,7 @@ from hybrid.rectify.layout import Layout
 from hybrid.rectify.refine import RefineConfig, _apart, _better, refine
 from hybrid.rectify.scene import half_view, scene_of, view_of
 from hybrid.rectify.sightings import (
+    Displacement,
     Sightings,
     SplineConfig,
     fit_displacement,
@@ -186,6 +187,21 @@ def test_a_sheet_that_hardly_moves_the_film_is_the_last(monkeypatch, settled_end
     config = replace(CONFIG, settled_sheet=0.0, settled_end=settled_end)
     refine(photo, disturbed(true, 4.0, np.random.default_rng(6)), None, config)
     assert len(fitted) == most
+
+
+def test_lifted_sightings_are_the_same_points_of_the_photo():
+    """Both coordinates go along with the displacement, as a sheet is fitted to points of the photo; where along an edge
+    or a line a thing lies is known as well as before."""
+    rng = np.random.default_rng(4)
+    lattice = no_displacement(SplineConfig()).lattice
+    moved = Displacement(lattice, 0.01 * rng.normal(size=(len(lattice.nodes), 2)))
+    coarse = BackwardMap(900 * film_nodes((9, 9)))
+    for axis in (0, 1):
+        seen = scattered_sightings(axis, lambda uv: 0.01 * uv[:, 1], rng)
+        lifted = moved.lift(seen)
+        np.testing.assert_allclose(coarse.photo_from_film(lifted.seen), 900 * moved(seen.seen), atol=1e-6)
+        np.testing.assert_array_equal(lifted.places(), seen.places())
+        np.testing.assert_array_equal(lifted.subset(np.arange(5)).places(), seen.places()[:5])
 
 
 def test_no_displacement_leaves_maps_and_sightings_as_they_are():

@@ -8,7 +8,7 @@ import pytest
 from bent_sheets import bent_sheet
 
 from hybrid.backward import BackwardMap
-from hybrid.coords import film_centres, pixel_centres, pixel_from_film
+from hybrid.coords import film_centres, film_nodes, pixel_centres, pixel_from_film
 from hybrid.rectify.resample import index_in_grid, photo_per_film_pixel, rectify_photo
 
 
@@ -99,5 +99,26 @@ def test_places_in_a_bent_grid_of_pixels_are_found():
     np.testing.assert_allclose(row, np.arange(3, 29, 2)[:, None].repeat(24, 1), atol=0.01)
     beyond = points[0, 0] - 3 * (points[0, 1] - points[0, 0])
     column, row = index_in_grid(points, beyond)
-    assert -5 < column < -2  # by the mean slope, not that of the rim
+    assert -5 < column < -2  # as the plane goes on, not the bend at the rim
     assert row == pytest.approx(0, abs=0.5)
+
+
+@pytest.mark.parametrize(
+    "corners", [[[300, 0], [670, 0], [0, 900], [770, 900]], [[0, 0], [446, 80], [60, 700], [680, 520]]]
+)
+def test_places_in_a_plane_far_aslant_are_found(corners: list):
+    """As in a view of a film that is nearly edge on, its far side half as long as its near one."""
+    ends = np.array([[0, 0], [48, 0], [0, 48], [48, 48]], np.float32)
+    plane = cv2.getPerspectiveTransform(ends, np.array(corners, np.float32))
+    at = pixel_centres((48, 48))
+    column, row = index_in_grid(cv2.perspectiveTransform(at, plane), cv2.perspectiveTransform(at, plane))
+    np.testing.assert_allclose(column, at[..., 0] - 0.5, atol=1e-3)
+    np.testing.assert_allclose(row, at[..., 1] - 0.5, atol=1e-3)
+
+
+def test_what_halving_leaves_over_of_a_photo_is_not_lost():
+    """A photo that is read from its copy of a quarter, of a width that four does not divide."""
+    photo = np.full((800, 1003, 3), 90, np.uint8)
+    film = rectify_photo(photo, BackwardMap(film_nodes((5, 5)) * np.array([1003.0, 800.0])), (80, 100))
+    assert film.valid.all()
+    assert (film.image == 90).all()

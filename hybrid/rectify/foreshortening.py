@@ -20,7 +20,7 @@ from hybrid.backward import BackwardMap
 from hybrid.coords import node_centres_1d
 from hybrid.errors import require_at_least
 from hybrid.rectify.cell_phases import MIDDLES, AxisPhases, CellPhases
-from hybrid.rectify.sightings import Sightings, SplineConfig, fit_displacement
+from hybrid.rectify.sightings import Sightings, SplineConfig, carried, fit_displacement
 
 Bend = tuple[float, float]
 """A spacing along one axis, a and b of ``t + t (1 - t) (a + b (1 - 2 t))``."""
@@ -80,7 +80,7 @@ def even(
     straight = unbent(film, bends)
     uv = np.stack([bent(told.uv[:, axis], bends[axis]) for axis in (0, 1)], axis=-1)
     seen = [_sightings(uv, told.turns[:, axis], found[axis], axis, config) for axis in (0, 1)]
-    held = [replace(edge, sigma=np.full(len(edge), config.edge_sigma)) for edge in edges]
+    held = [replace(edge, sigma=np.full(len(edge), config.edge_sigma)) for edge in carried(edges, film, straight)]
     moved = fit_displacement([*held, *seen], config.spline).displacement.composed(straight)
     return film if moved.folds((17, 17)) else moved
 

@@ -298,7 +298,9 @@ def _surest_grid(
     if not seen:
         return None
     grid, shift = max(seen, key=lambda one: one[0].confidence)
-    vertices = grid.vertices - BackwardMap(shift).photo_from_film(grid.vertices)
+    beside, vertices = BackwardMap(shift), grid.vertices
+    for _ in range(3):  # the common film's point that lies there once it is shifted
+        vertices = grid.vertices - beside.photo_from_film(vertices)
     return replace(grid, vertices=vertices, vertices_photo=first.photo_from_film(vertices))
 
 

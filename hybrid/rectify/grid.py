@@ -319,10 +319,6 @@ def _match_comb(
         met = np.abs(at[nearest] - places) <= config.tolerance
         if met.sum() >= 2:
             anchor, pitch = _straight_fit(index[met], at[nearest[met]])
-    while len(places) > 2 and not met[0] and places[0] > config.margin:
-        index, places, nearest, met = index[1:], places[1:], nearest[1:], met[1:]
-    while len(places) > 2 and not met[-1] and places[-1] < 1.0 - config.margin:
-        index, places, nearest, met = index[:-1], places[:-1], nearest[:-1], met[:-1]
     # Where margins are wider than cells, a line may be missing before the first: the grid begins further in then.
     while len(places) > 3 and not met[:2].any() and places[1] <= config.margin:
         index, places, nearest, met = index[1:], places[1:], nearest[1:], met[1:]

@@ -227,6 +227,6 @@ def _plane_prior(
     depth = corners @ homography[2, :2] + homography[2, 2]
     if depth.min() * depth.max() > 0 and np.abs(depth).min() > 0.4 * np.abs(depth).max():
         return homography / homography[2, 2]
-    ones = np.hstack([uv, np.ones((len(uv), 1))])
-    affine = np.linalg.lstsq(ones * weight[:, None], target * weight[:, None], rcond=None)[0].T
+    ones, root = np.hstack([uv, np.ones((len(uv), 1))]), np.sqrt(weight)[:, None]
+    affine = np.linalg.lstsq(ones * root, target * root, rcond=None)[0].T
     return np.vstack([affine, [0.0, 0.0, 1.0]])

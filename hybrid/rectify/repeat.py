@@ -70,8 +70,9 @@ def shrunk(image: Float[np.ndarray, "h w"], factor: int) -> Float[np.ndarray, "s
 def detail(image: Float[np.ndarray, "h w"], fine: float, coarse: float) -> Float[np.ndarray, "h w"]:
     """The image without its light (scales above ``coarse`` px) and noise (below ``fine`` px), strong contrasts cut."""
     # What is smooth over ``coarse`` px is as smooth on a copy a third of the size, and nine times as quick to find.
-    third = cv2.resize(image, None, fx=1 / 3, fy=1 / 3, interpolation=cv2.INTER_AREA)
-    light = cv2.resize(cv2.GaussianBlur(third, (0, 0), coarse / 3), image.shape[::-1], interpolation=cv2.INTER_LINEAR)
+    light = cv2.resize(
+        cv2.GaussianBlur(shrunk(image, 3), (0, 0), coarse / 3), image.shape[::-1], interpolation=cv2.INTER_LINEAR
+    )
     band = cv2.GaussianBlur(image, (0, 0), fine) - light
     cap = 3.0 * float(np.mean(np.abs(band))) + 1e-3
     return np.clip(band, -cap, cap)

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
 from hybrid.backward import BackwardMap, Orientation, spline_weights
-from hybrid.coords import film_centres_1d, opencv_from_photo, photo_from_opencv, sample_bilinear
+from hybrid.coords import film_centres_1d, film_nodes, opencv_from_photo, photo_from_opencv, sample_bilinear
 from hybrid.pyramid import Pyramid
 from hybrid.threads import in_strips
 
@@ -57,12 +57,13 @@ def rectify_photo(
     pyramid = photo if isinstance(photo, Pyramid) else Pyramid(photo)
     shrink = photo_per_film_pixel(backward, size)
     part, factor = pyramid.reduced(2.0 * shrink / SHRINK_LIMIT)
+    whole = np.array(pyramid.photo.shape[1::-1]) / factor  # a copy lacks what halving left over of it
     backward, shrink = backward.cropped((0.0, 0.0), (1.0 / factor, 1.0 / factor)), shrink / factor
     low = np.maximum(np.floor(backward.nodes.min(axis=(0, 1))) - MARGIN_PX, 0).astype(int)
     high = np.minimum(np.ceil(backward.nodes.max(axis=(0, 1))) + MARGIN_PX, part.shape[1::-1]).astype(int)
     if (high - low < 2).any():
         return Rectified(np.zeros((*size, 3), np.uint8), np.zeros(size, bool))
-    surely_inside = _surely_inside(backward, part.shape[:2])
+    surely_inside = _surely_inside(backward, whole)
     part = part[low[1] : high[1], low[0] : high[0]]  # OpenCV reads no picture of more than 32,767 pixels a side
     image = np.empty((*size, 3), np.uint8)
     valid = np.ones(size, bool)
@@ -74,7 +75,7 @@ def rectify_photo(
         map_x, map_y = weights_v[rows] @ columns_x, weights_v[rows] @ columns_y
         cv2.remap(part, map_x, map_y, method, dst=image[rows], borderMode=cv2.BORDER_REPLICATE)
         if not surely_inside:
-            valid[rows] = _inside(map_x, map_y, part.shape[:2])
+            valid[rows] = _inside(map_x, map_y, whole - low)
             image[rows] *= valid[rows, :, None]
 
     in_strips(read, size[0], STRIP_ROWS)  # the two maps in the cache: that halves the time on top of the remap
@@ -82,24 +83,25 @@ def rectify_photo(
 
 
 def index_in_grid(
-    photo_points: Float[np.ndarray, "h w 2"], points: Float[np.ndarray, "*n 2"], iterations: int = 8
+    photo_points: Float[np.ndarray, "h w 2"], points: Float[np.ndarray, "*n 2"], iterations: int = 2
 ) -> tuple[Float[np.ndarray, "*n"], Float[np.ndarray, "*n"]]:
     """Fractional (column, row) of photo points in a map whose pixel centres lie at ``photo_points``.
 
-    Exact at once where these are a regular grid, as of a window of the photo; a view of the film that is flattened by a
-    map bends them, and a few corrections by the grid's mean slope follow that. Beyond the grid it goes on linearly.
+    Exact at once where these are a plane seen aslant, as of a window of the photo and of a film flattened by a plane's
+    map; what bends them is followed by a few corrections. Beyond the grid it goes on as the plane does.
     """
-    corners = photo_points.astype(np.float64)
-    origin, last = corners[0, 0], np.array(corners.shape[1::-1]) - 1
-    slope = np.stack([(corners[0, -1] - origin) / last[0], (corners[-1, 0] - origin) / last[1]], axis=1)
-    back = np.linalg.inv(slope).T
+    origin, last = photo_points[0, 0].astype(np.float64), np.array(photo_points.shape[1::-1]) - 1
+    grid = photo_points - origin
+    corners, ends = grid[[0, 0, -1, -1], [0, -1, 0, -1]], film_nodes((2, 2)).reshape(-1, 2) * last
+    plane = cv2.getPerspectiveTransform(corners.astype(np.float32), ends.astype(np.float32))
+    x, y = (np.ascontiguousarray(grid[..., k], np.float32) for k in range(2))
     flat = points if points.ndim == 3 else points.reshape(1, -1, 2)  # OpenCV's rows are shorter than 32,767
-    index = (flat - origin) @ back
+    on_plane = index = cv2.perspectiveTransform(flat - origin, plane)
     for _ in range(iterations):
         inside = np.clip(index, 0, last)
         at = photo_from_opencv(inside)
-        seen = np.dstack([sample_bilinear(np.ascontiguousarray(corners[..., k], np.float32), at) for k in range(2)])
-        index = index + (flat - seen - (index - inside) @ slope.T) @ back
+        seen = np.dstack([sample_bilinear(x, at), sample_bilinear(y, at)])
+        index = on_plane + inside - cv2.perspectiveTransform(seen.astype(np.float64), plane)
     index = index.reshape(points.shape)
     return index[..., 0], index[..., 1]
 
@@ -123,19 +125,18 @@ def _opencv_columns(
     return along_v, (nodes[..., 0] @ along_u).astype(np.float32), (nodes[..., 1] @ along_u).astype(np.float32)
 
 
-def _surely_inside(backward: BackwardMap, size: tuple[int, int]) -> bool:
-    """True where the nodes alone show that the whole film lies within an image of ``size``: the usual case."""
+def _surely_inside(backward: BackwardMap, end: Float[np.ndarray, "2"]) -> bool:
+    """True where the nodes alone show that the whole film lies within an image that ends at ``end``: the usual case."""
     # between nodes the spline leaves their range by far less than the distance of the outermost ones from the next
     spare = float(max(np.abs(np.diff(backward.nodes, axis=k)).max() for k in range(2)))
-    return bool((backward.nodes > spare / 8).all() and (backward.nodes < np.array(size[::-1]) - spare / 8).all())
+    return bool((backward.nodes > spare / 8).all() and (backward.nodes < end - spare / 8).all())
 
 
 def _inside(
-    map_x: Float[np.ndarray, "h w"], map_y: Float[np.ndarray, "h w"], size: tuple[int, int]
+    map_x: Float[np.ndarray, "h w"], map_y: Float[np.ndarray, "h w"], end: Float[np.ndarray, "2"]
 ) -> Bool[np.ndarray, "h w"]:
-    """Where OpenCV's maps point into an image of ``size``, its outermost half pixels included."""
-    low = opencv_from_photo(np.zeros(2))
-    high = opencv_from_photo(np.array(size[::-1], dtype=np.float64))
+    """Where OpenCV's maps point into an image that ends at ``end`` (x, y), its outermost half pixels included."""
+    low, high = opencv_from_photo(np.zeros(2)), opencv_from_photo(end)
     inside = cv2.bitwise_and(
         cv2.inRange(map_x, float(low[0]), float(high[0])), cv2.inRange(map_y, float(low[1]), float(high[1]))
     )

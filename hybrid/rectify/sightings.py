@@ -42,6 +42,7 @@ class Sightings:
     group: a number for each sighting, or None. Sightings of one number show the same thing in different places: a
         text, which is alike everywhere, or anatomy, which is not. How alike is found from how well they agree.
     has_rule: of one of the sheet's edges, whether a rule is printed along it.
+    along: film coordinate of the things along the other axis, where it is better known than as they are ``seen``.
     """
 
     axis: int
@@ -52,14 +53,17 @@ class Sightings:
     shared_sigma: Float[np.ndarray, " g"]
     group: Int[np.ndarray, " n"] | None = None
     has_rule: bool = False
+    along: Float[np.ndarray, " n"] | None = None
 
     def __len__(self) -> int:
         return len(self.known)
 
     def places(self) -> Float[np.ndarray, "n 2"]:
-        """The film points as far as known: ``seen`` with the coordinate along the axis put right."""
+        """The film points as far as known: ``seen`` with what is known of both coordinates put right."""
         uv = self.seen.copy()
         uv[:, self.axis] = self.known
+        if self.along is not None:
+            uv[:, 1 - self.axis] = self.along
         return uv
 
     def offsets(self) -> Float[np.ndarray, " n"]:
@@ -75,6 +79,7 @@ class Sightings:
             sigma=self.sigma[chosen],
             shared=self.shared[chosen],
             group=None if self.group is None else self.group[chosen],
+            along=None if self.along is None else self.along[chosen],
         )
 
 
@@ -124,10 +129,7 @@ class Displacement:
 
     def lift(self, sightings: Sightings) -> Sightings:
         """Sightings made through the displaced map, as if they had been made through the coarse map."""
-        places = sightings.seen
-        lifted = places.copy()
-        lifted[:, sightings.axis] = self(places)[:, sightings.axis]
-        return replace(sightings, seen=lifted)
+        return replace(sightings, seen=self(sightings.seen), along=sightings.places()[:, 1 - sightings.axis])
 
 
 def carried(sightings: Sequence[Sightings], before: BackwardMap, after: BackwardMap) -> tuple[Sightings, ...]:
@@ -136,7 +138,7 @@ def carried(sightings: Sequence[Sightings], before: BackwardMap, after: Backward
         return tuple(sightings)
     seen = np.concatenate([s.seen for s in sightings])
     moved = np.split(after.film_near(before.photo_from_film(seen), seen), np.cumsum([len(s) for s in sightings])[:-1])
-    return tuple(replace(s, seen=part) for s, part in zip(sightings, moved, strict=True))
+    return tuple(replace(s, seen=part, along=None) for s, part in zip(sightings, moved, strict=True))
 
 
 @lru_cache(maxsize=4)
