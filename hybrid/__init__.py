@@ -9,6 +9,7 @@ __version__ = "0.1.0"
 if TYPE_CHECKING:
     from hybrid.backward import BackwardMap, Orientation
     from hybrid.errors import ConfigError, DataError, FusionError, HybridError, PhotoError
+    from hybrid.grid_edit import GridEdit
     from hybrid.outputs import save_result
     from hybrid.pipeline import Rectifier, RectifyConfig, rectify
     from hybrid.records import RectifyResult, SliceGrid, StageReport, Status, StatusCode
@@ -19,6 +20,7 @@ _PLACES = {
     "ConfigError": "hybrid.errors",
     "DataError": "hybrid.errors",
     "FusionError": "hybrid.errors",
+    "GridEdit": "hybrid.grid_edit",
     "HybridError": "hybrid.errors",
     "PhotoError": "hybrid.errors",
     "save_result": "hybrid.outputs",
@@ -36,6 +38,7 @@ __all__ = [
     "ConfigError",
     "DataError",
     "FusionError",
+    "GridEdit",
     "HybridError",
     "Orientation",
     "PhotoError",

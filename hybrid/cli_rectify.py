@@ -10,10 +10,12 @@ from typing import Annotated
 import tyro
 from tqdm import tqdm
 
-from hybrid.cli_options import PhotoOptions, made_by, parse
+from hybrid.cli_options import PhotoOptions, made_by, parse, photos_among
 from hybrid.errors import ConfigError, describe
-from hybrid.outputs import is_result, rectify_files
+from hybrid.outputs import Rectify, rectify_files
 from hybrid.pipeline import Rectifier, RectifyConfig
+
+Point = tuple[float, float]
 
 
 @dataclass(frozen=True)
@@ -24,9 +26,16 @@ class FewOptions(PhotoOptions):
     """Processes that share the photos: many photos take two of them, on two cores, about two thirds of the time, and
     twice the memory."""
 
+    corners: Annotated[tuple[Point, Point, Point, Point] | None, tyro.conf.arg(metavar="X Y X Y X Y X Y")] = None
+    """The sheet's corners in a single photo, x and y of each in pixels, in any order: for one whose film is not found,
+    or is found wrong. A hundredth of the film is exact enough."""
+
     def __post_init__(self) -> None:
         if self.workers < 1:
             raise ConfigError(describe(what="--workers", got=self.workers, allowed="1 or more", do="Name how many."))
+        if self.corners is not None and len(self.photos) > 1:
+            got, do = f"{len(self.photos)} photos", "Rectify this photo by itself."
+            raise ConfigError(describe(what="--corners", got=got, allowed="one photo", do=do))
 
 
 @dataclass(frozen=True)
@@ -46,22 +55,22 @@ class RectifyOptions(FewOptions):
 def run(arguments: list[str]) -> int:
     """Parse the command line and rectify; 0 if every photo gave a film."""
     options = parse(RectifyOptions, FewOptions, arguments, "hybrid rectify", RectifyConfig.of)
-    photos = [path for path in options.photos if not is_result(path)]
-    if len(photos) < len(options.photos):
-        print(f"{len(options.photos) - len(photos)} of these files are left out: they are results of earlier runs")
+    photos = photos_among(options.photos)
     if not photos:
         told = "no photos; name at least one, for example: hybrid rectify photo.jpg -o out"
         print(f"hybrid rectify: {told}", file=sys.stderr)
         return 2
+    made = made_by(options.effort, RectifyConfig.of(options.effort), options.config)
     outcomes = rectify_files(
         photos,
         options.out,
-        partial(Rectifier, options.config),
+        partial(_rectifier, options.config, options.corners),
         options.rectified_format,
         tqdm.write,
-        made_by(options.effort, RectifyConfig.of(options.effort), options.config),
+        made | ({} if options.corners is None else {"corners": options.corners}),
         options.verbose,
         options.workers,
+        options.dicom,
     )
     failed = [outcome for outcome in outcomes if not outcome.ok]
     if len(outcomes) > 1:
@@ -72,3 +81,8 @@ def run(arguments: list[str]) -> int:
             for warning in outcome.warnings:
                 print(f"  look at {outcome.photo}: {warning}")
     return 1 if failed else 0
+
+
+def _rectifier(config: RectifyConfig, corners: tuple[Point, ...] | None) -> Rectify:
+    """What rectifies photos; the sheet's corners are there, if any are given."""
+    return partial(Rectifier(config), corners=corners)

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import combinations
 
 import numpy as np
 
@@ -19,6 +20,7 @@ from hybrid.pyramid import Photo, Pyramid
 from hybrid.records import CoarseMaps, Signs, StageReport, StatusCode
 from hybrid.rectify.cell_phases import CellPhases
 from hybrid.rectify.consensus import geometric_median
+from hybrid.rectify.corners import put_on_corners
 from hybrid.rectify.edge_paths import EdgesRead, edge_support, look_across, put_on_edges, read_edges
 from hybrid.rectify.flat import already_flat
 from hybrid.rectify.foreshortening import even
@@ -108,6 +110,27 @@ def see(network: FilmNet, pyramid: Pyramid, config: RectifyConfig, clock: Clock,
     return LastLook(maps.enlarged(factor), inversion, view, photo, factor)
 
 
+def see_at(network: FilmNet, pyramid: Pyramid, told: BackwardMap, config: RectifyConfig, clock: Clock) -> LastLook:
+    """The network's look at a film whose corners a person gave, flattened by the plane sheet ``told`` that has them.
+
+    The map is displaced to have these corners; where the network sees no film there, it is that of the plane sheet.
+    """
+    predict = config.predict
+    with clock.stage("network") as report:
+        photo, factor = pyramid.reduced(max(pyramid.photo.shape[:2]) / predict.least_px)
+        told = told.cropped((0.0, 0.0), (1 / factor, 1 / factor))
+        view = film_view(told, predict.margin)
+        (maps,) = look_from_sides(network, photo, view, predict.sides[:1])
+        inversion = fit_backward(maps, config.invert)
+        if isinstance(inversion, Inversion):
+            inversion = replace(inversion, backward=put_on_corners(inversion.backward, told))
+            report.reason = f"a look at the given corners, explained to {inversion.residual_px * factor:.1f} px"
+        if isinstance(inversion, NotInverted) or inversion.backward.folds((17, 17)):
+            inversion = Inversion(told, residual_px=0.0, coverage=0.0, inlier_share=0.0)
+            report.reason = "the plane sheet with the given corners: no film is seen there"
+    return LastLook(maps.enlarged(factor), inversion.enlarged(factor), view, photo, factor)
+
+
 def check(pyramid: Pyramid, seen: LastLook, config: SurveyConfig) -> Verdict:
     """Whether what the network saw is one sheet, seen whole, and printed as films are."""
     verdict = survey_maps(seen.maps, seen.inversion, pyramid.photo.shape, config)
@@ -170,14 +193,16 @@ def shape_of(
     sides: Callable[[], Sequence[Inversion]],
     config: RectifyConfig,
     clock: Clock,
+    told: BackwardMap | None = None,
 ) -> Refinement:
     """The exact map of the film and its grid, by the shortest way that it allows.
 
     coarse: the network's map of one side. phases: what it tells of the cells. reader: reads the film's edges. sides:
-    gives the maps of all sides, that one's last; called where they are needed.
+    gives the maps of all sides, that one's last; called where they are needed. told: a map whose corners are the
+    sheet's, if a person gave them.
     """
     with clock.stage("edges") as report:
-        read = read_edges(pyramid, coarse, reader, config.edges)
+        read = read_edges(pyramid, coarse, reader, config.edges, told)
         on_edges = partial(put_on_edges, read=read, config=config.edges)
         start = on_edges(coarse)
         report.reason = f"{len(read.sightings)} of 4 edges read, up to {read.off:.1%} of the film beside the network's"
@@ -204,7 +229,7 @@ def shape_of(
         assert isinstance(mean, Inversion)  # as ``one`` is
         return [evened(on_edges(side.backward)) for side in ([mean, *further] if further else [])]
 
-    return _exact(pyramid, start, phases, read, reader, others, config, clock)
+    return _exact(pyramid, start, phases, read, reader, others, config, clock, told)
 
 
 def _exact(
@@ -216,6 +241,7 @@ def _exact(
     others: Callable[[], Sequence[BackwardMap]],
     config: RectifyConfig,
     clock: Clock,
+    told: BackwardMap | None,
 ) -> Refinement:
     """The network's map made exact by what is seen of the film; where the effort says so and it is not sure then, other
     maps too, those of the other sides and the mean of all."""
@@ -223,7 +249,7 @@ def _exact(
     first = exactly(coarse)
     clock.reports += first.stages
     with clock.stage("reread") as report:
-        first = reread(pyramid, phases, first, reader, config, report)
+        first = reread(pyramid, phases, first, reader, config, report, told)
     with clock.stage("again") as report:
         expected = np.inf if first.expected_px is None else first.expected_px / max(first.backward.mean_film_pixels())
         report.ran = bool(expected > config.again_above)
@@ -235,8 +261,10 @@ def _exact(
         surest = as_sure(found)
         one = "the surest" if surest else "the first, as none is believed"
         counts = f"the middle of the {len(surest)} that are surest" if surest[1:] else one
+        apart = ends_apart(found)
         report.reason = f"from the maps of other sides and their mean, {len(found) - 1} in all: {counts}"
-        return middle(surest) if surest else first
+        report.reason += "" if apart is None else f"; they end {apart:.2%} of the film apart"
+        return replace(middle(surest) if surest else first, ends_apart=apart)
 
 
 def reread(
@@ -246,11 +274,12 @@ def reread(
     reader: EdgeReader,
     config: RectifyConfig,
     report: Report,
+    told: BackwardMap | None = None,
 ) -> Refinement:
     """A refinement whose edges are read where it puts them, or one more from where they are read through its map, if
     they are more surely there then."""
     options = config.edges
-    read = look_across(pyramid, first.backward, reader, options)
+    read = look_across(pyramid, first.backward, reader, options, told)
     least = float(read.support.min())
     first = replace(first, support=read.support)
     report.ran = first.believed and least < options.doubtful and read.off > options.beside
@@ -262,7 +291,8 @@ def reread(
     report.reason += f"; {float(support.min()):.0%} once refined from there"
     surer = second.stands and support.min() > least + options.surer
     report.reason += ", which counts" if surer else ", which is not surer"
-    return replace(second, support=support) if surer else first
+    left = second.expected_px if second.believed else first.expected_px  # not believed, it starts from the first's map
+    return replace(second, support=support, expected_px=left) if surer else first
 
 
 def flat_itself(
@@ -343,6 +373,18 @@ def as_sure(refinements: Sequence[Refinement]) -> list[Refinement]:
     known.sort(key=lambda pair: pair[0])
     sure = [one for expected, one in known if expected <= AS_SURE * known[0][0]]
     return sure if len(sure) > 2 else sure[:1]
+
+
+def ends_apart(refinements: Sequence[Refinement]) -> float | None:
+    """Mean distance between two maps, the median over all pairs, in parts of the film's size; None of fewer than three.
+
+    What leads one start astray is another thing for each, so ends that are one have hardly all been led there.
+    """
+    if len(refinements) < 3:
+        return None
+    ends = [one.backward.lattice((17, 17)) for one in refinements]
+    apart = [np.linalg.norm(a - b, axis=-1).mean() for a, b in combinations(ends, 2)]
+    return float(np.median(apart) / np.sqrt(np.prod(refinements[0].backward.mean_film_pixels())))
 
 
 def middle(refinements: Sequence[Refinement]) -> Refinement:

@@ -9,11 +9,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Bool
 
 from hybrid.backward import BackwardMap, Orientation
 from hybrid.effort import Effort, RectifyConfig
 from hybrid.errors import ConfigError, FusionError, describe
-from hybrid.geometry import Clock, Report, checked, flat_itself, see, see_from_sides, shape_of, trusted
+from hybrid.geometry import Clock, Report, checked, flat_itself, see, see_at, see_from_sides, shape_of, trusted
+from hybrid.grid_edit import GridEdit
 from hybrid.image_io import as_photo
 from hybrid.learn.edges import edge_reader
 from hybrid.learn.inference import ready
@@ -32,14 +34,15 @@ from hybrid.levels import LevelReader
 from hybrid.pyramid import Pyramid
 from hybrid.records import CoarseMaps, RectifyResult, SliceGrid, Status, StatusCode
 from hybrid.rectify.cell_phases import CellPhases
+from hybrid.rectify.corners import Corners, film_at
 from hybrid.rectify.cover import covered_parts
-from hybrid.rectify.deilluminate import deilluminate
+from hybrid.rectify.deilluminate import Deillumination, deilluminate
 from hybrid.rectify.film_size import bounded_size, film_size
 from hybrid.rectify.fuse import fuse
 from hybrid.rectify.invert import Inversion, NotInverted, agreed
 from hybrid.rectify.refine import Refinement
 from hybrid.rectify.resample import Rectified, rectify_photo
-from hybrid.rectify.survey import survey_photo
+from hybrid.rectify.survey import Verdict, survey_photo
 from hybrid.rectify.trust import expected_error_px, largest_error_px
 from hybrid.strips import EdgeReader
 from hybrid.threads import one_thread
@@ -68,17 +71,20 @@ class Rectifier:
     def __reduce__(self) -> tuple[Any, ...]:
         return Rectifier, (self.config,)
 
-    def __call__(self, source: str | Path | np.ndarray) -> RectifyResult:
+    def __call__(self, source: str | Path | np.ndarray, corners: Corners | None = None) -> RectifyResult:
         """The flat film of a photo.
 
         Args:
             source: a path, (H, W, 3) uint8 RGB, or (H, W) uint8.
+            corners: of the sheet, where a person knows them better than the network: four photo points (x, y), in any
+                order, exact to about a hundredth of the film. Then a film is given whatever the network sees.
 
         Raises:
             PhotoError: the source cannot be read as a photo. A photo without a film is no error but a status.
+            ConfigError: these are no corners of a sheet that the photo shows.
         """
         with one_thread():
-            return self._rectified(source)
+            return self._rectified(source, corners)
 
     def fuse(self, sources: Iterable[str | Path | np.ndarray], names: Sequence[str] | None = None) -> RectifyResult:
         """One film of several photos of it, between which phone or lamps moved, so that glare vanishes.
@@ -114,6 +120,50 @@ class Rectifier:
             options = self.config.fuse, self.config.light, self.config.resample
             return fuse(photos, results, self._levels, *options, names)
 
+    def edited(self, source: str | Path | np.ndarray, edit: GridEdit) -> RectifyResult:
+        """The film of a photo anew, through the map and grid that a person has edited, of its size and way up.
+
+        The result that was edited itself where nothing is changed. Else what speaks for the map is not known: it is
+        ``UNSURE``, without an expected error.
+
+        Args:
+            source: the photo that was rectified, as for a single photo; of a fused film that of ``result.photo``, of
+                which alone it is made then.
+            edit: of what this rectifier made of it.
+
+        Raises:
+            PhotoError: the source cannot be read as a photo.
+        """
+        before = edit.result
+        if edit.grid is before.grid and edit.backward is before.backward:
+            return before
+        assert before.film is not None  # or there would be nothing to edit
+        assert before.covered is not None
+        clock = Clock()
+        with one_thread():
+            with clock.stage("read") as report:
+                pyramid = Pyramid(as_photo(source))
+                report.reason = f"{pyramid.photo.shape[1]} x {pyramid.photo.shape[0]} pixels"
+            with clock.stage("resample") as report:
+                size = (before.film.shape[0], before.film.shape[1])
+                flat = rectify_photo(pyramid, edit.backward, size, self.config.resample)
+                report.reason = f"to {size[1]} x {size[0]} pixels, corners moved by hand: {len(edit.done)}"
+            light = self._without_light(flat, before.covered, clock)
+        return replace(
+            before,
+            status=Status(StatusCode.UNSURE, ("edited by hand",)),
+            stages=clock.reports,
+            film=light.film,
+            rectified=flat.image,
+            backward=edit.backward,
+            grid=edit.grid,
+            glare=light.glare,
+            confidence=light.confidence,
+            expected_error_px=None,
+            limit_px=None,
+            signs=None,
+        )
+
     def network_map(self, source: str | Path | np.ndarray) -> BackwardMap | None:
         """What the network alone makes of a photo, before refinement: the map of the film as it lies in the photo.
 
@@ -129,7 +179,7 @@ class Rectifier:
         mean = agreed(sides) if sides else None
         return mean.backward if isinstance(mean, Inversion) else None
 
-    def _rectified(self, source: str | Path | np.ndarray) -> RectifyResult:
+    def _rectified(self, source: str | Path | np.ndarray, corners: Corners | None) -> RectifyResult:
         """All stages, one after the other, until one says that there is no film."""
         clock = Clock()
         with clock.stage("read") as report:
@@ -141,15 +191,20 @@ class Rectifier:
         if not shown.ok:
             return RectifyResult(Status(shown.code), clock.reports)
         pyramid = Pyramid(photo)
-        seen = see(self._network, pyramid, self.config, clock)
-        seen, verdict = checked(self._network, pyramid, seen, self.config, clock)
+        told = None if corners is None else film_at(corners, (photo.shape[0], photo.shape[1]))
+        if told is None:
+            seen = see(self._network, pyramid, self.config, clock)
+            seen, verdict = checked(self._network, pyramid, seen, self.config, clock)
+        else:
+            seen = see_at(self._network, pyramid, told, self.config, clock)
+            verdict = Verdict(StatusCode.OK, "")
         maps, inversion = seen.maps, seen.inversion
         if not verdict.ok or isinstance(inversion, NotInverted):
             code = StatusCode.NO_FILM if verdict.ok else verdict.code
             return RectifyResult(Status(code), clock.reports)
         sides = partial(see_from_sides, self._network, seen, self.config, clock)
         phases = CellPhases.of(maps) if self.config.told_cells else None
-        refinement = shape_of(pyramid, inversion.backward, phases, self._edges, sides, self.config, clock)
+        refinement = shape_of(pyramid, inversion.backward, phases, self._edges, sides, self.config, clock, told)
         flat = flat_itself(pyramid, inversion.backward, phases, refinement, self.config, clock)
         refinement = flat or refinement
         clock.counts(refinement)
@@ -157,7 +212,9 @@ class Rectifier:
             self._network, self._edges, pyramid, seen, refinement, flat is not None, self.config, clock
         )
         if verdict.code is StatusCode.NO_FILM:
-            return RectifyResult(Status(verdict.code), clock.reports)
+            if told is None:
+                return RectifyResult(Status(verdict.code), clock.reports)
+            verdict = replace(verdict, code=StatusCode.UNSURE)
         result = self._finish(pyramid, maps, refinement, flat is not None, clock)
         return replace(
             result,
@@ -193,9 +250,7 @@ class Rectifier:
             report.ran = bool(covered.any())
             seen_before = f"something lies before {covered.mean():.1%} of the film"
             report.reason = seen_before if report.ran else "nothing is seen before the film"
-        with clock.stage("light") as report:
-            light = deilluminate(flat.image, flat.valid, self._levels, self.config.light, covered)
-            report.ran, report.reason = light.ran, light.reason
+        light = self._without_light(flat, covered, clock)
         return RectifyResult(
             status=Status(StatusCode.OK),
             stages=clock.reports,
@@ -209,6 +264,13 @@ class Rectifier:
             covered=covered,
             confidence=light.confidence,
         )
+
+    def _without_light(self, flat: Rectified, covered: Bool[np.ndarray, "h w"], clock: Clock) -> Deillumination:
+        """The flat film without its light."""
+        with clock.stage("light") as report:
+            light = deilluminate(flat.image, flat.valid, self._levels, self.config.light, covered)
+            report.ran, report.reason = light.ran, light.reason
+        return light
 
     def _read(self, flat: Rectified, grid: SliceGrid | None, report: Report) -> tuple[Orientation, float | None]:
         """How the flat film has to be moved to read right, by what it shows, and how sure that is then."""
@@ -231,10 +293,12 @@ def _rectifier(effort: str) -> Rectifier:
     return Rectifier(RectifyConfig.of(effort))
 
 
-def rectify(photo: str | Path | np.ndarray, effort: Effort | str = "default") -> RectifyResult:
+def rectify(
+    photo: str | Path | np.ndarray, effort: Effort | str = "default", corners: Corners | None = None
+) -> RectifyResult:
     """Rectify one photo with the packaged network and an effort's options; see Rectifier.
 
     Raises:
-        ConfigError: there is no such effort.
+        ConfigError: there is no such effort, or these are no corners of a film.
     """
-    return _rectifier(str(effort))(photo)
+    return _rectifier(str(effort))(photo, corners)

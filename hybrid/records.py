@@ -97,7 +97,7 @@ class StatusCode(Enum):
     )
     NO_FILM = (
         "No film was found in the photo. Photograph the whole sheet, edges included, "
-        "so that it fills at least a third of the picture; one film to a photo."
+        "so that it fills at least a third of the picture; one film to a photo. Where there is one, name its corners."
     )
     CUT_OFF = (
         "A film was seen, but a large part of the sheet lies outside the photo. "
@@ -172,6 +172,8 @@ class Signs:
     in_step: agreement of the grid with what the last look tells of the cells, along the worse axis; 0 without a grid.
     cells_beside: how far the grid lies beside these cells, in film units, both axes together.
     confidence: of the grid, 0 without one. mean_support: as support, but the mean.
+    ends_apart: how far apart refinements from several starts end, the median over their pairs, in parts of the film's
+        size; None where there was one.
     """
 
     overlap_before: float
@@ -194,6 +196,7 @@ class Signs:
     confidence: float
     mean_support: float
     flat: bool = False
+    ends_apart: float | None = None
 
 
 @dataclass(frozen=True, eq=False)

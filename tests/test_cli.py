@@ -51,7 +51,7 @@ class StandIn:
 
     config: StandInConfig = field(default_factory=StandInConfig)
 
-    def __call__(self, photo: np.ndarray) -> RectifyResult:
+    def __call__(self, photo: np.ndarray, corners: object = None) -> RectifyResult:
         stages = (
             StageReport("network", True, "always", 0.01),
             StageReport("spline", False, "no grid was found", 0.0),
@@ -150,6 +150,37 @@ def test_results_of_earlier_runs_are_no_photos(photo: Path, tmp_path: Path, caps
 
 
 @pytest.mark.usefixtures("_stand_in")
+def test_results_are_not_fused(photo: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["rectify", str(photo), "-o", str(tmp_path)]) == 0
+    capsys.readouterr()
+    named = [str(photo), str(tmp_path / "film_rectified.jpg"), str(tmp_path / "film_side_by_side.jpg")]
+    assert cli.main(["fuse", *named, "-o", str(tmp_path)]) == 2
+    out, err = capsys.readouterr()
+    assert "2 of these files are left out" in out
+    assert "two or more photos" in err
+
+
+@pytest.mark.usefixtures("_stand_in")
+def test_corners_are_of_one_photo_and_are_told(photo: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    at = ["--corners", "-3", "2", "80", "2.5", "85", "50", "1", "58"]
+    assert cli.main(["rectify", str(photo), "-o", str(tmp_path / "out"), *at]) == 0
+    told = json.loads((tmp_path / "out" / "film.json").read_text())["corners"]
+    assert told == [[-3, 2], [80, 2.5], [85, 50], [1, 58]]
+    capsys.readouterr()
+    assert cli.main(["rectify", str(photo), str(black_photo(tmp_path)), "-o", str(tmp_path / "out"), *at]) == 1
+    assert "--corners: got 2 photos; allowed: one photo" in capsys.readouterr().err
+
+
+@pytest.mark.usefixtures("_stand_in")
+def test_dicom_files_are_written_where_they_are_asked_for(photo: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    assert cli.main(["rectify", str(photo), "-o", str(out)]) == 0
+    assert not (out / "film_dicom").exists()
+    assert cli.main(["rectify", str(photo), "-o", str(out), "--dicom"]) == 0
+    assert len(list((out / "film_dicom").iterdir())) == 7
+
+
+@pytest.mark.usefixtures("_stand_in")
 def test_slices_of_earlier_runs_are_results(photo: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert cli.main(["rectify", str(photo), "-o", str(tmp_path)]) == 0
     slices, foreign = tmp_path / "film_slices", tmp_path / "other_slices"
@@ -187,6 +218,9 @@ def test_a_result_is_saved_from_python_as_the_command_writes_it(photo: Path, tmp
         if path.is_file() and path.suffix != ".json"
     }
     assert files[-1] == saved / "film.json"
+    fused = hybrid.save_result([photo, black_photo(tmp_path)], StandIn()(read_photo(photo)), saved)
+    assert fused[-1] == saved / "film_fused.json"
+    assert json.loads(fused[-1].read_text())["further_photos"] == ["black.png"]
     told = hybrid.save_result(black_photo(tmp_path), RectifyResult(Status(StatusCode.NO_FILM)), saved)
     assert told == (saved / "black.json",)
     with pytest.raises(ConfigError, match="Nothing can be written there"):
@@ -320,9 +354,9 @@ def test_a_photo_is_not_written_over(photo: Path, tmp_path: Path) -> None:
     assert records == {"film_2.json": "film.png", "film_rectified.json": "film_rectified.jpg"}
 
 
-def write(photos: list[Path], out: Path, result: RectifyResult | None = None, suffix: str = "") -> tuple[Path, ...]:
+def write(photos: list[Path], out: Path, result: RectifyResult | None = None) -> tuple[Path, ...]:
     picture = read_photo(photos[0])
-    return write_result(out, photos, picture, result or StandIn()(picture), "png", suffix)
+    return write_result(out, photos, picture, result or StandIn()(picture), "png")
 
 
 def test_again_without_a_film_loses_nothing_and_says_so(photo: Path, tmp_path: Path) -> None:
@@ -351,6 +385,7 @@ def test_a_result_that_is_cut_off_says_so_and_keeps_its_name(
                 write([photo], out)
         record = json.loads((out / "film.json").read_text())
         assert (record["status"], record["ok"]) == ("UNFINISHED", False)
+        assert all(is_result(path) for path in out.iterdir() if path.suffix == ".png")  # else they would be rectified
         other = tmp_path / "other" / "film.png"
         other.parent.mkdir(exist_ok=True)
         write_rgb(other, np.full((50, 50, 3), 9, dtype=np.uint8))
@@ -359,12 +394,27 @@ def test_a_result_that_is_cut_off_says_so_and_keeps_its_name(
         assert json.loads((out / "film.json").read_text())["status"] == "OK"
 
 
+def test_what_a_run_that_was_cut_off_left_is_removed_by_the_next(
+    photo: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = folder(tmp_path / "out")
+    picture = read_photo(photo)
+    with monkeypatch.context() as patch:
+        patch.setattr("hybrid.outputs.side_by_side", lambda *_: 1 / 0)
+        with pytest.raises(ZeroDivisionError):
+            write_result(out, [photo], picture, StandIn(StandInConfig(rows=3))(picture), "png")
+    assert (out / "film_slices" / "09.png").exists()
+    write_result(out, [photo], picture, StandIn()(picture), "jpg")
+    assert {path.name for path in out.glob("film_rectified.*")} == {"film_rectified.jpg"}
+    assert len(list((out / "film_slices").iterdir())) == 6
+
+
 def test_fused_photos_are_others_if_one_of_them_is(photo: Path, tmp_path: Path) -> None:
     out = folder(tmp_path / "out")
     second, third = (black_photo(tmp_path, name) for name in ("second.png", "third.png"))
     write_rgb(third, np.full((64, 64, 3), 7, dtype=np.uint8))
     for further, name in ((second, "film_fused"), (third, "film_fused_2"), (second, "film_fused")):
-        assert write([photo, further], out, suffix="_fused")[-1] == out / f"{name}.json"
+        assert write([photo, further], out)[-1] == out / f"{name}.json"
     record = json.loads((out / "film_fused_2.json").read_text())
     assert (record["photo"], record["further_photos"]) == ("film.png", ["third.png"])
     assert write([photo], out)[-1] == out / "film.json"

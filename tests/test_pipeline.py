@@ -15,7 +15,7 @@ from data_gen.sample import SampleConfig, film_samples
 from hybrid.backward import BackwardMap, Orientation, end_point_error, film_as_seen
 from hybrid.coords import film_nodes
 from hybrid.errors import ConfigError, DataError, PhotoError
-from hybrid.geometry import AS_SURE, Clock, as_sure, checked, middle, see
+from hybrid.geometry import AS_SURE, Clock, as_sure, checked, ends_apart, middle, see
 from hybrid.pipeline import Effort, Rectifier, RectifyConfig
 from hybrid.pyramid import Pyramid
 from hybrid.records import SliceGrid, StatusCode
@@ -91,6 +91,14 @@ def test_efforts_differ_in_what_runs(photo, result):
     far = np.linalg.norm(thorough.backward.nodes - result.backward.nodes, axis=-1).mean()
     near = np.linalg.norm(fast.backward.resized(result.backward.nodes.shape[:2]).nodes - result.backward.nodes, axis=-1)
     assert far < near.mean()
+
+
+def test_how_far_apart_refinements_end_is_told_in_parts_of_the_film():
+    nodes = 800 * film_nodes((9, 9))
+    shifted = [Refinement(BackwardMap(nodes + dx), None, ()) for dx in np.sqrt(0.5) * np.array([0, 0.8, 0.8, 0.8, 400])]
+    assert ends_apart(shifted[:2]) is None
+    assert ends_apart(shifted[:4]) == pytest.approx(0.0005)  # three pairs of six are 0.8 px apart, three are one
+    assert ends_apart(shifted) == pytest.approx(0.001)
 
 
 def test_the_middle_of_refinements_leaves_out_the_one_that_is_far_off():

@@ -1,8 +1,8 @@
 """The failures that users of other systems report, by their numbers in the project's list.
 
 Numbers that other files test at length: 7 (test_deilluminate), 9 (test_pipeline), 13 (test_pipeline), 15 and 18
-(test_metrics), 16 (test_shards, test_views), 20 (test_deilluminate), 26, 27 and 30 to 33 (the trainer's, the solver's
-and the generator's tests). Not built: 28 (editing the grid by hand) and 29 (export as DICOM).
+(test_metrics), 16 (test_shards, test_views), 20 (test_deilluminate), 28 (test_grid_edit), 29 (test_secondary_captures),
+26, 27 and 30 to 33 (the trainer's, the solver's and the generator's tests).
 """
 
 from __future__ import annotations

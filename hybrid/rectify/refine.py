@@ -72,6 +72,7 @@ class Refinement:
     stands: whether what was seen bears the map out, also one that was kept as no other explains that better.
     support: for SIDES (strips.py), the probability that an edge lies where the map puts it (edge_paths.py); None where
         that was not looked at.
+    ends_apart: how far apart refinements from several starts end, in parts of the film's size; None for a single one.
     """
 
     backward: BackwardMap
@@ -83,6 +84,7 @@ class Refinement:
     aspect: float | None = None
     stands: bool = False
     support: Float[np.ndarray, " 4"] | None = None
+    ends_apart: float | None = None
 
     @property
     def believed(self) -> bool:

@@ -1,0 +1,121 @@
+"""The slice grid edited by hand: corners of cells are moved in the photo, undone and done again; the map follows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from hybrid.backward import BackwardMap
+from hybrid.coords import film_nodes
+from hybrid.errors import ConfigError, describe
+from hybrid.records import RectifyResult, SliceGrid
+from hybrid.rectify.tps import fit_tps
+
+NEAR = 0.02
+"""Corners of the sheet that lie nearer to a corner of a cell than this (film units) go along with it."""
+
+
+@dataclass(frozen=True)
+class Move:
+    """A corner of cells, by its row and column among them, put to a photo point (x, y)."""
+
+    row: int
+    col: int
+    to: tuple[float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class GridEdit:
+    """A result whose grid is edited: a value, of which every change gives another. Rectifier.edited makes its film.
+
+    start: the grid that editing began with. done: moves that count, in their order. undone: those that were taken
+    back, the last first.
+    """
+
+    result: RectifyResult
+    start: SliceGrid
+    done: tuple[Move, ...] = ()
+    undone: tuple[Move, ...] = ()
+
+    @staticmethod
+    def of(result: RectifyResult, cells: tuple[int, int] | None = None) -> GridEdit:
+        """The edit of a result's grid; of one of ``cells`` (rows, columns) that fills the sheet where these are given.
+
+        Raises:
+            ConfigError: the result has no film, or no grid and no cells are given, or these are no numbers of slices.
+        """
+        if result.backward is None:
+            do = "Name the sheet's corners: Rectifier()(photo, corners)."
+            raise ConfigError(describe(what="Grid to edit", got=f"a result {result.status.code.name}", do=do))
+        if cells is None:
+            if result.grid is None:
+                do = "Name rows and columns: GridEdit.of(result, (4, 5))."
+                raise ConfigError(describe(what="Grid to edit", got="a film without one", do=do))
+            return GridEdit(result, result.grid)
+        rows, cols = cells
+        if not (1 <= rows <= 99 and 1 <= cols <= 99):
+            raise ConfigError(describe(what="Slices", got=cells, allowed="rows and columns from 1 to 99", do="Count."))
+        vertices = film_nodes((rows + 1, cols + 1))
+        grid = SliceGrid(rows, cols, vertices, result.backward.photo_from_film(vertices), confidence=0.0)
+        return GridEdit(result, grid)
+
+    def moved(self, row: int, col: int, to: Sequence[float] | np.ndarray) -> GridEdit:
+        """With one corner more put to the photo point ``to``; what was undone cannot be done again then.
+
+        Raises:
+            ConfigError: there is no such corner, it is no point, or the film would fold.
+        """
+        rows, cols = self.start.vertices_photo.shape[:2]
+        x, y = (float(each) for each in to)
+        if not (0 <= row < rows and 0 <= col < cols):
+            allowed = f"rows 0 to {rows - 1}, columns 0 to {cols - 1}"
+            raise ConfigError(describe(what="Corner of a cell", got=(row, col), allowed=allowed, do="Choose another."))
+        further = replace(self, done=(*self.done, Move(row, col, (x, y))), undone=())
+        if not np.isfinite([x, y]).all() or further.backward.folds((33, 33)):
+            got, allowed = f"({x:g}, {y:g})", "points in between its neighbours: the film would fold"
+            raise ConfigError(describe(what="Place of a corner", got=got, allowed=allowed, do="Move it less far."))
+        return further
+
+    def undo(self) -> GridEdit:
+        """Without the last move; as it is where there is none."""
+        return replace(self, done=self.done[:-1], undone=self.done[-1:] + self.undone) if self.done else self
+
+    def redo(self) -> GridEdit:
+        """With the move that was undone last; as it is where there is none."""
+        return replace(self, done=self.done + self.undone[:1], undone=self.undone[1:])
+
+    def reset(self) -> GridEdit:
+        """As it began; everything can be done again."""
+        return replace(self, done=(), undone=self.done + self.undone)
+
+    @cached_property
+    def grid(self) -> SliceGrid:
+        """The grid with its corners where they were moved; ``start`` itself where none was."""
+        if not self.done:
+            return self.start
+        at = np.array(self.start.vertices_photo)
+        for move in self.done:
+            at[move.row, move.col] = move.to
+        return replace(self.start, vertices_photo=at)
+
+    @cached_property
+    def backward(self) -> BackwardMap:
+        """The map displaced, by the thin-plate spline that bends least, so that it puts the corners there; corners
+        that were not moved stay, and so do the sheet's. The result's own where none was moved."""
+        film = self.result.backward
+        assert film is not None  # or there would be nothing to edit
+        if not self.done:
+            return film
+        uv = self.start.vertices.reshape(-1, 2)
+        apart = (self.grid.vertices_photo - self.start.vertices_photo).reshape(-1, 2)
+        ends = film_nodes((2, 2)).reshape(-1, 2)
+        free = np.linalg.norm(ends[:, None] - uv[None], axis=-1).min(axis=1) > NEAR
+        at, by = np.vstack([uv, ends[free]]), np.vstack([apart, np.zeros((int(free.sum()), 2))])
+        nodes = film_nodes((film.nodes.shape[0], film.nodes.shape[1]))
+        return BackwardMap(film.nodes + fit_tps(at, by)(nodes))
+
+
+__all__ = ["GridEdit", "Move"]

@@ -1,0 +1,135 @@
+"""The grid edited by hand (failure 28): what is moved goes where it is put; what is taken back is as it was."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from film_photos import Shot, film_print, photographed
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hybrid.backward import BackwardMap
+from hybrid.errors import ConfigError
+from hybrid.grid_edit import GridEdit
+from hybrid.pipeline import Rectifier
+from hybrid.records import RectifyResult, Status, StatusCode
+
+IT = photographed(film_print(19), Shot())
+
+
+@pytest.fixture(scope="module")
+def rectifier() -> Rectifier:
+    return Rectifier()
+
+
+@pytest.fixture(scope="module")
+def result(rectifier: Rectifier) -> RectifyResult:
+    return rectifier(IT.photo)
+
+
+@pytest.fixture(scope="module")
+def edit(result: RectifyResult) -> GridEdit:
+    return GridEdit.of(result)
+
+
+def place(edit: GridEdit, row: int, col: int) -> np.ndarray:
+    return edit.grid.vertices_photo[row, col]
+
+
+def test_a_corner_goes_where_it_is_put_and_the_others_stay(edit: GridEdit):
+    to = place(edit, 2, 1) + np.array([5, -3])
+    moved = edit.moved(2, 1, to)
+    vertices = moved.backward.photo_from_film(moved.grid.vertices)
+    before = edit.backward.photo_from_film(edit.grid.vertices)
+    np.testing.assert_allclose(place(moved, 2, 1), to)
+    # to what a map of 33 x 33 nodes can follow of a spline that is not one
+    np.testing.assert_allclose(vertices[2, 1] - before[2, 1], [5, -3], atol=0.3)
+    apart = np.linalg.norm(vertices - before, axis=-1)
+    apart[2, 1] = 0
+    assert apart.max() < 0.3
+    np.testing.assert_array_equal(edit.grid.vertices_photo, edit.start.vertices_photo)
+
+
+def test_a_film_that_was_moved_as_a_whole_is_moved_back(result: RectifyResult):
+    """All corners put where they belong, from a map that is off: it is right again, inside the grid and around it."""
+    assert result.backward is not None
+    assert result.grid is not None
+    apart = np.array([8.0, -6.0])
+    shifted = BackwardMap(result.backward.nodes + apart)
+    edit = GridEdit.of(
+        replace(result, backward=shifted, grid=replace(result.grid, vertices_photo=result.grid.vertices_photo + apart))
+    )
+    for row, col in np.ndindex(edit.grid.rows + 1, edit.grid.cols + 1):
+        edit = edit.moved(row, col, result.grid.vertices_photo[row, col])
+    assert np.abs(edit.backward.nodes - result.backward.nodes).max() < 0.5
+
+
+@settings(max_examples=30, deadline=None)
+@given(steps=st.lists(st.sampled_from(["move", "undo", "redo", "reset"]), max_size=12), data=st.data())
+def test_whatever_is_undone_is_as_it_was(edit: GridEdit, steps: list[str], data: st.DataObject):
+    """Against the plainest history there is: a list of states and a place in it."""
+    states, at = [edit], 0
+    now = edit
+    for step in steps:
+        if step == "move":
+            row, col = (data.draw(st.integers(0, n)) for n in (edit.grid.rows, edit.grid.cols))
+            now = now.moved(row, col, place(edit, row, col) + data.draw(st.integers(-4, 4)))
+            states, at = [*states[: at + 1], now], at + 1
+        else:
+            now = {"undo": now.undo, "redo": now.redo, "reset": now.reset}[step]()
+            at = {"undo": max(at - 1, 0), "redo": min(at + 1, len(states) - 1), "reset": 0}[step]
+        np.testing.assert_array_equal(now.grid.vertices_photo, states[at].grid.vertices_photo)
+        np.testing.assert_array_equal(now.backward.nodes, states[at].backward.nodes)
+
+
+def test_moves_that_cannot_be_are_refused(edit: GridEdit):
+    with pytest.raises(ConfigError, match="rows 0 to"):
+        edit.moved(edit.grid.rows + 1, 0, (10.0, 10.0))
+    with pytest.raises(ConfigError, match="fold"):
+        edit.moved(1, 1, place(edit, 3, 3))
+    with pytest.raises(ConfigError, match="Place of a corner"):
+        edit.moved(1, 1, (np.nan, 10.0))
+
+
+def test_a_grid_can_be_given(result: RectifyResult):
+    edit = GridEdit.of(replace(result, grid=None), cells=(2, 3))
+    assert edit.grid.vertices.shape == (3, 4, 2)
+    np.testing.assert_allclose(edit.grid.vertices_photo[0, 0], result.backward.nodes[0, 0])
+    for wrong in ((0, 3), (2, 100)):
+        with pytest.raises(ConfigError, match="rows and columns"):
+            GridEdit.of(result, cells=wrong)
+
+
+def test_what_cannot_be_edited_is_refused(result: RectifyResult):
+    with pytest.raises(ConfigError, match="corners"):
+        GridEdit.of(RectifyResult(Status(StatusCode.NO_FILM)))
+    with pytest.raises(ConfigError, match="rows and columns"):
+        GridEdit.of(replace(result, grid=None))
+
+
+# ---------------------------------------------------------------- the film of it
+
+
+def test_the_film_of_an_edit_is_made_anew(rectifier: Rectifier, result: RectifyResult, edit: GridEdit):
+    photo = IT.photo.copy()
+    moved = edit.moved(2, 2, place(edit, 2, 2) + np.array([6, 4]))
+    film = rectifier.edited(IT.photo, moved)
+    np.testing.assert_array_equal(photo, IT.photo)
+    assert film.film.shape == result.film.shape
+    assert film.status.code is StatusCode.UNSURE
+    assert film.status.doubts == ("edited by hand",)
+    assert film.expected_error_px is None
+    assert film.grid is moved.grid
+    assert film.backward is moved.backward
+    assert [stage.name for stage in film.stages] == ["read", "resample", "light"]
+    apart = np.abs(film.film - result.film)
+    h, w = apart.shape
+    middle, corner = apart[h // 4 : -h // 4, w // 4 : -w // 4].mean(), apart[: h // 8, : w // 8].mean()
+    assert middle > 3 * corner
+    assert len(film.slices()) == len(result.slices())
+
+
+def test_an_edit_that_was_reset_is_the_result_itself(rectifier: Rectifier, result: RectifyResult, edit: GridEdit):
+    moved = edit.moved(1, 2, place(edit, 1, 2) + 3)
+    assert rectifier.edited(IT.photo, moved.reset()) is result
+    assert rectifier.edited(IT.photo, moved.undo()) is result
