@@ -152,7 +152,7 @@ def summary(errors: Sequence[Errors]) -> dict[str, Any]:
 class Options:
     """Check that the truth of samples agrees with itself.
 
-    json_path: where the figures go. samples: how many. size: of their photos. data: a data set that is there already.
+    json: where the figures go. samples: how many. size: of their photos. data: a data set that is there already.
     workers: processes that make the samples. sources: what is printed and what lights it.
     """
 

@@ -60,7 +60,7 @@ PARTS: dict[str, tuple[str, ...]] = {
 class Options:
     """Measure how fast samples are made.
 
-    json_path: where the figures go. quick: shorter, of fewer phantoms, and memory after 128 samples only.
+    json: where the figures go. quick: shorter, of fewer phantoms, and memory after 128 samples only.
     seconds: that each rate is measured for. sources: CT volumes and environments; without them all is embedded.
     """
 

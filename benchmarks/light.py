@@ -24,6 +24,7 @@ import tyro
 from jaxtyping import Bool, Float, UInt8
 from scipy.optimize import isotonic_regression
 
+from benchmarks.cases import read_alike
 from benchmarks.command import run_command, write_figures
 from benchmarks.photos import TruePhoto, load_photos
 from hybrid.backward import BackwardMap
@@ -107,9 +108,11 @@ def score_photo(truth: TruePhoto, rectifier: Rectifier | None) -> tuple[LightSco
         image, film, glare = flat.image, light.film, light.glare
     else:
         result: RectifyResult = rectifier(truth.read())
-        if result.film is None or result.rectified is None or result.glare is None:
+        if result.film is None or result.rectified is None or result.glare is None or result.backward is None:
             return None
-        image, film, glare, milliseconds = result.rectified, result.film, result.glare, None
+        way = read_alike(result.backward, truth.backward)[1]  # which side is up is another question
+        image, film, glare = (way.moved(each) for each in (result.rectified, result.film, result.glare))
+        milliseconds = None
     lit, film, small = (cv2.resize(x, PRINT_SIZE[::-1], interpolation=cv2.INTER_AREA)
                         for x in (grey_of(image), film, printed))  # fmt: skip
     compared = Compared(lit, film, small, np.ones(PRINT_SIZE, bool))

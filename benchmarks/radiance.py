@@ -47,7 +47,7 @@ BOUND = 0.05
 class Options:
     """Compare the shading with a path tracer.
 
-    json_path: where the figures go. hdri: folder of environments in place of procedural rooms. picture: side by side.
+    json: where the figures go. hdri: folder of environments in place of procedural rooms. picture: side by side.
     side: of the traced photo in pixels. samples: per pixel. only: the scenes with one of these words in their names.
     """
 

@@ -218,7 +218,7 @@ def _shares(profile: cProfile.Profile) -> dict[str, float]:
 class Options:
     """Check the film solver.
 
-    json_path: where the figures go. picture: where the picture of the recipes goes. quick: fewer and smaller scenes.
+    json: where the figures go. picture: where the picture of the recipes goes. quick: fewer and smaller scenes.
     scenes: number of random scenes. only: names of the checks to run, none for all.
     """
 

@@ -45,6 +45,8 @@ class Options:
     """Data sets whose photos are used; without any, some are made."""
 
     films: int = 1000
+    """How many."""
+
     photos: int = 8
     """Different photos, which come in turn."""
 
@@ -52,8 +54,13 @@ class Options:
     """Side that they are scaled to: small, so that a thousand take minutes."""
 
     threads: int = 2
+    """Processor threads that may be used."""
+
     seed: int = 0
+    """Of the photos that are made."""
+
     weights: Path | None = None
+    """A FilmNet file in place of the packaged one."""
 
     def __post_init__(self) -> None:
         if self.films < 20 or not 1 <= self.photos <= self.films // 4 or self.photo_px < 64 or self.threads < 1:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -23,9 +25,10 @@ def note_of(case: Case) -> CaseNote:
     coverage = _coverage(outline_curve(case.backward), (height, width))
     if isinstance(case.source, Path):
         truth = load_photo(case.source.with_suffix(".npz"))
-        light = "light box" if "back" in truth.meta.get("light", {}) else "room"
         bend = None if truth.xyz is None else _bend_deg(_normals(truth.xyz))
-        return CaseNote(case.name, truth.style, light, bend, coverage, (height, width), f"{truth.rows}x{truth.cols}")
+        return CaseNote(
+            case.name, truth.style, _light_of(truth.meta), bend, coverage, (height, width), f"{truth.rows}x{truth.cols}"
+        )
     shard, k = case.source
     record = shard.record(k)
     light, style = record.get("light", {}), record.get("style", UNKNOWN)
@@ -36,6 +39,13 @@ def note_of(case: Case) -> CaseNote:
         bend = _bend_deg(normal[np.isfinite(normal).all(axis=-1)])
     grid = f"{record['rows']}x{record['cols']}" if {"rows", "cols"} <= set(record) else ""
     return CaseNote(case.name, style, known, bend, coverage, (height, width), grid)
+
+
+def _light_of(meta: Mapping[str, Any]) -> str:
+    """What lights a photo of another renderer, by what that tells of it."""
+    if "back" in meta.get("light", {}) or meta.get("through", 0) > 0:
+        return "light box"
+    return "room and lamps" if meta.get("lamps") else "room"
 
 
 def _coverage(outline: Float[np.ndarray, "n 2"], size: tuple[int, int]) -> float:
