@@ -46,7 +46,7 @@ class Billboard:
 def sample_onlookers(rng: np.random.Generator) -> tuple[Billboard, ...]:
     """A phone, its camera near one of its ends, and mostly a person behind it, farthest first."""
     upright = rng.random() < 0.5
-    half = PHONE_HALF_MM if upright else PHONE_HALF_MM[::-1]
+    half = PHONE_HALF_MM if upright else (PHONE_HALF_MM[1], PHONE_HALF_MM[0])
     off = [float(rng.choice([-1, 1]) * rng.uniform(0.4, 0.85) * side) for side in half]
     phone = Billboard("box", (off[0], off[1], 0.0), half, _grey(rng, 0.02, 0.15))
     if rng.random() >= PERSON_SHARE:
