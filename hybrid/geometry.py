@@ -193,16 +193,14 @@ def shape_of(
     sides: Callable[[], Sequence[Inversion]],
     config: RectifyConfig,
     clock: Clock,
-    told: BackwardMap | None = None,
 ) -> Refinement:
     """The exact map of the film and its grid, by the shortest way that it allows.
 
     coarse: the network's map of one side. phases: what it tells of the cells. reader: reads the film's edges. sides:
-    gives the maps of all sides, that one's last; called where they are needed. told: a map whose corners are the
-    sheet's, if a person gave them.
+    gives the maps of all sides, that one's last; called where they are needed.
     """
     with clock.stage("edges") as report:
-        read = read_edges(pyramid, coarse, reader, config.edges, told)
+        read = read_edges(pyramid, coarse, reader, config.edges)
         on_edges = partial(put_on_edges, read=read, config=config.edges)
         start = on_edges(coarse)
         report.reason = f"{len(read.sightings)} of 4 edges read, up to {read.off:.1%} of the film beside the network's"
@@ -229,7 +227,7 @@ def shape_of(
         assert isinstance(mean, Inversion)  # as ``one`` is
         return [evened(on_edges(side.backward)) for side in ([mean, *further] if further else [])]
 
-    return _exact(pyramid, start, phases, read, reader, others, config, clock, told)
+    return _exact(pyramid, start, phases, read, reader, others, config, clock)
 
 
 def _exact(
@@ -241,7 +239,6 @@ def _exact(
     others: Callable[[], Sequence[BackwardMap]],
     config: RectifyConfig,
     clock: Clock,
-    told: BackwardMap | None,
 ) -> Refinement:
     """The network's map made exact by what is seen of the film; where the effort says so and it is not sure then, other
     maps too, those of the other sides and the mean of all."""
@@ -249,7 +246,7 @@ def _exact(
     first = exactly(coarse)
     clock.reports += first.stages
     with clock.stage("reread") as report:
-        first = reread(pyramid, phases, first, reader, config, report, told)
+        first = reread(pyramid, phases, first, reader, config, report)
     with clock.stage("again") as report:
         expected = np.inf if first.expected_px is None else first.expected_px / max(first.backward.mean_film_pixels())
         report.ran = bool(expected > config.again_above)
@@ -274,12 +271,11 @@ def reread(
     reader: EdgeReader,
     config: RectifyConfig,
     report: Report,
-    told: BackwardMap | None = None,
 ) -> Refinement:
     """A refinement whose edges are read where it puts them, or one more from where they are read through its map, if
     they are more surely there then."""
     options = config.edges
-    read = look_across(pyramid, first.backward, reader, options, told)
+    read = look_across(pyramid, first.backward, reader, options)
     least = float(read.support.min())
     first = replace(first, support=read.support)
     report.ran = first.believed and least < options.doubtful and read.off > options.beside

@@ -204,7 +204,7 @@ class Rectifier:
             return RectifyResult(Status(code), clock.reports)
         sides = partial(see_from_sides, self._network, seen, self.config, clock)
         phases = CellPhases.of(maps) if self.config.told_cells else None
-        refinement = shape_of(pyramid, inversion.backward, phases, self._edges, sides, self.config, clock, told)
+        refinement = shape_of(pyramid, inversion.backward, phases, self._edges, sides, self.config, clock)
         flat = flat_itself(pyramid, inversion.backward, phases, refinement, self.config, clock)
         refinement = flat or refinement
         clock.counts(refinement)

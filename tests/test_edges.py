@@ -107,20 +107,6 @@ def test_an_edge_behind_a_hand_is_not_shown():
     assert not shown[:, COLUMNS // 2 + 2 :].any()
 
 
-# ---------------------------------------------------------------- corners that a person gave
-
-
-def test_of_two_edges_the_one_between_given_corners_is_read():
-    """A frame around the sheet has the steeper edges; the corners tell which are the sheet's."""
-    frame, film = sheet_photo(black=60, ground=180)
-    frame[70:-70, 70:-70] = 115  # a step of 65, the sheet's own is of 55: 0.06 of the film further in
-    frame[100:-100, 100:-100] = 60
-    outer = moved_edges(film, 0.06)
-    for told, sheet in ((None, outer), (moved_edges(film, 0.005), film)):
-        put = put_on_edges(film, read_edges(Pyramid(frame), film, STEPS, CONFIG, told), CONFIG)
-        assert np.abs(put.resized((9, 9)).nodes - sheet.resized((9, 9)).nodes).max() < 3.0
-
-
 # ---------------------------------------------------------------- paths
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from hybrid.backward import BackwardMap
-from hybrid.coords import film_centres_1d, film_nodes
+from hybrid.coords import film_centres_1d
 from hybrid.pyramid import Pyramid
 from hybrid.rectify.curves import best_paths
 from hybrid.rectify.outline import edge_sightings
@@ -36,9 +36,7 @@ class EdgeConfig:
     network's likeliest place, in rows. min_columns: of a side that counts. far: parts of the film by which edges
     lie beside those predicted where they are looked at once more. doubtful, beside, surer: refinement is done once
     more if it puts an edge where it is read with less than this probability, and one is read this far beside it, in
-    parts of the film; that counts if it raises the probability by so much. told: standard deviations of an edge from
-    the line between corners that a person gave, at these and midway, in parts of the film: sheets bend. spline: of the
-    displacement.
+    parts of the film; that counts if it raises the probability by so much. spline: of the displacement.
     """
 
     floor: float = -9.0
@@ -52,7 +50,6 @@ class EdgeConfig:
     doubtful: float = 0.8
     beside: float = 0.0015
     surer: float = 0.03
-    told: tuple[float, float] = (0.01, 0.02)
     spline: SplineConfig = field(default_factory=SplineConfig)
 
 
@@ -110,15 +107,12 @@ class EdgesRead:
         return carried(self.sightings, self.through, film)
 
 
-def read_edges(
-    pyramid: Pyramid, film: BackwardMap, reader: EdgeReader, config: EdgeConfig, told: BackwardMap | None = None
-) -> EdgesRead:
-    """What is read across the edges of a map; where that is far beside them, once more across those it says. told: a
-    map whose corners are the sheet's, if a person gave them."""
-    read = look_across(pyramid, film, reader, config, told)
+def read_edges(pyramid: Pyramid, film: BackwardMap, reader: EdgeReader, config: EdgeConfig) -> EdgesRead:
+    """What is read across the edges of a map; where that is far beside them, once more across those it says."""
+    read = look_across(pyramid, film, reader, config)
     if read.off <= config.far:
         return read
-    return replace(look_across(pyramid, put_on_edges(film, read, config), reader, config, told), off=read.off)
+    return replace(look_across(pyramid, put_on_edges(film, read, config), reader, config), off=read.off)
 
 
 def put_on_edges(film: BackwardMap, read: EdgesRead, config: EdgeConfig) -> BackwardMap:
@@ -130,13 +124,10 @@ def put_on_edges(film: BackwardMap, read: EdgesRead, config: EdgeConfig) -> Back
     return film if moved.folds((17, 17)) else moved
 
 
-def look_across(
-    pyramid: Pyramid, film: BackwardMap, reader: EdgeReader, config: EdgeConfig, told: BackwardMap | None = None
-) -> EdgesRead:
-    """What is read across the edges of a map, once. told: as in ``read_edges``."""
+def look_across(pyramid: Pyramid, film: BackwardMap, reader: EdgeReader, config: EdgeConfig) -> EdgesRead:
+    """What is read across the edges of a map, once."""
     logs, inside = _logs_across(pyramid, film, reader)
-    likely = logs if told is None else logs + _between_corners(film, told, logs.shape, reader.strip, config)
-    sightings = path_sightings(read_paths(likely, config), reader.strip, config)
+    sightings = path_sightings(read_paths(logs, config), reader.strip, config)
     off = max((float(np.median(np.abs(s.offsets()))) for s in sightings), default=0.0)
     return EdgesRead(film, tuple(sightings), off, _support(logs, inside))
 
@@ -153,24 +144,6 @@ def _logs_across(
     photo, on_copy = strip_copy(pyramid, film, reader.strip)
     images, inside = edge_strips(photo, on_copy, reader.strip)
     return reader.logs(images, inside), inside
-
-
-def _between_corners(
-    film: BackwardMap, told: BackwardMap, shape: tuple[int, ...], strip: StripConfig, config: EdgeConfig
-) -> Float[np.ndarray, "4 r1 c"]:
-    """By how much what is read far beside the lines between given corners is less likely: logarithms. shape: of what is
-    read."""
-    ends = film_nodes((2, 2)).reshape(-1, 2)
-    corners = film.film_near(told.photo_from_film(ends), ends, iterations=4, most_step=0.1)
-    along = film_centres_1d(shape[2])
-    at_end, midway = config.told
-    sigma = at_end + (midway - at_end) * 4 * along * (1 - along)
-    less = np.zeros(shape)
-    for k, side in enumerate(SIDES):
-        depth = side.inward * (corners[:, side.axis] - side.edge)[ends[:, side.axis] == side.edge]
-        line = np.interp(along, [0.0, 1.0], depth)
-        less[k, :-1] = -0.5 * np.square((strip.depth[:, None] - line) / sigma)
-    return less
 
 
 def _support(logs: Float[np.ndarray, "4 r1 c"], inside: Bool[np.ndarray, "4 r c2"]) -> Float[np.ndarray, " 4"]:
