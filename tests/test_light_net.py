@@ -117,13 +117,17 @@ def test_pixels_that_do_not_count_do_not_count() -> None:
 
 def test_the_levels_of_a_film_explain_its_photos(places: list[LitPlace]) -> None:
     """Photo = black + (white - black) * print in linear light, but for tone curve, blur, noise and coding."""
+    counted = 0
     for place in places:
         view = light_view(place, PX, np.random.default_rng(0), UNDISTURBED)
         table = grey_table()
         grey = sum(table[view.image[..., k], k] for k in range(3))
         told = view.black + (view.white - view.black) * linear_from_srgb(view.flat)
         free = view.white < 0.9
-        assert np.abs(srgb_from_linear(grey) - srgb_from_linear(told))[free].mean() < 0.04
+        if free.any():  # a photo may be clipped all over
+            counted += 1
+            assert np.abs(srgb_from_linear(grey) - srgb_from_linear(told))[free].mean() < 0.04
+    assert counted >= 2
 
 
 def test_another_print_lies_in_the_same_light_exactly(places: list[LitPlace]) -> None:

@@ -51,7 +51,7 @@ def camera(eye=(100.0, -50.0, -700.0), size: int = 256) -> Camera:
 
 def scene(material: Material, light: Light = LIGHT, view: Camera | None = None) -> Scene:
     drawn = sample_scene(bent(), (256, 256), np.random.default_rng(0), SceneConfig())
-    return replace(drawn, camera=view or camera(), material=material, light=light, shadows=())
+    return replace(drawn, camera=view or camera(), material=material, light=light, shadows=(), onlookers=())
 
 
 def radiance(light: FilmLight, grey: float = 1.0) -> np.ndarray:
@@ -132,7 +132,7 @@ def test_wide_reflections_lie_where_they_are(roughness: float, n: int):
     some = slice(1, None, max(n // 24, 1))
     expected = wide_reflection(seen.part(some, some), room, room_from_film(LIGHT), surface)
     expected *= surface.reflected(seen.part(some, some).cosine) * np.float32(LIGHT.front)
-    found = reflection(seen, LIGHT, room, surface)[some, some]
+    found = reflection(seen, scene(LOBES["all"]), room, surface)[some, some]
     assert np.abs(found / expected - 1).mean() < 0.02
 
 
