@@ -161,7 +161,7 @@ def _decode_with_pillow(path: Path) -> UInt8[np.ndarray, "h w 3"]:
         with _pillow_limits(), path.open("rb") as file, Image.open(file) as image:
             _check_size(image.height, image.width, path)
             tags = getattr(image, "tag_v2", {})
-            if (tags.get(PLANES), tags.get(COMPRESSION)) == (2, 1) and 16 in tags.get(BITS, ()):
+            if (tags.get(PLANES), tags.get(COMPRESSION)) == (2, 1) and 16 in tags.get(BITS, ())[1:]:
                 do = "Save it with the colours of each pixel together, or with 8 bits."
                 raise PhotoError(describe(what="The TIFF has 16 bits and a plane for each colour", where=path, do=do))
             image.load()

@@ -6,6 +6,7 @@ import hashlib
 import io
 import json
 import os
+import re
 import tempfile
 import time
 import traceback
@@ -175,6 +176,8 @@ PICTURES = (
     *FOLDERS,
 )
 """What is written beside NAME.json, by what follows NAME."""
+_NUMBERED = re.compile(r"\d{2,}\.(png|dcm)|film\.dcm")
+"""Names of the files in the folders among them."""
 UNFINISHED = "UNFINISHED"
 """Status of a result whose files are still being written, or never were."""
 FUSED_SUFFIX = "_fused"
@@ -245,9 +248,9 @@ def _files_in(record: dict[str, Any]) -> list[str]:
 
 def _files_of(out: Path, name: str) -> list[str]:
     """All files there that are called as those of a result of that name, relative to the folder."""
-    found = [out / f"{name}{suffix}" for suffix in PICTURES]
-    files = [file for at in found for file in (at.iterdir() if at.is_dir() else [at]) if file.is_file()]
-    return [file.relative_to(out).as_posix() for file in files]
+    at = [out / f"{name}{suffix}" for suffix in PICTURES]
+    numbered = [file for folder in at if folder.is_dir() for file in folder.iterdir() if _NUMBERED.fullmatch(file.name)]
+    return [file.relative_to(out).as_posix() for file in (*at, *numbered) if file.is_file()]
 
 
 def _json_bytes(record: dict[str, Any]) -> bytes:
@@ -346,9 +349,12 @@ def save_result(
         dicom: whether film and slices are written as DICOM, too (``hybrid.dicom``).
 
     Raises:
-        PhotoError: the photo cannot be read. ConfigError: nothing can be written there.
+        PhotoError: the photo cannot be read. ConfigError: nothing can be written there, or photos are missing.
     """
     paths, folder = [Path(one) for one in ([path] if isinstance(path, (str, os.PathLike)) else path)], Path(out)
+    if result.photo >= len(paths):
+        got, do = f"{len(paths)} of its photos", "Name all that were fused, in their order."
+        raise ConfigError(describe(what="A fused film", got=got, allowed=f"{result.photo + 1} or more", do=do))
     photo = read_photo(paths[result.photo])
     make_folder(folder, "the argument out")
     return write_result(folder, paths, photo, result, rectified_format, dicom=dicom)

@@ -221,6 +221,8 @@ def test_a_result_is_saved_from_python_as_the_command_writes_it(photo: Path, tmp
     fused = hybrid.save_result([photo, black_photo(tmp_path)], StandIn()(read_photo(photo)), saved)
     assert fused[-1] == saved / "film_fused.json"
     assert json.loads(fused[-1].read_text())["further_photos"] == ["black.png"]
+    with pytest.raises(ConfigError, match="A fused film: got 1 of its photos; allowed: 2 or more"):
+        hybrid.save_result(photo, replace(StandIn()(read_photo(photo)), photo=1), saved)
     told = hybrid.save_result(black_photo(tmp_path), RectifyResult(Status(StatusCode.NO_FILM)), saved)
     assert told == (saved / "black.json",)
     with pytest.raises(ConfigError, match="Nothing can be written there"):
@@ -404,9 +406,10 @@ def test_what_a_run_that_was_cut_off_left_is_removed_by_the_next(
         with pytest.raises(ZeroDivisionError):
             write_result(out, [photo], picture, StandIn(StandInConfig(rows=3))(picture), "png")
     assert (out / "film_slices" / "09.png").exists()
+    (out / "film_slices" / "notes.png").write_bytes(b"of somebody else")
     write_result(out, [photo], picture, StandIn()(picture), "jpg")
     assert {path.name for path in out.glob("film_rectified.*")} == {"film_rectified.jpg"}
-    assert len(list((out / "film_slices").iterdir())) == 6
+    assert {path.name for path in (out / "film_slices").iterdir()} == {*(f"0{k}.png" for k in range(1, 7)), "notes.png"}
 
 
 def test_fused_photos_are_others_if_one_of_them_is(photo: Path, tmp_path: Path) -> None:
