@@ -43,9 +43,8 @@ def note_of(case: Case) -> CaseNote:
 
 def _light_of(meta: Mapping[str, Any]) -> str:
     """What lights a photo of another renderer, by what that tells of it."""
-    if "back" in meta.get("light", {}) or meta.get("through", 0) > 0:
-        return "light box"
-    return "room and lamps" if meta.get("lamps") else "room"
+    behind = "back" in meta.get("light", {}) or meta.get("through", 0) > 0
+    return light_of({"box": behind, "lamps": meta.get("lamps")})
 
 
 def _coverage(outline: Float[np.ndarray, "n 2"], size: tuple[int, int]) -> float:

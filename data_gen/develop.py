@@ -25,6 +25,9 @@ _NOISE_BLUR = 0.6
 _LOCAL_PX = 96
 """Longer side of the picture on which local tone mapping is found."""
 
+NO_LOCAL_TONE = np.ones((1, 1), np.float32)
+"""Factors over the photo of a camera that does without."""
+
 _NOISE_STD = float(np.sqrt((256**2 - 1) / 24))
 """Standard deviation of the mean of two random bytes."""
 
@@ -86,7 +89,7 @@ def local_tone(linear: Float[np.ndarray, "h w 3"], lens: Lens) -> Float32[np.nda
     Phones do that to show a wide range of light at once: halos run along the edges between such parts.
     """
     if lens.local == 0.0:
-        return np.ones((1, 1), np.float32)
+        return NO_LOCAL_TONE
     height, width = linear.shape[:2]
     size = [max(round(n * _LOCAL_PX / max(height, width)), 2) for n in (width, height)]
     level = cv2.resize(linear, size, interpolation=cv2.INTER_AREA).mean(axis=-1)
@@ -100,7 +103,7 @@ def develop(
     lens: Lens,
     white: White,
     rng: np.random.Generator,
-    local: Float32[np.ndarray, "a b"] | None = None,
+    local: Float32[np.ndarray, "a b"] = NO_LOCAL_TONE,
 ) -> bytes:
     """JPEG bytes of a photo. local: as ``local_tone`` gives it."""
     size = linear.shape[:2]
@@ -108,7 +111,7 @@ def develop(
         _blurred(linear, lens, max(size) / REFERENCE_SIDE, rng), np.diag(_gains(lens, white)).astype(np.float32)
     )
     exposed = cv2.multiply(exposed, _in_each_channel(_vignette(lens, size)))
-    if local is not None and local.size > 1:
+    if local.size > 1:
         exposed = cv2.multiply(exposed, _in_each_channel(cv2.resize(local, size[::-1], interpolation=cv2.INTER_CUBIC)))
     variance = np.clip(exposed, 0, 1)
     variance *= np.float32(lens.noise * 0.3)

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from data_gen.composite import PrintLevels, at_photo_scale, composite, on_film, print_levels
-from data_gen.develop import develop, displayed, local_tone, vignetting
+from data_gen.develop import NO_LOCAL_TONE, develop, displayed, local_tone, vignetting
 from data_gen.patches import hidden_share, put_over
 from data_gen.prints import FilmPrint, PrintConfig, make_print
 from data_gen.rooms import FilteredEnvironment, prefilter
@@ -25,7 +25,7 @@ from hybrid.backward import BackwardMap
 from hybrid.coords import film_centres_1d, opencv_from_photo
 from hybrid.levels import LEAST_CONTRAST
 from hybrid.mesh.camera import Camera
-from hybrid.mesh.film import FilmMesh, film_mesh
+from hybrid.mesh.film import FilmMesh, base_lines, film_mesh
 from hybrid.mesh.raycast import FACET_MM, AnnotationMaps, FilmCaster, true_backward_map
 from hybrid.mesh.recipes import BendConfig, bend
 
@@ -220,7 +220,7 @@ def _glare(
 
 
 def on_sensor(
-    light: FilmLight, film: FilmMesh, scene: Scene, local: Float[np.ndarray, "a b"] | None = None
+    light: FilmLight, film: FilmMesh, scene: Scene, local: Float[np.ndarray, "a b"] = NO_LOCAL_TONE
 ) -> FilmLight:
     """The light of the film's points as the sensor tells it: less towards the photo's corners.
 
@@ -230,9 +230,8 @@ def on_sensor(
     place = scene.camera.photo_from_world(film.surface(u, v)) / np.array(scene.camera.size[::-1])
     place = cv2.resize(place.astype(np.float32), light.gain.shape[1::-1], interpolation=cv2.INTER_LINEAR)
     share = vignetting(place, scene.lens)
-    if local is not None:
-        x, y = np.moveaxis(opencv_from_photo(place * np.array(local.shape[::-1], np.float32)), -1, 0)
-        share = share * cv2.remap(local, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)[..., None]
+    x, y = np.moveaxis(opencv_from_photo(place * np.array(local.shape[::-1], np.float32)), -1, 0)
+    share = share * cv2.remap(local, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)[..., None]
     return FilmLight(light.gain * share, light.veil * share)
 
 
@@ -264,6 +263,6 @@ def _uncovered(maps: AnnotationMaps, covered: Bool[np.ndarray, "h w"]) -> Annota
 def sheet_of(film_print: FilmPrint) -> FilmMesh:
     """The flat mesh of a print: its grid corners are vertices, subdivided as far as the simulation affords."""
     grid_u, grid_v = film_print.vertices[0, :, 0], film_print.vertices[:, 0, 1]
-    intervals = max(len(at) - 1 + int(at[0] > 1e-6) + int(at[-1] < 1 - 1e-6) for at in (grid_u, grid_v))
+    intervals = max(len(base_lines(grid_u)), len(base_lines(grid_v))) - 1
     levels = max(1, int(np.log2(max(SIMULATION_VERTICES / intervals, 2.0))))
     return film_mesh(film_print.size_mm, grid_u, grid_v, levels)

@@ -318,7 +318,8 @@ def write_result(
         files.append(out / f"{name}_side_by_side.jpg")
         write_rgb(files[-1], side_by_side([annotated(photo, result), rgb_from_film(result.film)]))
         if dicom:
-            files += _write_dicom(out / f"{name}{DICOM_SUFFIX}", paths[result.photo], photo.shape, result)
+            digest = [about["photo_sha256"], *about.get("further_photos_sha256", [])][result.photo]
+            files += _write_dicom(out / f"{name}{DICOM_SUFFIX}", paths[result.photo], digest, photo.shape, result)
     of = {"map_of": paths[result.photo].name} if len(paths) > 1 else {}
     record = {"hybrid_version": __version__, **(made or {}), **about, **of, **result_record(photo.shape[:2], result)}
     record["files"] = [file.relative_to(out).as_posix() for file in files]
@@ -371,13 +372,13 @@ def write_slices(folder: Path, result: RectifyResult) -> list[Path]:
     return files
 
 
-def _write_dicom(folder: Path, path: Path, size: tuple[int, ...], result: RectifyResult) -> list[Path]:
-    """Write the film as film.dcm and the slices as 01.dcm and so on. path, size: of the photo."""
+def _write_dicom(folder: Path, path: Path, digest: str, size: tuple[int, ...], result: RectifyResult) -> list[Path]:
+    """Write the film as film.dcm and the slices as 01.dcm and so on. path, digest, size: of the photo."""
     from hybrid.dicom import PhotoFile, secondary_captures  # with pydicom, which few need
 
     folder.mkdir(exist_ok=True)
     files = []
-    for number, capture in enumerate(secondary_captures(result, PhotoFile.of(path, photo_digest(path), *size[:2]))):
+    for number, capture in enumerate(secondary_captures(result, PhotoFile.of(path, digest, *size[:2]))):
         files.append(folder / (f"{number:02d}.dcm" if number else "film.dcm"))
         data = io.BytesIO()
         capture.save_as(data, enforce_file_format=True)

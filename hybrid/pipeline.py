@@ -31,7 +31,7 @@ from hybrid.learn.weights import (
     packaged_upright_net,
 )
 from hybrid.levels import LevelReader
-from hybrid.pyramid import Pyramid
+from hybrid.pyramid import Photo, Pyramid
 from hybrid.records import CoarseMaps, RectifyResult, SliceGrid, Status, StatusCode
 from hybrid.rectify.cell_phases import CellPhases
 from hybrid.rectify.corners import Corners, film_at
@@ -39,10 +39,10 @@ from hybrid.rectify.cover import covered_parts
 from hybrid.rectify.deilluminate import Deillumination, deilluminate
 from hybrid.rectify.film_size import bounded_size, film_size
 from hybrid.rectify.fuse import fuse
-from hybrid.rectify.invert import Inversion, NotInverted, agreed
+from hybrid.rectify.invert import Inversion, agreed
 from hybrid.rectify.refine import Refinement
 from hybrid.rectify.resample import Rectified, rectify_photo
-from hybrid.rectify.survey import Verdict, survey_photo
+from hybrid.rectify.survey import survey_photo
 from hybrid.rectify.trust import expected_error_px, largest_error_px
 from hybrid.strips import EdgeReader
 from hybrid.threads import one_thread
@@ -141,9 +141,7 @@ class Rectifier:
         assert before.covered is not None
         clock = Clock()
         with one_thread():
-            with clock.stage("read") as report:
-                pyramid = Pyramid(as_photo(source))
-                report.reason = f"{pyramid.photo.shape[1]} x {pyramid.photo.shape[0]} pixels"
+            pyramid = Pyramid(_photo_of(source, clock))
             with clock.stage("resample") as report:
                 size = (before.film.shape[0], before.film.shape[1])
                 flat = rectify_photo(pyramid, edit.backward, size, self.config.resample)
@@ -182,26 +180,23 @@ class Rectifier:
     def _rectified(self, source: str | Path | np.ndarray, corners: Corners | None) -> RectifyResult:
         """All stages, one after the other, until one says that there is no film."""
         clock = Clock()
-        with clock.stage("read") as report:
-            photo = as_photo(source)
-            report.reason = f"{photo.shape[1]} x {photo.shape[0]} pixels"
+        photo = _photo_of(source, clock)
         with clock.stage("survey") as report:
             shown = survey_photo(photo, self.config.survey)
             report.reason = shown.reason
         if not shown.ok:
             return RectifyResult(Status(shown.code), clock.reports)
         pyramid = Pyramid(photo)
-        told = None if corners is None else film_at(corners, (photo.shape[0], photo.shape[1]))
-        if told is None:
+        if corners is None:
             seen = see(self._network, pyramid, self.config, clock)
             seen, verdict = checked(self._network, pyramid, seen, self.config, clock)
+            if not verdict.ok:
+                return RectifyResult(Status(verdict.code), clock.reports)
         else:
+            told = film_at(corners, (photo.shape[0], photo.shape[1]))
             seen = see_at(self._network, pyramid, told, self.config, clock)
-            verdict = Verdict(StatusCode.OK, "")
         maps, inversion = seen.maps, seen.inversion
-        if not verdict.ok or isinstance(inversion, NotInverted):
-            code = StatusCode.NO_FILM if verdict.ok else verdict.code
-            return RectifyResult(Status(code), clock.reports)
+        assert isinstance(inversion, Inversion)  # else there is no film
         sides = partial(see_from_sides, self._network, seen, self.config, clock)
         phases = CellPhases.of(maps) if self.config.told_cells else None
         refinement = shape_of(pyramid, inversion.backward, phases, self._edges, sides, self.config, clock)
@@ -212,7 +207,7 @@ class Rectifier:
             self._network, self._edges, pyramid, seen, refinement, flat is not None, self.config, clock
         )
         if verdict.code is StatusCode.NO_FILM:
-            if told is None:
+            if corners is None:
                 return RectifyResult(Status(verdict.code), clock.reports)
             verdict = replace(verdict, code=StatusCode.UNSURE)
         result = self._finish(pyramid, maps, refinement, flat is not None, clock)
@@ -286,6 +281,14 @@ class Rectifier:
         way, said = upright_way(chances, config)
         report.reason = f"{said} ({read})"
         return way, float(chances[way.index])
+
+
+def _photo_of(source: str | Path | np.ndarray, clock: Clock) -> Photo:
+    """The photo, as a stage."""
+    with clock.stage("read") as report:
+        photo = as_photo(source)
+        report.reason = f"{photo.shape[1]} x {photo.shape[0]} pixels"
+    return photo
 
 
 @lru_cache(maxsize=3)

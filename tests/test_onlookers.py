@@ -71,7 +71,8 @@ def test_local_tone_mapping_makes_dark_parts_brighter_beside_bright_ones():
     assert factor[40, 4] / factor[40, -4] == pytest.approx(50**0.4, rel=0.05)
     assert local_tone(linear, PLAIN).size == 1
     plain, toned = (
-        np.frombuffer(develop(linear, lens, 1.0, np.random.default_rng(0), local), np.uint8) for local in (None, factor)
+        np.frombuffer(develop(linear, lens, 1.0, np.random.default_rng(0), local), np.uint8)
+        for local in (local_tone(linear, PLAIN), factor)
     )
     assert plain.tobytes() != toned.tobytes()
 

@@ -109,17 +109,14 @@ class Plan:
             ("coarse_px", coarse_px, 32),
             ("seed", config.seed, 0),
             ("steps_per_test", config.steps_per_test, 1),
+            ("weight_decay", config.weight_decay, 0),
         ):
-            if value is not None and value < least:
+            if value is not None and not least <= value < math.inf:
                 allowed, do = f">= {least}", "Choose another."
                 raise ConfigError(describe(what=_flag(name), got=value, allowed=allowed, do=do))
         for name, number in (("learning_rate", config.learning_rate), ("width", config.width)):
             if number is not None and not 0 < number < math.inf:
                 raise ConfigError(describe(what=_flag(name), got=number, allowed="> 0", do="Choose another."))
-        if not 0 <= config.weight_decay < math.inf:
-            raise ConfigError(
-                describe(what="--weight-decay", got=config.weight_decay, allowed=">= 0", do="Choose another.")
-            )
         for name, share in (("ema", config.ema), ("coarse_share", config.coarse_share)):
             if not 0 <= share < 1:
                 raise ConfigError(

@@ -141,7 +141,7 @@ def film_mesh(
         raise ConfigError(
             describe(what="film mesh", got=(size_mm, levels), allowed="size > 0, levels >= 0", do="Check both.")
         )
-    u_base, v_base = _base_lines(grid_u, "grid_u"), _base_lines(grid_v, "grid_v")
+    u_base, v_base = base_lines(grid_u, "grid_u"), base_lines(grid_v, "grid_v")
     uv = _subdivided_uv(u_base, v_base, levels)
     u_lines, v_lines = np.unique(uv[:, 0]), np.unique(uv[:, 1])
     if min(len(u_lines), len(v_lines)) < MIN_NODES:
@@ -158,7 +158,7 @@ def film_mesh(
     return FilmMesh(u_lines, v_lines, vertices, size_mm, rows, columns)
 
 
-def _base_lines(grid: np.ndarray, name: str) -> np.ndarray:
+def base_lines(grid: np.ndarray, name: str = "grid") -> np.ndarray:
     """The sheet's edges and the grid's lines along one axis, each once."""
     if len(grid) < 2 or grid[0] < 0 or grid[-1] > 1 or np.any(np.diff(grid) <= 0):
         raise ConfigError(describe(what=name, got=grid, allowed="increasing values in [0, 1]", do="Sort the lines."))

@@ -30,13 +30,12 @@ def film_at(corners: Corners, size: tuple[int, int]) -> BackwardMap:
         ConfigError: these are not the corners of a sheet that the photo shows.
     """
     points = _around(_points(corners), size)
-    top_left, top_right, bottom_right, bottom_left = points - points.mean(axis=0)
-    unit = float(np.abs(points - points.mean(axis=0)).max())
-    ends = np.array([top_left, top_right, bottom_left, bottom_right]) / unit
+    middle = points.mean(axis=0)
+    unit = float(np.abs(points - middle).max())
+    top_left, top_right, bottom_right, bottom_left = (points - middle) / unit
+    ends = np.array([top_left, top_right, bottom_left, bottom_right])
     homography = fit_homography(film_nodes((2, 2)).reshape(-1, 2), ends, np.ones(4))
-    nodes = film_nodes((33, 33))
-    plane = apply_homography(homography, nodes.reshape(-1, 2)).reshape(nodes.shape)
-    return film_as_seen(BackwardMap(plane * unit + points.mean(axis=0)))
+    return film_as_seen(BackwardMap.from_function(lambda uv: apply_homography(homography, uv) * unit + middle))
 
 
 def put_on_corners(film: BackwardMap, told: BackwardMap) -> BackwardMap:
