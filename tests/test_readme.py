@@ -9,8 +9,7 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text()
-GUIDE = (ROOT / "docs" / "how_it_works.md").read_text()
-TRAINING = (ROOT / "docs" / "training.md").read_text()
+PAGES = ["README.md", "CHANGELOG.md", *sorted(f"docs/{page.name}" for page in (ROOT / "docs").glob("*.md"))]
 PYTHON_BLOCKS = re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL)
 
 
@@ -43,31 +42,37 @@ def test_python_blocks_run(block: str, monkeypatch: pytest.MonkeyPatch) -> None:
     assert names["film"] is not None, "the example photo gives a film"
 
 
-@pytest.mark.parametrize("text", [README, GUIDE, TRAINING], ids=["README.md", "how_it_works.md", "training.md"])
-def test_commands_exist(text: str) -> None:
+@pytest.mark.parametrize("page", PAGES)
+def test_commands_exist(page: str) -> None:
+    text = (ROOT / page).read_text()
     targets = set(re.findall(r"^([a-z]+):", (ROOT / "Makefile").read_text(), flags=re.MULTILINE))
     assert set(re.findall(r"\bmake (demo|test|setup|lint|types|clean)\b", text)) <= targets
     for module in re.findall(r"python -m ([\w.]+)", text):
         assert (ROOT / Path(*module.split("."))).with_suffix(".py").exists(), f"python -m {module}"
 
 
-PAGES = ["README.md", "CHANGELOG.md"]
-PAGES += [f"docs/{name}.md" for name in ("benchmarks", "conventions", "how_it_works", "training")]
+def anchors(page: Path) -> set[str]:
+    """What the headings of a page are called in links."""
+    headings = re.findall(r"^#+ (.+)$", page.read_text(), flags=re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
 
 
 @pytest.mark.parametrize("page", PAGES)
 def test_links_lead_somewhere(page: str) -> None:
     path = ROOT / page
-    for link in re.findall(r"\]\(([^)#]+)[^)]*\)", path.read_text()):
+    for link, anchor in re.findall(r"\]\(\s*([^)#\s]*)(?:#([^)\s]+))?\s*\)", path.read_text()):
         if link.startswith("http"):
             continue
         if link == "docs/images/example.jpg" and not (ROOT / link).exists():
             pytest.skip("docs/images/example.jpg has not been made yet")
-        assert (path.parent / link).exists(), link
+        to = path.parent / link if link else path
+        assert to.exists(), link
+        assert not anchor or anchor in anchors(to), f"{link}#{anchor}"
 
 
-def test_code_named_in_the_guide_exists() -> None:
-    for name in re.findall(r"`((?:rectify|learn)/\w+\.py|\w+\.py)`", GUIDE + TRAINING):
+@pytest.mark.parametrize("page", PAGES)
+def test_code_that_is_named_exists(page: str) -> None:
+    for name in re.findall(r"`((?:rectify|learn)/\w+\.py|\w+\.py)`", (ROOT / page).read_text()):
         places = [ROOT / "hybrid" / name, ROOT / "data_gen" / name]
         assert any(place.exists() for place in places), name
 
