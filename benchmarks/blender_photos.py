@@ -66,7 +66,7 @@ class Job:
     the furthest at which the simulation ends.
     roughness: of the surface. through: share of the light that is let through.
     room: file of the environment, or "" for ``room_colour``. room_turn: its Euler angles in rad.
-    lamps: discs of ``size`` that shine to the film's middle. desk: a plane behind the film, if any.
+    lamps: discs of ``size`` that shine to the film's middle. desk: a plane ``behind`` the film's middle, if any.
     focal: in parts of the photo's side. tilt, tilt_to, roll: degrees off the normal, to where, and about the axis.
     fill: share of the photo's side that the film takes. off_centre: in parts of what is free then.
     tone: Blender's view transform. brightness: of the photo's mean radiance. quality: of the JPEG.
@@ -170,10 +170,10 @@ def _lamps(rng: np.random.Generator, behind: bool, room: bool) -> tuple[dict[str
 
 
 def _desk(rng: np.random.Generator) -> dict[str, Any]:
-    """A plane just behind the film, mottled in two colours."""
+    """A plane behind the film, as far from its middle as this says or further, mottled in two colours."""
     base = rng.uniform(0.02, 0.7) * rng.uniform(0.6, 1, 3)
     return {
-        "at": (0.0, 0.0, -float(rng.uniform(0.5, 1.2))),
+        "behind": float(rng.uniform(0.5, 1.2)),
         "scale": float(rng.uniform(1, 20)),
         "roughness": float(rng.uniform(0.2, 0.9)),
         "colours": [base.tolist(), (base * rng.uniform(0.3, 1.2, 3)).clip(0, 1).tolist()],

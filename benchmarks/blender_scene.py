@@ -20,6 +20,9 @@ from mathutils import Matrix, Vector  # pyright: ignore[reportMissingImports]
 FINE = 3
 """Levels by which the simulated quads are subdivided smoothly (Catmull-Clark)."""
 
+CLEARANCE = 0.02
+"""Least distance between the film and the desk, where a flat film is about 2 long."""
+
 LAST_FRAME = 80
 METERING_PX = 96
 
@@ -78,6 +81,7 @@ def bend(film: Any, job: dict[str, Any]) -> dict[str, float]:
         if angle >= job["max_angle"]:
             break
     film.modifiers.clear()
+    points -= points.mean(axis=0)  # lamps and desk stand about the origin, from which what pushes a sheet may drive it
     film.data.vertices.foreach_set("co", points.astype(np.float32).ravel())
     field.type = "NONE"
     scene.frame_set(1)
@@ -169,8 +173,8 @@ def material(film: Any, job: dict[str, Any]) -> None:
     film.data.materials.append(made)
 
 
-def light(job: dict[str, Any], normal: Vector) -> None:
-    """The room, lamps, and what stands behind the film."""
+def light(job: dict[str, Any], lattice: np.ndarray, normal: np.ndarray) -> None:
+    """The room, lamps, and what stands behind the film: no part of ``lattice`` sinks into it."""
     world = bpy.data.worlds.new("world")
     bpy.context.scene.world = world
     world.use_nodes = True
@@ -204,9 +208,10 @@ def light(job: dict[str, Any], normal: Vector) -> None:
         links.new(noise.outputs[0], ramp.inputs[0])
         links.new(ramp.outputs["Color"], nodes["Principled BSDF"].inputs["Base Color"])
         nodes["Principled BSDF"].inputs["Roughness"].default_value = job["desk"]["roughness"]
-        bpy.ops.mesh.primitive_plane_add(size=12, location=job["desk"]["at"])
+        behind = max(job["desk"]["behind"], CLEARANCE - (lattice @ normal).min())
+        bpy.ops.mesh.primitive_plane_add(size=12, location=-behind * normal)
         plane = bpy.context.active_object
-        plane.rotation_euler = normal.to_track_quat("Z", "Y").to_euler()
+        plane.rotation_euler = Vector(normal).to_track_quat("Z", "Y").to_euler()
         plane.data.materials.append(desk)
 
 
@@ -278,7 +283,7 @@ def photograph(job: dict[str, Any]) -> None:
     lattice = lattice_of(film, (job["cuts"] + 1) * 2**FINE)
     eye, axes, f_px = camera_for(lattice, job)
     material(film, job)
-    light(job, Vector(axes[:, 2]))
+    light(job, lattice, axes[:, 2])
     scene.render.engine = "CYCLES"
     scene.cycles.device, scene.cycles.use_denoising, scene.cycles.denoiser = "CPU", True, "OPENIMAGEDENOISE"
     scene.cycles.max_bounces, scene.cycles.adaptive_threshold = 4, 0.03
