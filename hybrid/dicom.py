@@ -21,8 +21,8 @@ from hybrid import __version__
 from hybrid.image_io import levels_16
 from hybrid.records import RectifyResult
 
-LOSSY = {".jpg": "ISO_10918_1", ".jpeg": "ISO_10918_1", ".heic": "ISO_23008_2", ".heif": "ISO_23008_2"}
-"""How photos are compressed with loss, by the ends of their names, in DICOM's terms (PS3.3 C.7.6.1.1.5.1)."""
+JPEG, HEVC, WEBP = "ISO_10918_1", "ISO_23008_2", "RFC_9649"
+"""How photos are compressed with loss, in DICOM's terms (PS3.3 C.7.6.1.1.5.1), and WebP, for which it has none."""
 
 NOT_DIAGNOSTIC = "Made of a photo of a film. Not for diagnosis: greys are not Hounsfield units, geometry is the film's."
 
@@ -42,7 +42,25 @@ class PhotoFile:
     @staticmethod
     def of(path: Path, digest: str, height: int, width: int) -> PhotoFile:
         """Of an RGB photo of that size."""
-        return PhotoFile(digest, 3 * height * width / path.stat().st_size, LOSSY.get(path.suffix.lower()))
+        data = path.read_bytes()
+        return PhotoFile(digest, 3 * height * width / len(data), lossy_method(data))
+
+
+def lossy_method(data: bytes) -> str | None:
+    """How a picture's file is compressed with loss, by what it holds; None where that is not known to lose anything."""
+    if data.startswith(b"\xff\xd8\xff"):
+        return JPEG
+    if data[4:8] == b"ftyp":
+        brands = data[8 : int.from_bytes(data[:4], "big")]
+        return HEVC if any(brand in brands for brand in (b"heic", b"heix", b"hevc", b"heim")) else None
+    if data[:4] == b"RIFF" and data[8:12] == b"WEBP":
+        at = 12
+        while at + 8 <= len(data):  # from chunk to chunk: "VP8 " loses, "VP8L" does not
+            if data[at : at + 4] == b"VP8 ":
+                return WEBP
+            size = int.from_bytes(data[at + 4 : at + 8], "little")
+            at += 8 + size + size % 2
+    return None
 
 
 def secondary_captures(result: RectifyResult, photo: PhotoFile) -> Iterator[Dataset]:

@@ -10,6 +10,7 @@ from jaxtyping import Float, UInt8
 
 from hybrid.backward import BackwardMap
 from hybrid.coords import opencv_from_photo, rescale_points
+from hybrid.pyramid import Pyramid
 from hybrid.records import RectifyResult, SliceGrid
 
 Picture = UInt8[np.ndarray, "_ _ 3"]
@@ -70,7 +71,8 @@ def annotated(photo: Picture, result: RectifyResult, longer_px: int = 1080) -> P
     """
     scale = min(1.0, longer_px / max(photo.shape[:2]))
     size = (max(1, round(photo.shape[0] * scale)), max(1, round(photo.shape[1] * scale)))
-    picture = resized(photo, size)
+    copy, _ = Pyramid(photo).reduced(1 / scale)  # halving is what OpenCV does quickest
+    picture = resized(copy, size)
     if result.backward is None:
         return picture
     curves = [] if result.grid is None else grid_curves(result.grid, result.backward)

@@ -11,6 +11,9 @@ from jaxtyping import Bool, Float, UInt8
 from hybrid.backward import BackwardMap, spline_weights
 from hybrid.coords import opencv_from_photo
 
+MOST_SIDE = 32_766
+"""OpenCV's remap reads no picture of more pixels a side."""
+
 
 @dataclass(frozen=True, eq=False)
 class FilmView:
@@ -38,6 +41,18 @@ def _lattice_xy(
     return columns[..., 0] @ weights_u, columns[..., 1] @ weights_u
 
 
+def _reached(
+    photo: UInt8[np.ndarray, "H W *c"], x: Float[np.ndarray, "h w"], y: Float[np.ndarray, "h w"]
+) -> tuple[UInt8[np.ndarray, "ph pw *c"], Float[np.ndarray, "h w"], Float[np.ndarray, "h w"]]:
+    """The part of the photo that OpenCV's maps reach, and the maps into it."""
+    (left, right), (top, bottom) = (
+        (int(np.clip(np.floor(at.min()), 0, n - 1)), int(np.clip(np.ceil(at.max()) + 1, 1, n)))
+        for at, n in ((x, photo.shape[1]), (y, photo.shape[0]))
+    )
+    right, bottom = max(right, left + 1), max(bottom, top + 1)
+    return photo[top:bottom, left:right], x - np.float32(left), y - np.float32(top)
+
+
 def view_film(
     photo: UInt8[np.ndarray, "H W *c"],
     backward: BackwardMap,
@@ -47,6 +62,8 @@ def view_film(
     """The photo (grey or RGB) at the film points (u[j], v[i]), bilinear."""
     # The nodes' weights add up to 1: what is converted at the nodes is converted everywhere.
     x, y = _lattice_xy(opencv_from_photo(backward.nodes), u, v)
+    if max(photo.shape[:2]) > MOST_SIDE:
+        photo, x, y = _reached(photo, x, y)
     image = cv2.remap(photo, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     low, right, bottom = opencv_from_photo(np.array([0.0, photo.shape[1], photo.shape[0]])).tolist()
     if min(x.min(), y.min()) >= low and x.max() <= right and y.max() <= bottom:  # nearly always, and quicker to tell

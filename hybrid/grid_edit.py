@@ -16,6 +16,9 @@ from hybrid.rectify.tps import fit_tps
 
 NEAR = 0.02
 """Corners of the sheet that lie nearer to a corner of a cell than this (film units) go along with it."""
+CORRECTIONS = 4
+"""Splines that are added up, each of what the ones before leave: of ten by ten cells a corner that is moved by 30
+pixels lies 1.2 beside its place after one, a hundredth after three."""
 
 
 @dataclass(frozen=True)
@@ -114,8 +117,11 @@ class GridEdit:
         ends = film_nodes((2, 2)).reshape(-1, 2)
         free = np.linalg.norm(ends[:, None] - uv[None], axis=-1).min(axis=1) > NEAR
         at, by = np.vstack([uv, ends[free]]), np.vstack([apart, np.zeros((int(free.sum()), 2))])
-        nodes = film_nodes((film.nodes.shape[0], film.nodes.shape[1]))
-        return BackwardMap(film.nodes + fit_tps(at, by)(nodes))
+        nodes, left, edited = film_nodes((film.nodes.shape[0], film.nodes.shape[1])), by, film
+        for _ in range(CORRECTIONS):  # a map holds what the spline is at its nodes: in between it is off a little
+            edited = BackwardMap(edited.nodes + fit_tps(at, left)(nodes))
+            left = by - (edited.photo_from_film(at) - film.photo_from_film(at))
+        return edited
 
 
 __all__ = ["GridEdit", "Move"]

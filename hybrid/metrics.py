@@ -65,7 +65,8 @@ def ms_ssim(a: Image, b: Image) -> float:
         similarity, contrast_structure = _similarity(x, y)
         coarsest = level == len(MS_SSIM_WEIGHTS) - 1
         product *= np.maximum(similarity if coarsest else contrast_structure, 0.0) ** weight
-        x, y = _halved(x), _halved(y)
+        if not coarsest:
+            x, y = _halved(x), _halved(y)
     return float(product.mean())
 
 

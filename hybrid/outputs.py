@@ -23,7 +23,7 @@ from tqdm import tqdm
 from hybrid import __version__
 from hybrid.draw import annotated, rgb_from_film, side_by_side
 from hybrid.errors import ConfigError, HybridError, describe
-from hybrid.image_io import read_photo, write_bytes, write_film, write_rgb
+from hybrid.image_io import read_photo, write_bytes, write_film, write_grey, write_rgb
 from hybrid.records import RectifyResult, StageReport
 from hybrid.workers import shared_out
 
@@ -310,7 +310,7 @@ def write_result(
         files += write_slices(out / f"{name}{SLICES_SUFFIX}", result)
     if result.confidence is not None:
         files.append(out / f"{name}_confidence.png")
-        write_rgb(files[-1], rgb_from_film(result.confidence))
+        write_grey(files[-1], result.confidence)
     if result.rectified is not None:
         files.append(out / f"{name}_rectified.{rectified_format}")
         write_rgb(files[-1], result.rectified)

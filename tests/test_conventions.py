@@ -248,3 +248,18 @@ def test_convention_bilinear_lookup_is_in_the_photo_frame_and_exact():
     np.testing.assert_allclose(coords.sample_bilinear(image, xy), expected, atol=1e-4)
     mixed = np.where(rng.random((30, 20, 1)) < 0.5, xy, 0.0)
     np.testing.assert_allclose(coords.sample_bilinear(image, mixed)[..., :2], np.maximum(mixed, 0.5), atol=1e-4)
+
+
+def test_pixels_inside_an_outline_are_those_whose_centres_are():
+    rng = np.random.default_rng(1)
+    square = np.array([[2.0, 3.0], [8.0, 3.0], [8.0, 9.0], [2.0, 9.0]])
+    assert coords.inside_outline(square, (20, 24)).sum() == 36
+    for _ in range(50):
+        turn, size = rng.uniform(0, np.pi), rng.uniform(10, 24)
+        ways = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
+        middle = rng.uniform(18, 30, 2)
+        outline = middle + (np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]]) * size / 2) @ ways
+        off = np.abs((coords.pixel_centres((48, 48)) - middle) @ ways.T).max(axis=-1) - size / 2
+        drawn = coords.inside_outline(outline, (48, 48))
+        assert drawn[off < -0.12].all()
+        assert not drawn[off > 0.12].any()

@@ -20,9 +20,9 @@ from hybrid.errors import FusionError
 from hybrid.levels import LevelReader, Levels
 from hybrid.metrics import psnr_after_gain_offset
 from hybrid.pipeline import Rectifier
-from hybrid.records import RectifyResult, SliceGrid, Status, StatusCode
+from hybrid.records import RectifyResult, Signs, SliceGrid, Status, StatusCode
 from hybrid.rectify.fuse import FuseConfig, fuse, phase_shift, register
-from hybrid.rectify.merge import MergeConfig, merge
+from hybrid.rectify.merge import MergeConfig, _blurred, merge
 from hybrid.rectify.resample import rectify_photo
 
 SIZE = (600, 480)
@@ -152,13 +152,15 @@ def unsure(shown: tuple[np.ndarray, RectifyResult]) -> tuple[np.ndarray, Rectify
 
 def test_an_unsure_map_does_not_move_a_sure_one():
     sure, other = seen(SPOTS[0], 0, error_px=0.5), unsure(seen(SPOTS[1], 1, error_px=8.0))
-    sure = sure[0], replace(sure[1], expected_error_px=0.5)
+    signs = Signs(*[0.5] * 6, True, True, 4, 400.0, 600, 0.001, *[0.9] * 7)
+    sure = sure[0], replace(sure[1], expected_error_px=0.5, signs=signs)
     for shown in ((sure, other), (other, sure)):
         result = fused(*shown)
         assert map_error_px(result) < 1.5
         assert result.status.ok
         assert result.expected_error_px == pytest.approx(0.5, rel=0.02)  # in pixels of the first photo
         assert ("itself unsure" in result.stages[-1].reason) == (shown[0] is sure)
+        assert result.signs is sure[1].signs  # what speaks for the status that is given
     result = fused(other, unsure(sure))
     assert result.status.code is StatusCode.UNSURE
     assert result.expected_error_px == pytest.approx(9.0, rel=0.02)
@@ -190,6 +192,15 @@ def test_the_picture_of_a_fused_film_is_what_its_map_reads():
     result = fused(*shown)
     assert result.backward is not None
     np.testing.assert_array_equal(result.rectified, rectify_photo(shown[0][0], result.backward, SIZE).image)
+
+
+@pytest.mark.parametrize("width", [1016, 1018, 1019])
+def test_a_wide_blur_of_any_size_stays_in_place(width: int):
+    """It is made at a quarter of the size, of which not every width has a whole number of pixels."""
+    step = np.zeros((200, width), np.float32)
+    step[:, width - 100 :] = 1
+    exact = cv2.GaussianBlur(step, (0, 0), 12.0)
+    np.testing.assert_allclose(_blurred(step, 12.0), exact, atol=0.02)
 
 
 @pytest.mark.parametrize("size", [(64, 64), (75, 80), (80, 74), (74, 77)])

@@ -70,6 +70,13 @@ def test_every_stage_reports(result):
     assert all(stage.reason and stage.seconds >= 0 for stage in result.stages)
 
 
+def test_the_shortcut_takes_corners_however_often_it_is_called(photo, result):
+    """From the second call on the package of that name answers."""
+    corners = result.backward.nodes[[0, 0, -1, -1], [0, -1, -1, 0]]
+    for _ in range(2):
+        assert hybrid.rectify(photo, corners=corners).backward is not None
+
+
 def test_efforts_differ_in_what_runs(photo, result):
     """Fast refines the network's map of one side and fits no sheet; thorough refines again what is not sure."""
     fast = hybrid.rectify(photo, effort="fast")

@@ -5,8 +5,10 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pillow_heif
 import pydicom
 import pytest
+from PIL import Image
 from pydicom.dataset import Dataset
 from test_cli import StandIn
 
@@ -62,6 +64,27 @@ def test_they_say_what_they_are_and_invent_nothing(result: RectifyResult):
 
 def test_a_photo_without_loss_is_not_called_compressed(result: RectifyResult):
     assert all("LossyImageCompression" not in it for it in captures(result, replace(FILE, method=None)))
+
+
+@pytest.mark.parametrize(
+    ("kind", "options", "method"),
+    [
+        ("JPEG", {}, "ISO_10918_1"),
+        ("HEIF", {}, "ISO_23008_2"),
+        ("WEBP", {"quality": 80}, "RFC_9649"),
+        ("WEBP", {"quality": 80, "icc_profile": b"none"}, "RFC_9649"),  # the picture is not the first chunk
+        ("WEBP", {"lossless": True}, None),
+        ("PNG", {}, None),
+        ("TIFF", {}, None),
+    ],
+)
+def test_loss_is_told_by_what_a_file_holds_not_by_its_name(kind, options, method, tmp_path: Path):
+    pillow_heif.register_heif_opener()
+    photo = tmp_path / "photo.jfif"
+    Image.fromarray(np.random.default_rng(0).integers(0, 255, (64, 64, 3), np.uint8)).save(photo, kind, **options)
+    told = PhotoFile.of(photo, "0" * 64, 64, 64)
+    assert told.method == method
+    assert told.ratio == pytest.approx(3 * 64 * 64 / photo.stat().st_size)
 
 
 def test_identifiers_follow_from_what_they_are_of(result: RectifyResult):

@@ -11,9 +11,9 @@ from typing import Any
 
 
 class _CallableRoom(ModuleType):
-    def __call__(self, photo: Any, effort: str = "default") -> Any:
+    def __call__(self, *args: Any, **kwargs: Any) -> Any:
         """Rectify one photo; see ``hybrid.pipeline.rectify``."""
-        return importlib.import_module("hybrid.pipeline").rectify(photo, effort)
+        return importlib.import_module("hybrid.pipeline").rectify(*args, **kwargs)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Another process, as of a pool, imports the room by its name."""

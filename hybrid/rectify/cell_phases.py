@@ -130,8 +130,9 @@ class AxisPhases:
 
     def agreement(self, first: Float[np.ndarray, " c"], pitch: Float[np.ndarray, " c"]) -> Float[np.ndarray, " c"]:
         """How well grids of these pitches agree with the phases: 1 at most, 0 by chance."""
-        turns = np.exp(-2j * np.pi * (MIDDLES - first[:, None]) / pitch[:, None])
-        return np.real(turns @ self.turns)
+        pitches, which = np.unique(pitch, return_inverse=True)  # few, of many grids
+        told = np.exp(-2j * np.pi * MIDDLES / pitches[:, None]) @ self.turns
+        return np.real(np.exp(2j * np.pi * first / pitch) * told[which])
 
     def ends(self, first: Float[np.ndarray, " c"], last: Float[np.ndarray, " c"]) -> Float[np.ndarray, " c"]:
         """Mean logarithm, over the film, of the probability of what is told if grids reach from first to last."""

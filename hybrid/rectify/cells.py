@@ -40,8 +40,8 @@ class Weights:
     grid's middle is from the film's, in tenths of the film. wide: the wider margin, in tenths. least: print in the
     emptiest row of cells, beside the mean. cells: the logarithm of their number. beyond: by how much the grid is larger
     than the film, in fiftieths. phase, ends: how well it agrees with what the network tells (cell_phases.py).
-    oblong: of both axes together: weights of the logarithm of the ratio of a cell's sides, each with the value from
-    which on it counts no more.
+    oblong: of both axes together, of the logarithm of the ratio of a cell's sides: pairs of a value from which on it
+    counts no more, and a weight.
     """
 
     line: float = 5.53

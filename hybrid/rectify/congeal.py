@@ -138,12 +138,12 @@ def _shifted_cells(
     tall, wide = (np.diff(e) for e in edges)
     across, down = np.arange(edges[1][-1]), np.arange(edges[0][-1])
     x = (shift[..., 0].repeat(wide, axis=2) + (corners[:, 0, None, None] + across)).astype(np.float32)
-    y = shift[..., 1].repeat(tall, axis=1) + (corners[:, 1, None, None] + down[:, None])
-    y = y.astype(np.float32).repeat(wide, axis=2)
-    x = x.repeat(tall, axis=1)
-    n, ch, cw = x.shape
-    flat = (x.reshape(n * ch, cw), y.reshape(n * ch, cw))
-    return cv2.remap(image, *flat, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE).reshape(n, ch, cw)
+    y = (shift[..., 1].repeat(tall, axis=1) + (corners[:, 1, None, None] + down[:, None])).astype(np.float32)
+    cells = np.empty((len(shift), len(down), len(across)), image.dtype)
+    for cell, at_x, at_y in zip(cells, x, y, strict=True):  # one by one: the maps of a cell stay in the cache
+        maps = at_x.repeat(tall, axis=0), at_y.repeat(wide, axis=1)
+        cv2.remap(image, *maps, cv2.INTER_LINEAR, dst=cell, borderMode=cv2.BORDER_REPLICATE)
+    return cells
 
 
 def block_shifts(cells: Float[np.ndarray, "n ch cw"], blur_px: float, config: CongealConfig) -> _Shifts:
@@ -153,26 +153,36 @@ def block_shifts(cells: Float[np.ndarray, "n ch cw"], blur_px: float, config: Co
     spread = np.hypot(spread, np.median(spread) + 1e-3)
     weight = 1.0 / spread**2
     edges = tuple(_block_edges(n, config.block_px) for n in template.shape)
+    blocks = tuple(_members(tuple(e.tolist()), template.dtype) for e in edges)
     gy, gx = np.gradient(template)
-    xx, xy, yy = (_block_sums(weight * product, edges) for product in (gx * gx, gx * gy, gy * gy))
+    xx, xy, yy = (_block_sums(weight * product, blocks) for product in (gx * gx, gx * gy, gy * gy))
     det = np.maximum(xx * yy - xy * xy, 1e-6 * (xx + yy) ** 2 + 1e-12)
-    both, own = _block_sums((weight * template) * cells, edges), _block_sums(weight * np.square(cells), edges)
-    energy = np.maximum(_block_sums(weight * template * template, edges), 1e-9)
+    # Cell by cell and in place: what is between stays in the cache.
+    between, weighted = np.empty_like(template), weight * template
+    both, own, bx, by = (np.empty((len(cells), *xx.shape), template.dtype) for _ in range(4))
+    for k, cell in enumerate(cells):
+        both[k] = _block_sums(np.multiply(weighted, cell, out=between), blocks)
+        np.multiply(cell, cell, out=between)
+        own[k] = _block_sums(np.multiply(between, weight, out=between), blocks)
+    energy = np.maximum(_block_sums(weight * template * template, blocks), 1e-9)
     gain = both / energy
     bounded = np.clip(gain, config.min_gain, 1.0 / config.min_gain)
-    per_pixel = bounded.repeat(np.diff(edges[0]), axis=1).repeat(np.diff(edges[1]), axis=2)
     # A shift within reach makes differences too: only what is beyond both is cut.
     bound = config.clip * spread + blur_px * np.hypot(gx, gy)
-    difference = cells / per_pixel
-    difference -= template
-    np.minimum(difference, bound, out=difference)
-    np.maximum(difference, -bound, out=difference)
-    bx, by = (_block_sums((weight * gradient) * difference, edges) for gradient in (gx, gy))
+    tall, wide = (np.diff(e) for e in edges)
+    least, along_x, along_y, difference = -bound, weight * gx, weight * gy, np.empty_like(template)
+    for k, cell in enumerate(cells):
+        np.divide(cell, bounded[k].repeat(wide, axis=1).repeat(tall, axis=0), out=difference)
+        difference -= template
+        np.minimum(difference, bound, out=difference)
+        np.maximum(difference, least, out=difference)
+        bx[k] = _block_sums(np.multiply(along_x, difference, out=between), blocks)
+        by[k] = _block_sums(np.multiply(along_y, difference, out=between), blocks)
     shift = np.stack([xy * by - yy * bx, xy * bx - xx * by], axis=-1) / det[..., None]
     sigma = np.sqrt(config.correlated_px * np.stack([yy, xx], axis=-1) / det[..., None])
     good = (gain > config.min_gain) & (both > config.min_correlation * np.sqrt(energy * np.maximum(own, 1e-9)))
     good &= np.abs(shift).max(axis=-1) < config.reach * blur_px
-    at = _block_centres(weight * (gx * gx + gy * gy), edges) / np.array(template.shape[::-1])
+    at = _block_centres(weight * (gx * gx + gy * gy), blocks) / np.array(template.shape[::-1])
     return _Shifts(shift, sigma / np.minimum(bounded, 1.0)[..., None], good, at)
 
 
@@ -243,10 +253,10 @@ def _block_edges(n: int, block_px: float) -> Int[np.ndarray, " k"]:
     return np.linspace(0, n, max(1, round(n / block_px)) + 1).astype(int)
 
 
-def _block_sums(values: np.ndarray, edges: tuple[np.ndarray, ...]) -> np.ndarray:
-    """Sums over the blocks of the last two axes: as products with what is 1 in a block and 0 elsewhere, which takes a
+def _block_sums(values: Float[np.ndarray, "h w"], blocks: tuple[np.ndarray, ...]) -> Float[np.ndarray, "by bx"]:
+    """Sums over blocks: as products with what is 1 in a block and 0 elsewhere (_members, of both axes), which takes a
     quarter of the time of ``np.add.reduceat``."""
-    down, across = (_members(tuple(e.tolist()), values.dtype) for e in edges)
+    down, across = blocks
     return down @ values @ across.T
 
 
@@ -256,11 +266,11 @@ def _members(edges: tuple[int, ...], dtype: np.dtype) -> Float[np.ndarray, "b n"
     return np.eye(len(edges) - 1, dtype=dtype).repeat(np.diff(edges), axis=1)
 
 
-def _block_centres(density: Float[np.ndarray, "ch cw"], edges: tuple[np.ndarray, ...]) -> Float[np.ndarray, "by bx 2"]:
+def _block_centres(density: Float[np.ndarray, "ch cw"], blocks: tuple[np.ndarray, ...]) -> Float[np.ndarray, "by bx 2"]:
     """Centre of mass (x, y) of each block."""
-    total = np.maximum(_block_sums(density, edges), 1e-12)
-    x = _block_sums(density * centres_1d(density.shape[1]), edges)
-    y = _block_sums(density * centres_1d(density.shape[0])[:, None], edges)
+    total = np.maximum(_block_sums(density, blocks), 1e-12)
+    x = _block_sums(density * centres_1d(density.shape[1]), blocks)
+    y = _block_sums(density * centres_1d(density.shape[0])[:, None], blocks)
     return np.stack([x, y], axis=-1) / total[..., None]
 
 

@@ -42,6 +42,9 @@ from hybrid.rectify.sightings import (
     no_displacement,
 )
 
+COUNTED_WHOLE_PX = 500
+"""Of views whose longer side has fewer pixels half would leave too little for cells to be counted (cells.py)."""
+
 
 @dataclass(frozen=True)
 class RefineConfig:
@@ -153,6 +156,12 @@ class Course:
     def half_view(self) -> FilmView:
         """The film through that map, at half the size."""
         return half_view(self.scene, self.film)
+
+    @property
+    def counted_view(self) -> FilmView:
+        """The view in which its cells are counted at the end: the one of half the size, unless too little is left."""
+        small = max(self.scene.film_size) < COUNTED_WHOLE_PX
+        return view_of(self.scene, self.film) if small else self.half_view
 
     @property
     def edges(self) -> int:

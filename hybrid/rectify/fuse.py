@@ -390,6 +390,7 @@ def fuse(
     return replace(
         base,
         status=asked[0].status,
+        signs=asked[0].signs,
         expected_error_px=float(np.mean(errors)) if errors else None,
         film=fused.film,
         rectified=flats[0].image,

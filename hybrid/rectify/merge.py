@@ -90,7 +90,8 @@ def _blurred(values: Film, sigma: float) -> Film:
     """A Gaussian blur, at a quarter of the size where it is wide enough for that not to matter."""
     if sigma < 8:
         return cv2.GaussianBlur(values, (0, 0), max(sigma, 0.5))
-    small = cv2.resize(values, None, fx=0.25, fy=0.25, interpolation=cv2.INTER_AREA)
+    quarter = (max(values.shape[1] // 4, 1), max(values.shape[0] // 4, 1))  # OpenCV scales by just 1 / 4 otherwise
+    small = cv2.resize(values, quarter, interpolation=cv2.INTER_AREA)
     blurred = cv2.GaussianBlur(small, (0, 0), sigma / 4)
     return cv2.resize(blurred, values.shape[::-1], interpolation=cv2.INTER_LINEAR)
 

@@ -123,7 +123,7 @@ def refine(
     aspect = None if course.sheet is None else float(np.exp(-course.sheet.sheet.log_aspect))
     told = phases_along(course.scene, course.film)
     seen_aspect = course.scene.aspect if aspect is None else aspect
-    reading = read_view(course.half_view, course.layout, told, seen_aspect, config)
+    reading = read_view(course.counted_view, course.layout, told, seen_aspect, config)
     share = _expected_share(course)
     grid = course.layout.slice_grid(reading, course.film, share if course.believed else np.inf)
     if grid is not None and is_bent and not changed:  # it was seen through a map that is not believed

@@ -136,9 +136,12 @@ def autocorrelation(band: Float[np.ndarray, "h w"]) -> Float[np.ndarray, " n"]:
     """Correlation of the image with itself shifted by 0, 1, ... w - 1 columns, over what overlaps."""
     w = band.shape[1]
     size = 2 * cv2.getOptimalDFTSize(w)
-    spectrum = np.fft.rfft(band, size, axis=1)
-    products = np.fft.irfft(np.sum(np.abs(spectrum) ** 2, axis=0), size)[:w]
-    energy = np.cumsum(np.sum(band**2, axis=0))
+    padded = cv2.copyMakeBorder(band, 0, 0, 0, size - w, cv2.BORDER_CONSTANT)
+    spectrum = cv2.dft(padded, flags=cv2.DFT_ROWS)  # real and imaginary parts by turns, but the first and the last
+    squares = cv2.reduce(cv2.multiply(spectrum, spectrum), 0, cv2.REDUCE_SUM, dtype=cv2.CV_64F)[0]
+    power = np.concatenate([squares[:1], squares[1:-1:2] + squares[2:-1:2], squares[-1:]])
+    products = np.fft.irfft(power, size)[:w]
+    energy = np.cumsum(cv2.reduce(cv2.multiply(band, band), 0, cv2.REDUCE_SUM, dtype=cv2.CV_64F)[0])
     # Energy of the first and of the last w - lag columns
     first, last = energy[::-1], energy[-1] - np.concatenate([[0.0], energy[:-1]])
     return products / np.sqrt(np.maximum(first * last, 1e-9))

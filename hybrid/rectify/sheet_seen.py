@@ -94,9 +94,8 @@ def slid(
     """What is seen, slid along its curves on a sheet. along: where to start from. near: whether the sheet is so near
     that what still disagrees tells how exact sightings are."""
     rows = np.arange(len(along))
-    known = np.clip(seen.known + seen.shared @ constants, -0.05, 1.05)
     place = np.empty((len(along), 2))
-    place[rows, seen.across] = np.clip(known, 0.0, 1.0)
+    place[rows, seen.across] = np.clip(seen.known + seen.shared @ constants, 0.0, 1.0)
     place[rows, 1 - seen.across] = along
     for _ in range(1 if near else 2):
         points, by_uv = surface(sheet, place)

@@ -269,15 +269,31 @@ def _solve_robust(system: _System, config: SplineConfig) -> tuple[np.ndarray, np
         precision = system.precision(scaled, config)
         right = system.rows.T @ (scaled * system.right)
         if step % 2 == 1 and len(candidates) > 1:
-            near = highest_near(near, [partial(_log_evidence, system, precision, right, c, config) for c in candidates])
+            near, solution = _likeliest(system, precision, right, near, config)
             stiffness = candidates[near]
-        solution, _ = _solve(system.stiffened(precision, stiffness), right)
+        else:
+            solution, _ = _solve(system.stiffened(precision, stiffness), right)
         residual = system.rows @ solution - system.right
         sigma = group_noise(system.sigma, system.group, residual)
         residual = residual / sigma
         noise = max(1.0, min(0.5 * noise, 1.5 * mad_sigma(residual)))
         weights = tukey_weights(residual / noise)
     return solution, weights, stiffness
+
+
+def _likeliest(
+    system: _System, precision: np.ndarray, right: np.ndarray, near: int, config: SplineConfig
+) -> tuple[int, Float[np.ndarray, " m"]]:
+    """Which of the candidates for the stiffness has most evidence, uphill from ``near``, and the unknowns with it."""
+    solutions: dict[int, Float[np.ndarray, " m"]] = {}
+
+    def evidence(number: int, stiffness: float) -> float:
+        solutions[number], found = _log_evidence(system, precision, right, stiffness, config)
+        return found
+
+    candidates = [partial(evidence, k, stiffness) for k, stiffness in enumerate(_geometric(*config.stiffness))]
+    near = highest_near(near, candidates)
+    return near, solutions[near]
 
 
 def highest_near(start: int, values: Sequence[Callable[[], float]]) -> int:
@@ -339,12 +355,13 @@ def _bending_eigenvalues(size: tuple[int, int]) -> np.ndarray:
 
 def _log_evidence(
     system: _System, precision: np.ndarray, right: np.ndarray, stiffness: float, config: SplineConfig
-) -> float:
-    """Log marginal likelihood of the stiffness, up to a constant (the noise is stated, so this is not scale-free)."""
+) -> tuple[Float[np.ndarray, " m"], float]:
+    """The unknowns with a stiffness, and its log marginal likelihood, up to a constant (the noise is stated, so this is
+    not scale-free)."""
     solution, log_det = _solve(system.stiffened(precision, stiffness), right)
     ridge = _ridge(len(system.lattice.nodes), config)
     log_prior = np.sum(np.log(stiffness * _bending_eigenvalues(config.lattice) + ridge))
-    return float(0.5 * (log_prior - log_det + right @ solution))
+    return solution, float(0.5 * (log_prior - log_det + right @ solution))
 
 
 __all__ = [

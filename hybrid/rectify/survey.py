@@ -39,7 +39,7 @@ class SurveyConfig:
     """Largest residual of that shape, as a part of the film's size in the photo."""
     min_coverage: float = 0.45
     """Least share of the sheet that is seen."""
-    min_overlap: float = 0.8
+    min_overlap: float = 0.825
     """Least intersection over union of the mask with the outline of the flattened film."""
     max_expected_error: float = 0.0145
     """Largest median of the errors that the network expects of film coordinates; of what is no film it is unsure."""

@@ -116,7 +116,7 @@ class TrustConfig:
     least_support: float = 0.2
     """Below that, what has no grid and is not corrected by anything that is seen on it is no film, but part of a room:
     of 1,110 films that were found in simulated photos that holds of one, which is 59 px off."""
-    min_overlap: float = 0.9
+    min_overlap: float = 0.925
     """Least intersection over union of what the network sees as film with the finished map's outline."""
     min_in_step: float = 0.88
     """Least agreement of the grid with what the network tells of the cells."""
