@@ -14,10 +14,10 @@ from jaxtyping import Float
 
 from data_gen.ground import NEAREST_MM, Ground, GroundLight
 from data_gen.lamps import Lamp
-from data_gen.lighting import Material, room_from_film
+from data_gen.lighting import room_from_film
 from data_gen.patches import blurred
 from data_gen.rooms import FilteredEnvironment, room_lights
-from data_gen.scene import Scene
+from data_gen.scene import Scene, passes
 from data_gen.shadows import Shadow, film_shadow
 from hybrid.coords import film_centres, film_nodes, node_centres_1d, opencv_from_photo
 from hybrid.mesh.camera import Camera
@@ -70,7 +70,7 @@ def lit_ground(
     """Radiance of white matt ground over the photo, with the shadows of the film and of what shadows it."""
     t = node_centres_1d(NODES)
     nodes = film.surface(t, t)
-    opaque = 1 - through(scene.material)
+    opaque = 1 - through(scene)
     casts = [room_casts(ground, nodes, scene, room, opaque)]
     casts += [[lamp_cast(lamp.placed(camera.centre_world), nodes, opaque)] for lamp in scene.light.lamps]
     total = np.zeros((*camera.size, 3), np.float32)
@@ -86,9 +86,14 @@ def lit_ground(
     return total
 
 
-def through(material: Material) -> float:
-    """Share of the light behind which the film's shadow is not dark, for a print of mean reflectance PRINT."""
-    return PRINT * (material.transmission + material.clear) + material.haze
+def through(scene: Scene) -> float:
+    """Share of the light by which the film's shadow is not dark, for a print of mean reflectance PRINT.
+
+    Where the ground is seen through the film, too, the film is given both passes of the print (``scene.passes``): so
+    far as it is, the shadow leaves out the first.
+    """
+    material = scene.material
+    return PRINT ** (2.0 - passes(scene)) * (material.transmission + material.clear) + material.haze
 
 
 def lamp_cast(lamp: Lamp, nodes: Float[np.ndarray, "k k 3"], depth: float) -> _Cast:

@@ -17,12 +17,12 @@ import tyro
 from jaxtyping import Float, UInt8
 
 from data_gen.composite import print_levels
-from data_gen.develop import REFERENCE_SIDE, develop, scattered
+from data_gen.develop import REFERENCE_SIDE, develop, local_tone, scattered
 from data_gen.manifest import deciding, describe_dataset, described_sources, sole_writer
 from data_gen.prints import make_print
 from data_gen.rooms import prefilter
 from data_gen.sample import SampleConfig, black_and_white, metered, on_sensor, scene_light, sheet_of
-from data_gen.scene import Scene, sample_scene
+from data_gen.scene import Scene, passes, sample_scene
 from data_gen.shade import FilmLight
 from data_gen.sources import SourceConfig, draw_environment, draw_volume
 from data_gen.work import check_open3d, source_names, start_worker, write_missing
@@ -92,7 +92,7 @@ def lit_film(seed: int, number: int, photos: int, sources: SourceConfig) -> LitF
         scene = sample_scene(film, _PHOTO_SIZE, rng, made_of.scene)
         light, around = scene_light(film, scene, room, float(np.median(reflectance)))
         light = on_sensor(light, film, scene)
-        lit.append(_photographed(light, around.behind, scene, reflectance, rng))
+        lit.append(_photographed(light, around.behind, scene, reflectance ** np.float32(passes(scene)), rng))
     shown, black, white = (np.stack(x) for x in zip(*lit, strict=True))
     return LitFilm(shown, _bytes(flat), black, white)
 
@@ -106,11 +106,12 @@ def _photographed(
     linear = gain * reflectance[..., None] + veil
     white = metered(light, np.concatenate([x[::4, ::4].reshape(-1, 3) for x in (linear, behind)]))
     even = replace(scene, lens=replace(scene.lens, vignette=0.0))  # the light has lost it already
-    code = np.frombuffer(develop(linear, even.lens, white, rng), np.uint8)
+    local = local_tone(linear, even.lens)  # of a photo that the film fills
+    code = np.frombuffer(develop(linear, even.lens, white, rng, local), np.uint8)
     photo = rgb_from_bgr(np.asarray(cv2.imdecode(code, cv2.IMREAD_COLOR), np.uint8))
     levels = (
         cv2.resize(linear_from_srgb(x) @ np.array(CHANNEL_SHARES), (LEVEL_PX,) * 2, interpolation=cv2.INTER_AREA)
-        for x in black_and_white(_with_bloom(gain, veil, linear, scene.lens.bloom), even, white)
+        for x in black_and_white(_brightened(_with_bloom(gain, veil, linear, scene.lens.bloom), local), even, white)
     )
     black, bright = (_bytes(srgb_from_linear(x)) for x in levels)
     return cv2.resize(photo, (FILM_PX,) * 2, interpolation=cv2.INTER_AREA), black, bright
@@ -125,6 +126,12 @@ def _with_bloom(
     return FilmLight(
         (1 - bloom) * gain, (1 - bloom) * veil + bloom * scattered(linear, max(linear.shape) / REFERENCE_SIDE)
     )
+
+
+def _brightened(light: FilmLight, local: Float[np.ndarray, "a b"]) -> FilmLight:
+    """The light with the factors of a local tone."""
+    factor = cv2.resize(local, light.gain.shape[1::-1], interpolation=cv2.INTER_CUBIC)[..., None]
+    return FilmLight(light.gain * factor, light.veil * factor)
 
 
 def _bytes(display: Float[np.ndarray, "n n"]) -> UInt8[np.ndarray, "n n"]:

@@ -73,17 +73,44 @@ def mirrored_onlookers(
 
     points, mirror: of the film, in the world. alpha: the lobe's half width. mean: light of the room.
     """
-    turn = camera.camera_from_world[:3, :3].T.astype(np.float32)
-    start, way = camera.camera_points(points).astype(np.float32), mirror @ turn
     seen = around.astype(np.float32)
     for one in onlookers:
-        ahead = (np.float32(one.centre_mm[2]) - start[..., 2]) / np.minimum(way[..., 2], np.float32(-1e-3))
-        x, y = (start[..., k] + ahead * way[..., k] for k in (0, 1))
-        soft = np.maximum(np.float32(2 * alpha) * ahead, 3)
-        share = np.clip(0.5 - one.outside_mm(x, y) / soft, 0, 1) * (way[..., 2] < 0)
         colour = (np.array(one.reflectance) * mean).astype(np.float32)
-        seen += share[..., None].astype(np.float32) * (colour - seen)
+        seen += _share(one, camera, points, mirror, alpha)[..., None] * (colour - seen)
     return seen
+
+
+def left_free(
+    onlookers: tuple[Billboard, ...],
+    camera: Camera,
+    points: Float[np.ndarray, "m n 3"],
+    mirror: Float[np.ndarray, "m n 3"],
+    alpha: float,
+    lamp_mm: Float[np.ndarray, "3"],
+) -> Float32[np.ndarray, "m n"]:
+    """Share of a lamp's reflection that nobody hides who stands between it and the film. lamp_mm: in the world."""
+    depth = float(camera.camera_points(lamp_mm[None])[0, 2])
+    free = np.ones(points.shape[:2], np.float32)
+    for one in onlookers:
+        if one.centre_mm[2] > depth:
+            free *= 1 - _share(one, camera, points, mirror, alpha)
+    return free
+
+
+def _share(
+    one: Billboard,
+    camera: Camera,
+    points: Float[np.ndarray, "m n 3"],
+    mirror: Float[np.ndarray, "m n 3"],
+    alpha: float,
+) -> Float32[np.ndarray, "m n"]:
+    """Over how much of what the film's points mirror a shape stands."""
+    start, way = camera.camera_points(points), mirror @ camera.camera_from_world[:3, :3].T
+    start, way = start.astype(np.float32), way.astype(np.float32)
+    ahead = (np.float32(one.centre_mm[2]) - start[..., 2]) / np.minimum(way[..., 2], np.float32(-1e-3))
+    x, y = (start[..., k] + ahead * way[..., k] for k in (0, 1))
+    soft = np.maximum(np.float32(2 * alpha) * ahead, 3)
+    return (np.clip(0.5 - one.outside_mm(x, y) / soft, 0, 1) * (way[..., 2] < 0)).astype(np.float32)
 
 
 def _grey(rng: np.random.Generator, low: float, high: float) -> Vector:

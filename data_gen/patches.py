@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -38,6 +38,11 @@ def put_over(picture: Float[np.ndarray, "h w 3"], patches: Iterable[Patch]) -> F
         free = (patch.shade * (1 - patch.cover))[..., None]
         out[patch.box] = out[patch.box] * free + patch.radiance * patch.cover[..., None]
     return out
+
+
+def shading_only(patch: Patch, over: Float[np.ndarray, "h w"]) -> Patch:
+    """The patch, which keeps light off what it leaves free only so far as that is ``over``, a share of each pixel."""
+    return replace(patch, shade=1 - (1 - patch.shade) * over[patch.box])
 
 
 def hidden_share(patches: Iterable[Patch], size: tuple[int, int]) -> Float[np.ndarray, "h w"]:

@@ -12,10 +12,11 @@ from jaxtyping import Bool, Float
 
 from data_gen.composite import PrintLevels, at_photo_scale, composite, on_film, print_levels
 from data_gen.develop import NO_LOCAL_TONE, develop, displayed, local_tone, vignetting
-from data_gen.patches import hidden_share, put_over
+from data_gen.ground_shadows import NEAR_MM
+from data_gen.patches import hidden_share, put_over, shading_only
 from data_gen.prints import FilmPrint, PrintConfig, make_print
 from data_gen.rooms import FilteredEnvironment, prefilter
-from data_gen.scene import Scene, SceneConfig, sample_scene
+from data_gen.scene import Scene, SceneConfig, passes, sample_scene
 from data_gen.shade import FilmLight, light_before, light_through, lit_film, room_behind
 from data_gen.sources import SourceConfig, draw_environment, draw_volume
 from data_gen.surroundings import Surroundings, surroundings
@@ -32,7 +33,6 @@ from hybrid.mesh.recipes import BendConfig, bend
 SIMULATION_VERTICES = 26
 """The sheet is subdivided as long as its longer side then has at most this many lattice intervals."""
 
-
 FACET_SIDE = 1000.0
 """Side of a photo, in pixels, for which facets of FACET_MM are made; for smaller photos they may be coarser."""
 
@@ -47,9 +47,6 @@ METERED_EVERY = 3
 
 COLOUR_TAKEN_OUT = 0.6
 """Power by which white balance follows the light's colour."""
-
-TOUCHING_MM = 15.0
-"""How far a clear film stands off its ground where the print's shadow on that no longer lies behind the print."""
 
 PLACES = (32, 32)
 """Film points whose place in the photo, and so their vignetting, is looked up; it varies slowly."""
@@ -128,7 +125,11 @@ def _photograph(
     reflectance = at_photo_scale(levels.reflectance, backward.mean_film_pixels()) ** np.float32(passes(scene))
     seen = caster.annotate(camera.resized(map_size))
     view = caster.view(camera, seen if camera.size == map_size else None)
-    linear = put_over(composite(view, reflectance, light, around.behind), around.before)
+    before, alone = around.before, np.zeros(camera.size, np.float32)
+    if not scene.light.box and (scene.backdrop.kind == "room" or scene.backdrop.gap_mm > NEAR_MM):
+        alone[view.box] = view.coverage
+        before = [shading_only(patch, alone) for patch in before]  # what is far behind is not shaded
+    linear = put_over(composite(view, reflectance, light, around.behind), before)
     white = metered(light, linear)
     local = local_tone(linear, scene.lens)
     photo = develop(linear, scene.lens, white, rng, local)
@@ -168,15 +169,6 @@ def scene_light(film: FilmMesh, scene: Scene, room: FilteredEnvironment, grey: f
     if not scene.light.box:
         light = light + light_through(lit, behind_film(lit, room, around.behind))
     return light, around
-
-
-def passes(scene: Scene) -> float:
-    """How often light passes the print: that of a table which a clear film touches came through it, too."""
-    material, ground = scene.material, scene.backdrop
-    if scene.light.box or ground.kind not in ("table", "wall"):
-        return 1.0
-    straight = material.clear / (material.clear + material.transmission + material.diffuse)
-    return 1.0 + straight * float(np.exp(-ground.gap_mm / TOUCHING_MM))
 
 
 def metered(light: FilmLight, linear: Float[np.ndarray, "*pixels 3"]) -> Float[np.ndarray, "3"]:

@@ -20,6 +20,9 @@ from hybrid.mesh.film import FilmMesh
 REACH_BEHIND_MM = 40.0
 """A hand needs so much room behind the film."""
 
+TOUCHING_MM = 15.0
+"""How far a clear film stands off its ground where the print's shadow on that no longer lies behind the print."""
+
 
 @dataclass(frozen=True)
 class SceneConfig:
@@ -65,3 +68,12 @@ def sample_scene(film: FilmMesh, size: tuple[int, int], rng: np.random.Generator
     shadows = sample_shadows(rng) if rng.random() < config.shadow_share else ()
     material, lens = sample_material(rng, clear_base=light.light_box or backdrop.kind != "dark"), sample_lens(rng)
     return Scene(camera, material, light, lens, backdrop, things, shadows, sample_onlookers(rng))
+
+
+def passes(scene: Scene) -> float:
+    """How often light passes the print: that of a table which a clear film touches came through it, too."""
+    material, ground = scene.material, scene.backdrop
+    if scene.light.box or ground.kind not in ("table", "wall"):
+        return 1.0
+    straight = material.clear / (material.clear + material.transmission + material.diffuse)
+    return 1.0 + straight * float(np.exp(-ground.gap_mm / TOUCHING_MM))

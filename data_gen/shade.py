@@ -31,6 +31,7 @@ from jaxtyping import Float
 from data_gen.gloss import Gloss, gloss
 from data_gen.lamps import Lamp, lamp_seen, surface_irradiance, vector_irradiance
 from data_gen.lighting import LightBox, Material, room_from_film
+from data_gen.onlookers import left_free
 from data_gen.reflections import lamp_highlight, reflection
 from data_gen.rooms import FilteredEnvironment, sample_environment, sample_irradiance
 from data_gen.scene import Scene
@@ -124,7 +125,11 @@ def light_before(lit: LitFilm, room: FilteredEnvironment) -> FilmLight:
     entering = lit.inside * entering_light(lit, lit.smooth.normals, room)
     veil = lit.matt(material.haze * entering) * lit.shadow + reflection(lit.fine, lit.scene, room, lit.surface)
     for lamp in lamps:
-        veil += lamp_highlight(lamp, lit.fine, lit.surface)[..., None] * np.array(lamp.radiance, np.float32)
+        shown = lamp_highlight(lamp, lit.fine, lit.surface)
+        if shown.any():
+            hidden = lit.scene.camera, lit.fine.points, lit.fine.mirror, lit.surface.alpha, np.array(lamp.centre_mm)
+            shown = shown * left_free(lit.scene.onlookers, *hidden)
+        veil += shown[..., None] * np.array(lamp.radiance, np.float32)
     base = np.array(material.tint, np.float32) ** 2  # once in, once out
     return FilmLight(lit.matt(material.diffuse * entering) * lit.shadow * base, veil)
 

@@ -106,8 +106,9 @@ BULB = Lamp("sphere", (-500.0, 0.0, -900.0), (0.0, 0.0, 1.0), (1.0, 0.0, 0.0), (
 
 
 def shadow_of(room, light, film=FILM, shadows=(), ground=None, **changes):
-    """Light on the ground over the light without anything upon it, the scene and its ground."""
-    photographed = replace(scene("table", 5, light, tilt=(0.0, 0.0), **changes), camera=OVERHEAD, shadows=shadows)
+    """Light on the ground below a milky film over the light without anything upon it, the scene and its ground."""
+    of = scene("table", 5, light, tilt=(0.0, 0.0), **changes)
+    photographed = replace(of, camera=OVERHEAD, shadows=shadows, material=replace(of.material, clear=0.0))
     ground = ground or ground_below(film, photographed.camera, photographed.backdrop)
     free = ground_light(ground, photographed.camera, photographed, room, SIZE)
     lit = lit_ground(ground, film, photographed.camera, photographed, room, free)
@@ -135,8 +136,16 @@ def test_a_bulb_throws_the_film_where_its_rays_go():
     row = np.array([[right - 25.0, 0.0, 40.0], [right + 25.0, 0.0, 40.0]])
     assert np.abs((row - ground.origin) @ ground.normal).max() < 1e-6
     inside, outside = (factor[int(y), int(x)] for x, y in photographed.camera.photo_from_world(row))
-    assert inside == pytest.approx(through(photographed.material), abs=0.02)
+    assert inside == pytest.approx(through(photographed), abs=0.02)
     assert outside == pytest.approx(1, abs=0.02)
+
+
+@pytest.mark.parametrize(("gap_mm", "least", "most"), [(0.2, 0.8, 0.92), (6.0, 0.35, 0.8), (200.0, 0.15, 0.25)])
+def test_a_clear_film_that_touches_its_ground_is_paid_for_once(gap_mm, least, most):
+    """Bare film on a table shows it as light that passed twice, and both passes are in what is made of the print."""
+    photographed = scene("table", 5, Light(1.0, 0.0, True), gap_mm=gap_mm)
+    material = replace(photographed.material, diffuse=0.0, transmission=0.0, clear=0.9, haze=0.0)
+    assert least < through(replace(photographed, material=material)) * 0.95 < most
 
 
 def test_a_shadows_rim_is_soft_where_the_sheet_is_lifted():

@@ -11,7 +11,7 @@ from hybrid.film_view import MOST_SIDE, view_film
 @pytest.mark.parametrize("wide", [False, True])
 @pytest.mark.parametrize("at", [0, MOST_SIDE, 2 * MOST_SIDE - 64])
 def test_photos_that_opencv_does_not_read_are_seen_all_the_same(at: int, wide: bool):
-    """A film of 64 pixels in a photo of more a side than OpenCV reads: the same as in that part of it, but that its place
+    """A film of 64 pixels in a photo of more a side than OpenCV reads: as in that part of it, but that its place there
     (float32) is known to a hundredth of a pixel only."""
     rng = np.random.default_rng(0)
     part = rng.integers(1, 255, (64, 64), np.uint8)

@@ -7,8 +7,11 @@ import numpy as np
 import pytest
 import torch
 from light_reader import READER
+from surroundings_case import scene
 
-from data_gen.lit_films import LitFilmsConfig, lit_film, lit_films
+from data_gen.develop import Lens
+from data_gen.lit_films import LitFilmsConfig, _photographed, lit_film, lit_films
+from data_gen.shade import FilmLight
 from data_gen.sources import SourceConfig
 from hybrid.coords import linear_from_srgb, linear_from_srgb_tensor, srgb_from_linear
 from hybrid.errors import ConfigError, DataError
@@ -197,6 +200,20 @@ def test_a_seed_gives_the_same_films_and_patterns() -> None:
     pattern, other = (drawn_pattern(PX, np.random.default_rng(k)) for k in (1, 2))
     np.testing.assert_array_equal(pattern, drawn_pattern(PX, np.random.default_rng(1)))
     assert not np.array_equal(pattern, other)
+
+
+@pytest.mark.parametrize("local", [0.0, 0.6])
+def test_levels_are_what_the_camera_shows_of_print_white(local: float) -> None:
+    """Also of one whose phone makes dark parts brighter: a white print is as bright as its level says everywhere."""
+    v = np.linspace(0.2, 1.0, 64, dtype=np.float32)[:, None, None]
+    light = FilmLight(np.broadcast_to(v, (64, 64, 3)).copy(), np.full((64, 64, 3), 0.05, np.float32))
+    lens = Lens(0.5, 0.0, 0.0, "srgb", 0.0, 0.0, local, 0.1, 0.0, 0.0, 0.0, 1e-4, 96)
+    of = replace(scene("room", 1), lens=lens)
+    photo, _, white = _photographed(light, light.gain, of, np.ones((96, 96), np.float32), np.random.default_rng(0))
+    shown = photo[::2, ::2].mean(axis=-1)
+    np.testing.assert_allclose(shown[2:-2], white[2:-2], atol=4)
+    contrast = float(shown[-4].mean() / shown[4].mean())
+    assert (contrast < 1.6) == (local > 0)
 
 
 def test_prints_that_are_held_out_are_in_no_view_that_is_trained_on(places: list[LitPlace]) -> None:

@@ -8,7 +8,7 @@ from test_develop import PLAIN
 
 from data_gen.develop import develop, local_tone, sample_lens
 from data_gen.lighting import BLUE_BASE, sample_material
-from data_gen.onlookers import Billboard, mirrored_onlookers, sample_onlookers
+from data_gen.onlookers import Billboard, left_free, mirrored_onlookers, sample_onlookers
 from hybrid.mesh.camera import Camera
 
 CAMERA = Camera(np.diag([1000.0, 1000.0, 1.0]), np.eye(4), (0.0, 0.0), (100, 100))
@@ -30,6 +30,17 @@ def test_a_flat_mirror_shows_the_phone_at_half_its_size():
     assert mirrored(PHONE, 17.0, 37.0) == pytest.approx(0.1)  # seen at (34, 74) of the phone's plane
     assert mirrored(PHONE, 23.0, 0.0) == pytest.approx(1.0)
     assert mirrored(PHONE, 0.0, 43.0) == pytest.approx(1.0)
+
+
+def test_lamps_behind_somebody_are_not_mirrored_and_those_before_are():
+    """The middle of a flat mirror 400 mm away shows the phone; what lies 40 mm beside it what is beside the phone."""
+    points = np.array([[[0.0, 0.0, 400.0], [40.0, 0.0, 400.0]]], np.float32)
+    view = -points / np.linalg.norm(points, axis=-1, keepdims=True)
+    mirror = (view * [-1, -1, 1]).astype(np.float32)
+    behind, before = np.array([0.0, 0.0, -900.0]), np.array([0.0, 0.0, 200.0])
+    np.testing.assert_allclose(left_free((PHONE,), CAMERA, points, mirror, 0.0, behind), [[0, 1]], atol=1e-6)
+    np.testing.assert_array_equal(left_free((PHONE,), CAMERA, points, mirror, 0.0, before), 1)
+    np.testing.assert_array_equal(left_free((), CAMERA, points, mirror, 0.0, behind), 1)
 
 
 def test_what_is_farther_away_looks_smaller_and_a_rough_film_blurs_it():

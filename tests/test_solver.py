@@ -300,6 +300,16 @@ def test_frames_are_within_the_angle():
         assert max(max_normal_angle(f.mesh) for f in frames) <= np.deg2rad(70)
 
 
+def test_a_sheet_that_bends_too_far_is_taken_from_before_it_does():
+    """Not as the flat sheet, which it was once."""
+    (_, early), (name, kept) = (
+        bend(sheet(), np.random.default_rng(5), BendConfig(frames=4, keep_from=k)) for k in (0, 4)
+    )
+    assert name != "flat"
+    assert len(kept) == 1
+    np.testing.assert_array_equal(kept[0].mesh.vertices, early[-1].mesh.vertices)
+
+
 # ---------------------------------------------------------------- refusals
 
 

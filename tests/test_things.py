@@ -14,7 +14,7 @@ from data_gen.hands import Hand, sample_hands, skin_reflectance
 from data_gen.lamps import Lamp
 from data_gen.lighting import Light
 from data_gen.lit_sphere import ball_normals, lit_sphere, look_up, with_lamps
-from data_gen.patches import Patch, blurred, hidden_share, put_over
+from data_gen.patches import Patch, blurred, hidden_share, put_over, shading_only
 from data_gen.rooms import prefilter, procedural_room
 from data_gen.scene import SceneConfig, sample_scene
 from data_gen.shadows import KINDS as SHADOWS
@@ -112,6 +112,17 @@ def test_full_cover_replaces_and_no_cover_keeps():
     assert (put_over(picture, [Patch(box, red, ones, ones, ones)])[box] == red).all()
     assert (put_over(picture, [Patch(box, red, 0 * ones, 0 * ones, ones)]) == picture).all()
     assert hidden_share([Patch(box, red, ones, 0 * ones, ones)], (8, 9)).max() == 0
+
+
+def test_what_is_far_behind_is_not_shaded_by_what_holds_the_film():
+    box = (slice(2, 5), slice(3, 7))
+    nothing = np.zeros((3, 4), np.float32)
+    patch = Patch(box, np.zeros((3, 4, 3), np.float32), nothing, nothing, nothing + np.float32(0.4))
+    picture, film = np.ones((8, 9, 3), np.float32), np.zeros((8, 9), np.float32)
+    film[:, :5] = 1
+    out = put_over(picture, [shading_only(patch, film)])
+    np.testing.assert_allclose(out[2:5, 3:5], 0.4)
+    np.testing.assert_array_equal(out[2:5, 5:7], 1)
 
 
 def test_a_wide_blur_is_that_of_the_full_picture():

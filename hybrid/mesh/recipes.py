@@ -38,7 +38,7 @@ _AWAY = np.array([0.0, 0.0, 1.0])
 class BendConfig:
     """How a film is bent.
 
-    frames: number of steps simulated. keep_from: first frame that may be used.
+    frames: number of steps simulated. keep_from: first frame that is used, if any from there on is fit for it.
     max_angle_deg: frames with a normal further than this from the mean normal are dropped (PAPER code: 70).
     soft_share: share of films that stretch like the published soft bodies; the others are PET.
     max_iterations, tolerance: Newton's (StepConfig); a frame for a picture needs no more.
@@ -69,7 +69,10 @@ def bend(film: FilmMesh, rng: np.random.Generator, config: BendConfig) -> tuple[
     soft = rng.random() < config.soft_share
     material = FilmMaterial(membrane_scale=float(10 ** rng.uniform(-4.5, -2.5)) if soft else 1.0)
     frames = simulate(RECIPES[name][1](mass_spring(film, material), rng), config)
-    kept = [f for f in frames[config.keep_from :] if max_normal_angle(f.mesh) <= np.deg2rad(config.max_angle_deg)]
+    fit = [max_normal_angle(frame.mesh) <= np.deg2rad(config.max_angle_deg) for frame in frames]
+    kept = [frame for k, frame in enumerate(frames) if fit[k] and k >= config.keep_from]
+    if not kept:  # it bends so far that only what comes before may be used: the last of that
+        kept = [frame for k, frame in enumerate(frames) if fit[k]][-1:]
     return name, kept or [at_rest(film)]
 
 
