@@ -19,7 +19,7 @@ FLASH_SHARE = 0.25
 """Share of those in which the phone's flash is one of them."""
 
 MIRRORED_SHARE = 0.85
-"""Share of lamps, flashes aside, that stand where some point of the film mirrors them."""
+"""Share of lamps, but flashes and what stands behind the film, that stand where some point of it mirrors them."""
 
 _FLASH_AT_MM = 500.0
 """Distance at which a flash gives the irradiance that was drawn for it."""
@@ -178,15 +178,24 @@ def sample_light(rng: np.random.Generator, light_box_share: float) -> Light:
 
 
 def some_mirrored(light: Light, film: FilmMesh, camera_mm: Vector3, rng: np.random.Generator) -> Light:
-    """The light with a share of its lamps turned about the film's middle to where the camera sees them in the film."""
+    """The light with a share of its lamps turned about the film's middle to where the camera sees them in the film.
+
+    Those that stand behind it stay there, as when a film is held up to a window.
+    """
     lamps = []
     for lamp in light.lamps:
-        if lamp.at_camera or rng.random() >= MIRRORED_SHARE:
+        if lamp.at_camera or _stands_behind(lamp, camera_mm) or rng.random() >= MIRRORED_SHARE:
             lamps.append(lamp)
             continue
         u, v = rng.uniform(0.15, 0.85, (2, 1))
         lamps.append(mirrored(lamp, film.surface(u, v)[0, 0], film.normals(u, v)[0, 0], camera_mm))
     return replace(light, lamps=tuple(lamps))
+
+
+def _stands_behind(lamp: Lamp, camera_mm: Vector3) -> bool:
+    """Whether a lamp is within 60 degrees of the way from the camera through the film's middle, the world's origin."""
+    centre = np.array(lamp.centre_mm)
+    return bool(centre @ camera_mm < -0.5 * np.linalg.norm(centre) * np.linalg.norm(camera_mm))
 
 
 def mirrored(lamp: Lamp, point: Vector3, normal: Vector3, camera_mm: Vector3) -> Lamp:

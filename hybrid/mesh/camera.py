@@ -48,7 +48,8 @@ class Camera:
         """Directions in camera axes with z = 1 of the rays through photo points, in the precision of the points.
 
         Distortion is undone by fixed-point iteration on the stretch alone, which depends on the distorted radius; each
-        round shrinks the error by about k1 r^2, a hundredfold. In single precision directions are good to 1e-4 px.
+        round shrinks the error by about k1 r^2, a hundredfold. In single precision directions are good to 1e-4 px, at
+        the corners of the widest views to 0.015 px.
         """
         kind = np.result_type(photo, np.float32)
         inverse = np.linalg.inv(self.intrinsics[:2, :2]).astype(kind)
