@@ -72,7 +72,7 @@ class RectifyConfig:
                 refine=RefineConfig(matched=False, sheet_rounds=0),
                 resample=ResampleConfig(cubic_below=0.0),
                 # without a sheet 3.6 times the error is left
-                trust=TrustConfig(limit_px=10.0, error=ErrorConfig(constant=1.37)),
+                trust=TrustConfig(limit_px=10.0, error=ErrorConfig(constant=1.56)),
             ),
             "default": RectifyConfig(),
             "thorough": RectifyConfig(again_above=0.0013),

@@ -71,7 +71,7 @@ class ErrorConfig:
     signs (``error_features``), fitted by absolute deviations to photos of training scans with truth, as they are and
     damaged."""
 
-    constant: float = 0.09
+    constant: float = 0.28
     overlap_before: float = 0.18
     overlap_after: float = 0.10
     shift: float = 0.16
