@@ -12,12 +12,13 @@ from simple_samples import simple_dataset
 
 import benchmarks.soak
 import benchmarks.stability
+from benchmarks.cases import sample_cases
 from benchmarks.damage import DAMAGES, Damaged, cut_file, damaged, visible_error_px
 from benchmarks.problems import PROBLEMS, End, ended, part_of, random_sheet
 from benchmarks.schema import problems, schema_of
 from benchmarks.soak import digest, soak
-from benchmarks.stability import Options, _rectified, run
-from benchmarks.stress_records import DamagedPhoto, SoakReport, StabilityReport
+from benchmarks.stability import Options, _cut_off, _rectified, run
+from benchmarks.stress_records import DamagedPhoto, Part, SoakReport, StabilityReport
 from hybrid.backward import BackwardMap
 from hybrid.coords import sample_bilinear
 from hybrid.errors import ConfigError, DataError, PhotoError
@@ -131,6 +132,7 @@ def refuses(photo: np.ndarray) -> RectifyResult:
         (Says(off=5.1, code=StatusCode.UNSURE), "unsure"),
         (Says(off=0.1, code=StatusCode.UNSURE), "unsure"),
         (Says(film=np.nan, code=StatusCode.UNSURE), "nan"),
+        (Says(off=1e9, code=StatusCode.UNSURE), "unsure"),
         (refuses, "refused"),
     ],
 )
@@ -146,6 +148,51 @@ def test_a_refusal_of_a_film_that_was_there_and_right_is_a_loss(off: float, shif
     found = BackwardMap(it.backward.nodes + np.array([off, 0.0]))
     assert it.visible_share() == pytest.approx(1.0 if shift == 0 else 0.55, abs=0.02)
     assert _rectified(0, it, refuses, lambda photo: found).outcome == outcome
+
+
+@pytest.mark.parametrize("code", [StatusCode.NO_FILM, StatusCode.CUT_OFF, StatusCode.FOLDED, StatusCode.BLANK])
+def test_refusals_of_every_kind_may_be_losses_but_of_a_photo_that_shows_nothing(code: StatusCode) -> None:
+    refused = _rectified(0, Damaged(ramp(), sheet()), lambda photo: RectifyResult(Status(code)), lambda photo: sheet())
+    assert refused.outcome == ("refused" if code is StatusCode.BLANK else "lost")
+
+
+def test_a_film_that_is_read_the_other_way_up_is_where_it_is() -> None:
+    upside_down = BackwardMap(sheet().nodes[::-1, ::-1])
+    film = np.full((8, 8), 0.5, np.float32)
+    result = RectifyResult(Status(StatusCode.OK), film=film, backward=upside_down, confidence=film)
+    assert _rectified(0, Damaged(ramp(), sheet()), lambda photo: result, lambda photo: None).outcome == "ok"
+
+
+def test_half_a_file_that_is_taken_for_a_film_is_untruthful(dataset: Path) -> None:
+    case, rng = sample_cases([dataset])[0], np.random.default_rng(0)
+    for rectify, outcome in ((Says(), "untruthful"), (refuses, "refused"), (Says(error=ZeroDivisionError()), "crash")):
+        assert _cut_off(0, case, rectify, rng).outcome == outcome
+
+
+def test_a_process_that_does_not_answer_hangs(tmp_path: Path) -> None:
+    class Silent:
+        def send(self, number: int) -> None: ...
+
+        def poll(self, seconds: float) -> bool:
+            return False
+
+    watched = benchmarks.stability._Watched((tmp_path,), Options(tmp_path, damaged=0))
+    watched._line = Silent()
+    assert watched.try_photo(0).outcome == "hang"
+
+
+def test_commands_fail_where_something_failed(capsys: pytest.CaptureFixture[str]) -> None:
+    part = Part("some", "what", 4, 1, 0, 2.0, "px", {}, ())
+    photo = DamagedPhoto(0, ("noise",), SIZE, "ok", "", 0.1)
+    well = StabilityReport({}, 0, 5.0, (part,), (photo,))
+    assert benchmarks.stability._verdict(well) == 0
+    assert benchmarks.stability._verdict(replace(well, parts=(replace(part, failed=1),))) == 2
+    assert benchmarks.stability._verdict(replace(well, photos=(replace(photo, outcome="hang"),))) == 2
+    flat = SoakReport({}, 100, 2, 64, 10, (100.0,) * 20, (0.1,) * 100, 0)
+    assert benchmarks.soak._verdict(flat) == 0
+    assert benchmarks.soak._verdict(replace(flat, different=1)) == 2
+    assert benchmarks.soak._verdict(replace(flat, memory_mib=tuple(100.0 + k for k in range(20)))) == 2
+    assert "1 results differ" in capsys.readouterr().out
 
 
 def test_a_shrunk_photo_may_be_off_by_one_of_its_own_pixels() -> None:

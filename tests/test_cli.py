@@ -20,7 +20,7 @@ from hybrid.backward import BackwardMap, Orientation
 from hybrid.coords import film_nodes
 from hybrid.errors import ConfigError
 from hybrid.image_io import read_photo, write_rgb
-from hybrid.outputs import is_result, rectify_files, write_result
+from hybrid.outputs import is_result, rectify_files, result_record, write_result
 from hybrid.records import RectifyResult, SliceGrid, StageReport, Status, StatusCode
 
 Effort = Literal["fast", "default"]
@@ -524,3 +524,20 @@ def test_info(capsys: pytest.CaptureFixture[str]) -> None:
     printed = capsys.readouterr().out
     assert hybrid.__version__ in printed
     assert "torch" in printed
+
+
+def test_the_record_holds_what_the_result_says():
+    uv = film_nodes((3, 4))
+    film = np.zeros((10, 20), np.float32)
+    covered = np.zeros((10, 20), bool)
+    covered[:5] = True
+    result = RectifyResult(
+        Status(StatusCode.OK), film=film, covered=covered, grid=SliceGrid(2, 3, uv, 100 * uv, 0.9),
+        orientation=Orientation(1, True), upright_probability=0.97,
+    )  # fmt: skip
+    record = result_record((100, 120, 3), result)
+    assert record["covered_share"] == 0.5
+    assert record["orientation"] == {"quarter_turns_clockwise": 1, "mirrored_first": True, "upright_probability": 0.97}
+    np.testing.assert_allclose(record["grid"]["vertices_film"], uv, atol=1e-6)
+    np.testing.assert_allclose(record["grid"]["vertices_photo"], 100 * uv, atol=1e-3)
+    assert record["photo_size"] == [100, 120]

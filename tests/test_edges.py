@@ -1,5 +1,7 @@
 """The sheet's edges as EdgeNet reads them: strips, paths through what was read, and maps put onto them."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -166,6 +168,16 @@ def test_a_refinement_with_a_wrong_edge_starts_once_more_from_where_edges_are_re
         assert (found.support > 0.8).all()
         reports.append(report)
     assert [report.ran for report in reports] == [True, False]
+
+
+def test_a_second_refinement_counts_only_if_its_edges_are_surer():
+    """An edge is read in two places, and refined to neither: what was there first stays."""
+    photo, film = sheet_photo()
+    first = Refinement(moved_edges(film, -0.02), None, (), expected_px=1.0)
+    never = replace(RectifyConfig().edges, surer=1.0)
+    found = reread(Pyramid(photo), None, first, STEPS, replace(RectifyConfig(), edges=never), Report())
+    np.testing.assert_array_equal(found.backward.nodes, first.backward.nodes)
+    assert found.expected_px == 1.0
 
 
 # ---------------------------------------------------------------- the network

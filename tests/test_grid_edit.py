@@ -140,3 +140,19 @@ def test_an_edit_that_was_reset_is_the_result_itself(rectifier: Rectifier, resul
     moved = edit.moved(1, 2, place(edit, 1, 2) + 3)
     assert rectifier.edited(IT.photo, moved.reset()) is result
     assert rectifier.edited(IT.photo, moved.undo()) is result
+
+
+def test_moves_are_done_again_in_their_order_and_not_after_another(edit: GridEdit):
+    one, two, three = (place(edit, 1, k) + 3 for k in (1, 2, 3))
+    both = edit.moved(1, 1, one).moved(1, 2, two)
+    back = both.undo().undo()
+    assert [move.col for move in back.redo().done] == [1]
+    assert back.redo().redo().done == both.done
+    assert back.moved(1, 3, three).redo().done == back.moved(1, 3, three).done
+
+
+def test_a_grid_that_fills_the_sheet_takes_its_corners_along(result: RectifyResult):
+    edit = GridEdit.of(result, (4, 5))
+    moved = edit.moved(0, 0, place(edit, 0, 0) + np.array([6.0, 4.0]))
+    corner = moved.backward.photo_from_film(np.array([[0.0, 0.0]]))[0]
+    np.testing.assert_allclose(corner, place(moved, 0, 0), atol=0.01)

@@ -387,3 +387,17 @@ def test_arrays_with_gaps_are_packed_and_left_as_they_are():
     assert photo.flags.c_contiguous
     np.testing.assert_array_equal(photo, before[..., :3])
     np.testing.assert_array_equal(source, before)
+
+
+def test_a_file_stays_as_it_was_until_the_new_one_is_complete(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "a.json"
+    write_bytes(path, b"old")
+
+    def breaks(*_: object) -> None:
+        raise OSError("no more room")
+
+    monkeypatch.setattr("hybrid.image_io.os.replace", breaks)
+    with pytest.raises(OSError, match="no more room"):
+        write_bytes(path, b"new")
+    assert path.read_bytes() == b"old"
+    assert list(tmp_path.iterdir()) == [path]

@@ -23,9 +23,12 @@ from hybrid.learn.losses import (
     LossWeights,
     Targets,
     cell_phases,
+    covered_loss,
     in_grid,
     loss_terms,
     masked_mean,
+    phase_loss,
+    scale_loss,
     slope_loss,
     uv_loss,
 )
@@ -144,6 +147,33 @@ def test_losses_by_hand():
     # A film that weighs twice as much counts twice.
     heavy = replace(targets, weight=torch.tensor([2.0, 1.0]))
     assert float(uv_loss(output, heavy)) == pytest.approx(2 * (2 * 0.2 + 0.4) / 2)
+
+
+def test_an_error_costs_most_where_least_is_expected():
+    """Laplace: an error of the size that was expected is cheapest; ten times as much, or a tenth, costs more."""
+    _, targets = random_case()
+    output, _ = random_case(seed=1)
+    error = (output.uv - targets.uv).abs().mean(dim=1)
+    costs = [float(scale_loss(replace(output, log_scale=(factor * error).log()), targets)) for factor in (0.1, 1, 10)]
+    assert costs[1] < min(costs[0], costs[2])
+    assert costs[0] - costs[1] == pytest.approx(10 - 1 - np.log(10), rel=1e-3)
+
+
+def test_what_lies_before_the_film_is_learnt_where_the_sheet_is_and_phases_where_cells_are():
+    output, targets = random_case()
+    hand = ~targets.mask
+    hand[:, 4:] = False
+    covered = replace(targets, covered=hand)
+    elsewhere = ~(targets.mask | hand)
+    sure = torch.where(hand, 40.0, -40.0)
+    assert float(covered_loss(replace(output, covered_logit=sure), covered)) < 1e-6
+    assert float(covered_loss(replace(output, covered_logit=torch.where(elsewhere, -sure, sure)), covered)) < 1e-6
+    assert float(covered_loss(replace(output, covered_logit=torch.where(hand, -sure, sure)), covered)) > 1
+    inside = in_grid(targets.uv, targets.grid)
+    true = cell_phases(targets.uv, targets.grid)
+    wrong = torch.where(inside[:, None, None], true, true + 5)
+    assert float(phase_loss(replace(output, phases=wrong), targets)) < 1e-6
+    assert float(phase_loss(replace(output, phases=true + 5), targets)) > 1
 
 
 def test_a_perfect_prediction_costs_nothing():

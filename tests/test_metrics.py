@@ -9,11 +9,12 @@ import pytest
 import torch
 
 from hybrid.backward import BackwardMap, end_point_error
-from hybrid.coords import film_nodes
+from hybrid.coords import film_nodes, pixel_centres
 from hybrid.metrics import (
     DISTORTION_AREA_PX,
     MS_SSIM_WEIGHTS,
     PSNR_CAP_DB,
+    _sampled,
     image_scores,
     local_distortion,
     ms_ssim,
@@ -244,3 +245,11 @@ def test_local_distortion_is_the_distance_on_the_flat_film() -> None:
     assert local_distortion(wider, tall) == pytest.approx(3 * (DISTORTION_AREA_PX / 2) ** 0.5 / 300, rel=1e-6)
     turned = BackwardMap(np.rot90(square.nodes).copy())
     assert local_distortion(turned, square) > 0.3 * side
+
+
+def test_the_protocol_reads_pixels_at_their_centres_and_nothing_outside() -> None:
+    photo = np.random.default_rng(0).integers(1, 255, (256, 256, 3)).astype(np.float32)
+    np.testing.assert_allclose(_sampled(photo, pixel_centres((256, 256))), photo, atol=1e-3)
+    beyond = _sampled(photo, pixel_centres((256, 256)) + np.array([10.0, 0.0]))
+    assert not beyond[:, -9:].any()
+    np.testing.assert_allclose(beyond[:, :246], photo[:, 10:], atol=1e-3)

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import cv2
+import numpy as np
 import pytest
 import torch
 from paper_case import flat_case
 
-from hybrid.learn.dewarpnet import BackwardOutput, ShapeOutput, coordinate_code
+from hybrid.learn.dewarpnet import BackwardOutput, DewarpNetOutput, ShapeOutput, coordinate_code
 from hybrid.learn.firenet import FiReNetOutput
 from hybrid.learn.paper_losses import (
     ALPHA,
@@ -16,6 +18,7 @@ from hybrid.learn.paper_losses import (
     backward_net_losses,
     deformation_loss,
     deshifted_difference_loss,
+    dewarpnet_losses,
     disturbance_loss,
     everywhere,
     firenet_losses,
@@ -193,3 +196,30 @@ def test_unwarping_sees_a_shift_of_the_map():
     moved = backward_net_losses(BackwardOutput(targets.backward + 0.15), targets)
     assert float(moved["backward"]) == pytest.approx(2 * 0.15, abs=LAW)
     assert float(moved["reconstruction"]) > 1e-3
+
+
+def test_the_print_is_unwarped_along_both_sides_alike():
+    """The mean squared difference of the unwarped prints, also of pictures that are no squares."""
+    _, targets = flat_case(32, 24)
+    moved = targets.backward + 0.1
+    albedo = targets.albedo[0].numpy().astype(np.float32)
+    size = np.array(albedo.shape[::-1])
+
+    def unwarped(backward: torch.Tensor) -> np.ndarray:
+        at = (backward[0].permute(1, 2, 0).numpy() * size - 0.5).astype(np.float32)
+        return cv2.remap(albedo, at[..., 0].copy(), at[..., 1].copy(), cv2.INTER_LINEAR)
+
+    loss = float(backward_net_losses(BackwardOutput(moved), targets)["reconstruction"])
+    expected = float(np.square(unwarped(moved) - unwarped(targets.backward)).mean())
+    assert expected > 1e-3
+    assert loss == pytest.approx(expected, rel=1e-3)
+
+
+def test_both_stages_of_dewarpnet_count():
+    _, targets = flat_case(32, 32)
+    code = coordinate_code(targets.xyz, targets.mask)
+    perfect_output = DewarpNetOutput(ShapeOutput(code), targets.backward)
+    assert all(float(term) == 0.0 for term in dewarpnet_losses(perfect_output, targets).values())
+    wrong = dewarpnet_losses(DewarpNetOutput(ShapeOutput(code + 1), targets.backward), targets)
+    assert float(wrong["code"]) > 0.5
+    assert float(wrong["backward"]) == 0.0

@@ -81,3 +81,30 @@ def test_points_that_are_none_lie_nowhere_on_the_film():
 def test_unknown_public_name_is_refused_with_the_known_ones() -> None:
     with pytest.raises(AttributeError, match=r"no attribute 'Dewarper'; it has .*Rectifier"):
         _ = hybrid.Dewarper  # pyright: ignore[reportAttributeAccessIssue]
+
+
+def test_a_slice_s_corners_are_the_nearest_pixels() -> None:
+    uv = np.array([[[0.0, 0.0], [0.496, 0.0], [1.0, 0.0]], [[0.0, 1.0], [0.496, 1.0], [1.0, 1.0]]])
+    film = np.zeros((10, 100), np.float32)
+    halves = RectifyResult(Status(StatusCode.OK), film=film, grid=SliceGrid(1, 2, uv, uv, 1.0)).slices()
+    assert [half.shape for half in halves] == [(10, 50), (10, 50)]
+
+
+def test_a_map_folds_where_its_sense_changes_not_where_it_is_seen_from_behind() -> None:
+    plain = BackwardMap.from_function(lambda uv: uv * [200.0, 100.0])
+    assert not plain.folds()
+    assert not BackwardMap(plain.nodes[:, ::-1]).folds()
+    assert BackwardMap.from_function(lambda uv: np.stack([(uv[..., 0] - 0.43) ** 2, uv[..., 1]], axis=-1)).folds()
+
+
+def test_height_comes_before_width() -> None:
+    film = BackwardMap.from_function(lambda uv: uv * [200.0, 100.0])
+    assert film.mean_film_pixels() == pytest.approx((100.0, 200.0))
+
+
+def test_a_point_beside_the_film_is_not_on_it_and_a_step_is_no_longer_than_it_may_be() -> None:
+    film = BackwardMap.from_function(lambda uv: uv * [200.0, 100.0])
+    assert np.isnan(film.film_from_photo(np.array([[200.5, 50.0]]))).all()
+    start = np.array([[0.1, 0.1]])
+    near = film.film_near(np.array([[200.0, 10.0]]), start, iterations=1, most_step=0.2)
+    np.testing.assert_allclose(near, [[0.3, 0.1]], atol=1e-9)

@@ -55,6 +55,7 @@ def test_they_say_what_they_are_and_invent_nothing(result: RectifyResult):
         assert list(it.ImageType) == ["DERIVED", "SECONDARY"]
         assert (it.Modality, it.BurnedInAnnotation, it.LossyImageCompression) == ("OT", "YES", "01")
         assert float(it.LossyImageCompressionRatio) == pytest.approx(12.5)
+        assert it.PhotometricInterpretation == "MONOCHROME2"  # the larger the brighter
         assert "photo" in it.ImageComments
         assert "Not for diagnosis" in it.ImageComments
         assert "3 of 4 edges seen" in it.DerivationDescription
@@ -87,10 +88,20 @@ def test_loss_is_told_by_what_a_file_holds_not_by_its_name(kind, options, method
     assert told.ratio == pytest.approx(3 * 64 * 64 / photo.stat().st_size)
 
 
+def brighter(result: RectifyResult) -> RectifyResult:
+    return replace(result, film=np.clip(result.film + np.float32(0.1), 0, 1))
+
+
 def test_identifiers_follow_from_what_they_are_of(result: RectifyResult):
     first, again = captures(result), captures(result)
     assert [it.SOPInstanceUID for it in first] == [it.SOPInstanceUID for it in again]
     assert len({it.SOPInstanceUID for it in first}) == len(first)
+    other_photo, other_film = captures(result, replace(FILE, digest="1" * 64)), captures(brighter(result))
+    for others in (other_photo, other_film):
+        assert not {it.SOPInstanceUID for it in first} & {it.SOPInstanceUID for it in others}
+        assert not {it.SeriesInstanceUID for it in first} & {it.SeriesInstanceUID for it in others}
+    assert {it.StudyInstanceUID for it in first} == {it.StudyInstanceUID for it in other_film}
+    assert {it.StudyInstanceUID for it in first} != {it.StudyInstanceUID for it in other_photo}
     assert len({it.SeriesInstanceUID for it in first}) == 2
     other = captures(replace(result, film=1 - result.film))
     assert {it.StudyInstanceUID for it in other} == {it.StudyInstanceUID for it in first}
