@@ -198,16 +198,15 @@ def test_unwarping_sees_a_shift_of_the_map():
     assert float(moved["reconstruction"]) > 1e-3
 
 
-def test_the_print_is_unwarped_along_both_sides_alike():
-    """The mean squared difference of the unwarped prints, also of pictures that are no squares."""
+def test_the_reconstruction_is_the_mean_squared_difference_of_the_unwarped_prints():
     _, targets = flat_case(32, 24)
     moved = targets.backward + 0.1
-    albedo = targets.albedo[0].numpy().astype(np.float32)
-    size = np.array(albedo.shape[::-1])
 
     def unwarped(backward: torch.Tensor) -> np.ndarray:
-        at = (backward[0].permute(1, 2, 0).numpy() * size - 0.5).astype(np.float32)
-        return cv2.remap(albedo, at[..., 0].copy(), at[..., 1].copy(), cv2.INTER_LINEAR)
+        at = backward.permute(0, 2, 3, 1).numpy() * 32 - 0.5
+        x, y = (np.ascontiguousarray(at[..., k], np.float32) for k in range(2))
+        prints = targets.albedo.numpy().astype(np.float32)
+        return np.stack([cv2.remap(*film, cv2.INTER_LINEAR) for film in zip(prints, x, y, strict=True)])
 
     loss = float(backward_net_losses(BackwardOutput(moved), targets)["reconstruction"])
     expected = float(np.square(unwarped(moved) - unwarped(targets.backward)).mean())
