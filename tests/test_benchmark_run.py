@@ -29,8 +29,9 @@ from benchmarks.results import Report
 from benchmarks.run import Options, main, make_methods, run
 from benchmarks.scanner import find_corners, map_of_corners, true_corners
 from benchmarks.schema import kept, problems, read_record, schema_of, write_record
-from benchmarks.scores import score_map
+from benchmarks.scores import CaseScore, score_map, summarise
 from benchmarks.summary import duels, rows_of, spread
+from benchmarks.traits import _coverage
 from hybrid.backward import BackwardMap, end_point_error
 from hybrid.coords import film_nodes, pixel_centres
 from hybrid.errors import ConfigError, DataError
@@ -41,6 +42,7 @@ from hybrid.learn.network import FilmNet, FilmNetConfig
 from hybrid.learn.presets import PRESETS
 from hybrid.learn.samples import truth_at
 from hybrid.learn.weights import save_weights
+from hybrid.rectify.trust import REFERENCE_PX
 
 MINE = '''"""A method in one small file: it takes every film to fill the middle of the photo."""
 
@@ -523,3 +525,21 @@ def test_resized_maps_hold_no_pixel_mixed_with_background(cases: list[Case], px:
         film, seen = truth.uv[truth.mask].astype(np.float64), points[truth.mask]
         film_per_px = np.median(film / seen)  # these films lie flat, their top left corner in the photo's
         assert np.linalg.norm(film / film_per_px - seen, axis=-1).max() * px / 48 < 1.0
+
+
+def test_scores_are_of_all_points_of_all_photos(cases: list[Case]) -> None:
+    """A map that is 10 px off on one side in twenty: that shows in the 95th percentile, hardly in the mean."""
+    case = cases[0]
+    photo = case.photo()
+    nodes = case.backward.lattice((65, 65)).copy()
+    nodes[:, -8:, 0] += 10.0
+    one, true = (score_map(BackwardMap(n), case.backward, photo) for n in (nodes, case.backward.lattice((65, 65))))
+    px = REFERENCE_PX / max(photo.shape[:2])
+    assert one.end_point_p95_px > 5 * px > one.end_point_px
+    both = summarise([CaseScore("a", 1.0, one), CaseScore("b", 1.0, true)], says_up=False)
+    assert both["raw"]["psnr"] == pytest.approx((one.paper.raw.psnr + true.paper.raw.psnr) / 2)
+
+
+def test_coverage_is_the_share_of_the_photo_within_the_outline() -> None:
+    outline = np.array([[0.0, 0.0], [100.0, 0.0], [100.0, 50.0], [0.0, 50.0]])
+    assert _coverage(outline, (200, 100)) == pytest.approx(0.25, abs=0.02)

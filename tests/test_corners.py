@@ -13,6 +13,7 @@ from hybrid.errors import ConfigError
 from hybrid.pipeline import Rectifier
 from hybrid.records import StatusCode
 from hybrid.rectify.corners import film_at, put_on_corners
+from hybrid.rectify.survey import Verdict
 
 SIZE = (800, 1000)
 SHEET = np.array([[210.0, 120.0], [790.0, 180.0], [820.0, 640.0], [170.0, 600.0]])
@@ -104,3 +105,15 @@ def test_a_film_is_given_where_none_is_seen(rectifier: Rectifier):
     assert result.status.code is StatusCode.UNSURE
     assert result.status.doubts
     assert np.isfinite(result.film).all()
+
+
+def test_given_corners_are_a_film_even_where_the_verdict_would_be_that_there_is_none(
+    rectifier: Rectifier, monkeypatch: pytest.MonkeyPatch
+):
+    nothing = Verdict(StatusCode.NO_FILM, "nothing that makes a film is seen", ("nothing is seen",))
+    monkeypatch.setattr("hybrid.geometry.film_verdict", lambda *_: nothing)
+    result = rectifier(
+        np.rint(table()).astype(np.uint8), [[100.0, 100.0], [600.0, 120.0], [620.0, 600.0], [90.0, 580.0]]
+    )
+    assert result.status.code is StatusCode.UNSURE
+    assert result.film is not None

@@ -170,6 +170,14 @@ def test_a_refinement_with_a_wrong_edge_starts_once_more_from_where_edges_are_re
     assert [report.ran for report in reports] == [True, False]
 
 
+def test_an_edge_that_the_photo_does_not_show_is_no_doubt():
+    """The sheet leaves the photo on one side: of that edge nothing is read, so nothing speaks against it."""
+    photo, film = sheet_photo()
+    cut = round(float(film.nodes[:, -1, 0].min())) - 40
+    support = edge_support(Pyramid(photo[:, :cut].copy()), film, STEPS)
+    assert (support > 0.8).all()
+
+
 def test_a_second_refinement_counts_only_if_its_edges_are_surer():
     """An edge is read in two places, and refined to neither: what was there first stays."""
     photo, film = sheet_photo()

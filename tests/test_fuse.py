@@ -307,6 +307,13 @@ def test_the_command_leaves_out_photos_without_a_film_and_says_whose_the_map_is(
     assert (tmp_path / "blank_fused_side_by_side.jpg").exists()
 
 
+def test_the_command_fails_where_no_photo_shows_a_film(tmp_path: Path):
+    photos = [str(tmp_path / name) for name in ("one.png", "two.png")]
+    for photo in photos:
+        cv2.imwrite(photo, np.full((300, 400, 3), 90, np.uint8))
+    assert main(["fuse", *photos, "-o", str(tmp_path)]) == 1
+
+
 def test_the_command_writes_one_film(tmp_path: Path):
     example = "hybrid/examples/film.jpg"
     assert main(["fuse", example, example, "-o", str(tmp_path)]) == 0
