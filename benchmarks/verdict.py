@@ -25,7 +25,7 @@ from benchmarks.scores import LATTICE
 from benchmarks.verdict_fit import Judged, fit_chance, fit_error, trust_of_others
 from hybrid.backward import end_point_error
 from hybrid.effort import Effort, RectifyConfig
-from hybrid.errors import HybridError, require_at_least
+from hybrid.errors import DataError, HybridError, describe, require_at_least
 from hybrid.pipeline import Rectifier
 from hybrid.rectify.trust import TrustConfig, chance_right, expected_error_px, film_verdict
 from hybrid.workers import shared_out
@@ -65,12 +65,29 @@ def judged(rectifier: Rectifier, case: Case) -> Judged | None:
     result = rectifier(case.photo())
     if result.backward is None or result.signs is None:
         return None
-    assert not isinstance(case.source, Path)
-    shard, k = case.source
     near, _ = read_alike(result.backward, case.backward)
     error = float(end_point_error(near, case.backward.lattice(LATTICE)).mean())
-    record = shard.record(k)
-    return Judged(f"{shard.path.parent} {record['film']}", record["photo"], error, result.signs)
+    return Judged(_sheet(case), _record(case)["photo"], error, result.signs)
+
+
+def _record(case: Case) -> dict[str, Any]:
+    assert not isinstance(case.source, Path)
+    shard, k = case.source
+    return shard.record(k)
+
+
+def _sheet(case: Case) -> str:
+    """Which sheet, bent once, a data set's photo is of.
+
+    Raises:
+        DataError: it is of none that data_gen.generate made.
+    """
+    assert not isinstance(case.source, Path)
+    folder, record = case.source[0].path.parent, _record(case)
+    if "film" not in record:
+        do = "Name data sets made by data_gen.generate."
+        raise DataError(describe(what="A sample that does not say which sheet it is of", where=folder, do=do))
+    return f"{folder} {record['film']}"
 
 
 def judge_all(options: Options) -> tuple[list[Judged], int]:
@@ -80,6 +97,10 @@ def judge_all(options: Options) -> tuple[list[Judged], int]:
         DataError: a data set cannot be read.
     """
     cases, found = sample_cases(options.data)[:: options.every], list[Judged]()
+    if len({_sheet(case) for case in cases}) < 2:
+        do = "Name more data, or a smaller --every."
+        what = "Data to fit weights to, and judge others by"
+        raise DataError(describe(what=what, got="photos of one sheet", allowed="two or more", do=do))
     rectifier = partial(Rectifier, RectifyConfig.of(options.effort))
     for answer in tqdm(shared_out(judged, rectifier, cases, options.workers), total=len(cases), unit="photo"):
         if isinstance(answer, HybridError):

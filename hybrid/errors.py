@@ -38,7 +38,7 @@ class SimulationError(HybridError):
 
 
 def describe(*, what: str, where: object = None, got: object = None, allowed: object = None, do: str) -> str:
-    """One readable sentence from the five parts that every message has (STYLE rule 11)."""
+    """One readable sentence from the five parts that every message has."""
     head = f"{what} ({where})" if where is not None else what
     body = [f"got {got}" if got is not None else "", f"allowed: {allowed}" if allowed is not None else ""]
     facts = "; ".join(part for part in body if part)

@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 from jaxtyping import UInt8
@@ -143,6 +143,8 @@ def report_lines(path: Path, result: RectifyResult, files: Iterable[Path], verbo
     return lines + [f"  -> {path}" for path in folders]
 
 
+TELL_LOST = 0.03
+"""From this share of the film on it is told what is lost to glare, or hidden."""
 SURE_UPRIGHT = 0.95
 """A film that reads right as it is given with less than this probability is one to look at: of 84 photos turned or
 mirrored, with small writing, 7 were not put upright, all of them with less; of 12 that lay right none had less."""
@@ -157,6 +159,9 @@ def warnings_of(result: RectifyResult) -> list[str]:
         said = "; ".join(stage.reason for stage in result.stages if stage.name == "upright")
         turn = "--upright.turn 90 (or 0, 180, 270; with --upright.mirror seen from behind) gives it otherwise"
         told.append(f"It may lie on its side or mirrored: {said}. {turn}.")
+    for lost, what in ((result.glare, "lost to glare"), (result.covered, "hidden by something before it")):
+        if lost is not None and lost.mean() > TELL_LOST:
+            told.append(f"{lost.mean():.0%} of it is {what}: black in NAME_confidence.png.")
     return told
 
 
@@ -352,6 +357,11 @@ def save_result(
     Raises:
         PhotoError: the photo cannot be read. ConfigError: nothing can be written there, or photos are missing.
     """
+    if rectified_format not in get_args(RectifiedFormat):
+        allowed = " or ".join(get_args(RectifiedFormat))
+        raise ConfigError(
+            describe(what="rectified_format", got=repr(rectified_format), allowed=allowed, do="Name one.")
+        )
     paths, folder = [Path(one) for one in ([path] if isinstance(path, (str, os.PathLike)) else path)], Path(out)
     if result.photo >= len(paths):
         got, do = f"{len(paths)} of its photos", "Name all that were fused, in their order."

@@ -130,6 +130,14 @@ def test_the_command_judges_photos_and_writes_what_it_saw(
     assert "every" in capsys.readouterr().err
 
 
+def test_data_that_no_weights_can_be_fitted_to_are_told_before_anything_is_judged(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    data = simple_dataset(tmp_path / "data")
+    assert main(["--data", str(data), "--json", str(tmp_path / "out.json"), "--every", "100"]) == 1
+    assert "photos of one sheet" in capsys.readouterr().err
+
+
 def test_photos_are_judged_with_the_effort_that_was_asked_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     made = []
     monkeypatch.setattr("benchmarks.verdict.Rectifier", lambda config: made.append(config) or Rectifier(config))

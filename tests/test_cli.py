@@ -20,7 +20,7 @@ from hybrid.backward import BackwardMap, Orientation
 from hybrid.coords import film_nodes
 from hybrid.errors import ConfigError
 from hybrid.image_io import read_photo, write_rgb
-from hybrid.outputs import is_result, rectify_files, result_record, write_result
+from hybrid.outputs import is_result, rectify_files, result_record, warnings_of, write_result
 from hybrid.records import RectifyResult, SliceGrid, StageReport, Status, StatusCode
 
 Effort = Literal["fast", "default"]
@@ -82,9 +82,11 @@ def _stand_in(monkeypatch: pytest.MonkeyPatch) -> None:
     module = types.ModuleType("hybrid.pipeline")
     module.__dict__.update(Effort=Effort, Rectifier=StandIn, RectifyConfig=StandInConfig)
     monkeypatch.setitem(sys.modules, "hybrid.pipeline", module)
-    monkeypatch.delitem(sys.modules, "hybrid.cli_rectify", raising=False)
+    for command in ("hybrid.cli_rectify", "hybrid.cli_fuse"):
+        monkeypatch.delitem(sys.modules, command, raising=False)
     yield
-    sys.modules.pop("hybrid.cli_rectify", None)
+    for command in ("hybrid.cli_rectify", "hybrid.cli_fuse"):
+        sys.modules.pop(command, None)
 
 
 @pytest.fixture
@@ -541,3 +543,13 @@ def test_the_record_holds_what_the_result_says():
     np.testing.assert_allclose(record["grid"]["vertices_film"], uv, atol=1e-6)
     np.testing.assert_allclose(record["grid"]["vertices_photo"], 100 * uv, atol=1e-3)
     assert record["photo_size"] == [100, 120]
+
+
+def test_what_is_lost_of_a_film_is_told():
+    film, glare = np.zeros((10, 20), np.float32), np.zeros((10, 20), bool)
+    result = RectifyResult(Status(StatusCode.OK), film=film, glare=glare, covered=glare)
+    assert warnings_of(result) == []
+    glare = glare.copy()
+    glare[:2] = True
+    assert "20% of it is lost to glare" in warnings_of(replace(result, glare=glare))[0]
+    assert "20% of it is hidden" in warnings_of(replace(result, covered=glare))[0]

@@ -272,6 +272,16 @@ def test_one_film_merged_with_itself_is_itself():
     np.testing.assert_allclose(result.shares, 0.5, atol=1e-3)
 
 
+def test_veiled_photos_do_not_outvote_a_clear_one():
+    """Two of three, hardly trusted, agree on what only light left behind."""
+    film = printed()
+    none = np.zeros(film.shape, bool)
+    sure, unsure = np.full(film.shape, 0.9, np.float32), np.full(film.shape, 0.3, np.float32)
+    veiled = np.clip(film + np.float32(0.3), 0, 1)
+    merged = merge([veiled, film, veiled], [none] * 3, [unsure, sure, unsure], MergeConfig()).film
+    assert float(np.abs(merged - film).mean()) < 0.01
+
+
 def test_a_broad_remains_of_light_in_one_of_three_is_left_out():
     film = printed().astype(np.float32)
     u, _ = film_centres(SIZE).transpose(2, 0, 1)

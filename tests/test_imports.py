@@ -1,4 +1,4 @@
-"""Imports run one way (STYLE rule 9), and rectifying a photo needs neither Open3D nor the trainer."""
+"""Imports run one way, and rectifying a photo needs neither Open3D nor the trainer."""
 
 from __future__ import annotations
 

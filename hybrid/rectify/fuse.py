@@ -345,7 +345,13 @@ def fuse(
     ]
     for index in showing[1:]:
         result = results[index]
-        found = register(base, result, config, (names[at], names[index]))
+        try:
+            found = register(base, result, config, (names[at], names[index]))
+        except FusionError:
+            if result.status.ok:
+                raise
+            notes.append(f"{names[index]} left out: itself unsure, it is not like {names[at]}")
+            continue
         unsure = "" if result.status.ok else ", itself unsure"
         notes.append(f"{names[index]} moved by up to {found.largest:.1%} of the film{unsure}")
         used.append(photos[index])

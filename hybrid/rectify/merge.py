@@ -60,11 +60,11 @@ def merge(
     lost: where a photo tells nothing (glare, something before the film, or beyond the photo's edge). trust: in [0, 1].
 
     What light leaves behind is broad, and mostly too bright: it is judged on blurred films against their lower median,
-    or of two against the one that is trusted more.
+    in which each counts as it is trusted.
     """
     sigma = config.detail * max(films[0].shape)
     broad = [_blurred_where(film, ~gone, sigma) for film, gone in zip(films, lost, strict=True)]
-    level = _more_trusted(broad, lost, trust) if len(films) == 2 else _lower_median(broad, lost)
+    level = _middle(broad, lost, trust)
     total, weights = np.zeros(films[0].shape, np.float32), []
     merged = np.zeros_like(total)
     sharp = np.array([_sharpness(film, gone, config.sharpness_px) for film, gone in zip(films, lost, strict=True)])
@@ -102,20 +102,17 @@ def _blurred_where(film: Film, known: Bool[np.ndarray, "h w"], sigma: float) -> 
     return _blurred(film * weight, sigma) / np.maximum(_blurred(weight, sigma), np.float32(1e-3))
 
 
-def _more_trusted(values: Sequence[Film], lost: Sequence[Bool[np.ndarray, "h w"]], trust: Sequence[Film]) -> Film:
-    """Of two values at each pixel the one that is trusted more."""
-    first, second = (np.where(gone, np.float32(-1), sure) for gone, sure in zip(lost, trust, strict=True))
-    return np.where(first >= second, values[0], values[1])
-
-
-def _lower_median(values: Sequence[Film], lost: Sequence[Bool[np.ndarray, "h w"]]) -> Film:
-    """The lower median at each pixel of the values that are not lost; of all where all are."""
-    stack = np.stack([np.where(gone, np.float32(np.inf), value) for value, gone in zip(values, lost, strict=True)])
-    stack.sort(axis=0)
-    count = np.isfinite(stack).sum(axis=0)
-    rank = np.maximum((count - 1) // 2, 0)
-    level = np.take_along_axis(stack, rank[None], axis=0)[0]
-    return np.where(np.isfinite(level), level, values[0])
+def _middle(values: Sequence[Film], lost: Sequence[Bool[np.ndarray, "h w"]], trust: Sequence[Film]) -> Film:
+    """The lower median at each pixel of the values that are not lost, weighted by their squared trust; of all where all
+    are lost: so several veiled photos do not outvote a clear one, and of two counts the one that is trusted more."""
+    weight = np.stack(
+        [np.where(gone, np.float32(1e-9), sure**2 + 1e-6) for gone, sure in zip(lost, trust, strict=True)]
+    )
+    stack = np.stack(values)
+    order = np.argsort(stack, axis=0)
+    below = np.cumsum(np.take_along_axis(weight, order, axis=0), axis=0)
+    rank = np.argmax(below >= 0.5 * below[-1], axis=0)
+    return np.take_along_axis(stack, np.take_along_axis(order, rank[None], axis=0), axis=0)[0]
 
 
 def _sharpness(film: Film, gone: Bool[np.ndarray, "h w"], side: int) -> float:

@@ -249,12 +249,12 @@ def film_verdict(signs: Signs, config: TrustConfig | None = None) -> Verdict:
             ("cells are not alike", signs.grid and signs.alike < config.min_alike),
             ("not corrected by what is seen on the film", not signs.corrected),
             (f"{expected:.1f} px of error expected, {allowed:.1f} allowed", expected > allowed),
-            (f"only {chance:.0%} sure to be right to {limit:.1f} px", chance < config.least_chance),
+            (f"only {_floored(chance)} sure to be right to {limit:.1f} px", chance < config.least_chance),
         )
         if doubtful
     ]
     evidence = (
-        f"{chance:.0%} sure to be right to {limit:.1f} px, expected to be off by {expected:.1f} px; "
+        f"{_floored(chance)} sure to be right to {limit:.1f} px, expected to be off by {expected:.1f} px; "
         f"mask and outline agree to {signs.overlap_before:.1%} before and "
         f"{signs.overlap_after:.1%} after refinement, edges read as such to {signs.support:.0%} at least, "
         f"cells are alike to {signs.alike:.0%} and agree with what the network sees to {signs.in_step:.0%}"
@@ -333,6 +333,11 @@ def _seen_beside(again: CoarseMaps, backward: BackwardMap) -> tuple[float, float
     smooth = np.column_stack([np.ones(len(uv)), u, v, u * u, u * v, v * v])
     fitted = smooth @ np.linalg.lstsq(smooth, apart, rcond=None)[0]
     return float(np.linalg.norm(apart.mean(axis=0))), float(np.sqrt(np.square(fitted).sum() / len(uv)))
+
+
+def _floored(chance: float) -> str:
+    """A probability in whole percent, none of which it falls short of."""
+    return f"{int(100 * chance + 1e-9)}%"
 
 
 def _oblong(backward: BackwardMap, grid: SliceGrid, aspect: float | None) -> float:
