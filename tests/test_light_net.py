@@ -232,7 +232,7 @@ def test_a_cast_of_the_light_changes_no_grey(places: list[LitPlace]) -> None:
     plain, cast = (grey_table()[view.image, np.arange(3)].sum(axis=-1) for view in views)
     assert np.abs(views[1].image.astype(int) - views[0].image).max() > 10
     bright = (plain > 0.05) & (views[1].image.max(axis=-1) < 255)
-    assert np.abs(np.log(cast[bright] / plain[bright])).mean() < 0.01
+    assert np.abs(np.log(cast[bright] / plain[bright])).mean() < 0.02  # as eight bits round the darkest; 0.04 if not
 
 
 def test_films_made_with_other_options_are_not_gone_on_with(tmp_path: Path) -> None:
