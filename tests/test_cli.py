@@ -553,3 +553,9 @@ def test_what_is_lost_of_a_film_is_told():
     glare[:2] = True
     assert "20% of it is lost to glare" in warnings_of(replace(result, glare=glare))[0]
     assert "20% of it is hidden" in warnings_of(replace(result, covered=glare))[0]
+
+
+def test_a_film_that_may_lie_on_its_side_is_told():
+    result = RectifyResult(Status(StatusCode.OK), film=np.zeros((10, 20), np.float32), upright_probability=0.5)
+    assert "on its side" in warnings_of(result)[0]
+    assert warnings_of(replace(result, upright_probability=0.99)) == []

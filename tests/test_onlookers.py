@@ -107,3 +107,11 @@ def test_a_window_behind_the_film_stays_there_and_one_before_it_is_turned_to_whe
         )
         assert lit.lamps[0] == window
         assert lit.lamps[1].centre_mm[2] < 0
+
+
+def test_local_tone_makes_bright_parts_darker_and_dark_ones_brighter():
+    picture = np.full((100, 100, 3), 0.1, np.float32)
+    picture[:, 50:] = 0.8
+    factors = local_tone(picture, replace(PLAIN, local=0.5, local_reach=0.05))
+    half = factors.shape[1] // 2
+    assert factors[:, : half - 8].min() > 1 > factors[:, half + 8 :].max()

@@ -23,6 +23,7 @@ from hybrid.rectify.trust import (
     chance_right,
     expected_error_px,
     film_verdict,
+    largest_error_px,
 )
 
 TOO_FAR = f"px of error expected, {TrustConfig().safety * TrustConfig().limit_px:.1f} allowed"
@@ -186,3 +187,13 @@ def test_a_shift_and_a_bend_beside_what_is_seen_are_told_apart() -> None:
     shift, bend = beside(np.stack([10.0 * (uv[..., 1] - 0.5), 0 * uv[..., 0]], axis=-1))
     assert shift == pytest.approx(0.0, abs=1e-3)
     assert bend == pytest.approx(10 / np.sqrt(12), rel=0.02)
+
+
+def test_no_photo_is_asked_for_less_than_a_pixel_of_its_own() -> None:
+    assert largest_error_px(1080, TrustConfig()) == pytest.approx(5)
+    assert largest_error_px(100, TrustConfig()) == 1
+
+
+def test_what_reads_as_an_edge_a_little_is_a_film_that_is_not_sure() -> None:
+    signs = replace(SURE, grid=False, corrected=False, support=0.4)
+    assert film_verdict(signs).code is StatusCode.UNSURE
