@@ -73,10 +73,10 @@ def mirrored_onlookers(
 
     points, mirror: of the film, in the world. alpha: the lobe's half width. mean: light of the room.
     """
-    seen = around.astype(np.float32)
+    seen, rays = around.astype(np.float32), _rays(camera, points, mirror)
     for one in onlookers:
         colour = (np.array(one.reflectance) * mean).astype(np.float32)
-        seen += _share(one, camera, points, mirror, alpha)[..., None] * (colour - seen)
+        seen += _share(one, *rays, alpha)[..., None] * (colour - seen)
     return seen
 
 
@@ -90,23 +90,25 @@ def left_free(
 ) -> Float32[np.ndarray, "m n"]:
     """Share of a lamp's reflection that nobody hides who stands between it and the film. lamp_mm: in the world."""
     depth = float(camera.camera_points(lamp_mm[None])[0, 2])
-    free = np.ones(points.shape[:2], np.float32)
+    free, rays = np.ones(points.shape[:2], np.float32), _rays(camera, points, mirror)
     for one in onlookers:
         if one.centre_mm[2] > depth:
-            free *= 1 - _share(one, camera, points, mirror, alpha)
+            free *= 1 - _share(one, *rays, alpha)
     return free
 
 
-def _share(
-    one: Billboard,
-    camera: Camera,
-    points: Float[np.ndarray, "m n 3"],
-    mirror: Float[np.ndarray, "m n 3"],
-    alpha: float,
-) -> Float32[np.ndarray, "m n"]:
-    """Over how much of what the film's points mirror a shape stands."""
+def _rays(
+    camera: Camera, points: Float[np.ndarray, "m n 3"], mirror: Float[np.ndarray, "m n 3"]
+) -> tuple[Float32[np.ndarray, "m n 3"], Float32[np.ndarray, "m n 3"]]:
+    """The film's points and the ways that they mirror, in camera axes."""
     start, way = camera.camera_points(points), mirror @ camera.camera_from_world[:3, :3].T
-    start, way = start.astype(np.float32), way.astype(np.float32)
+    return start.astype(np.float32), way.astype(np.float32)
+
+
+def _share(
+    one: Billboard, start: Float32[np.ndarray, "m n 3"], way: Float32[np.ndarray, "m n 3"], alpha: float
+) -> Float32[np.ndarray, "m n"]:
+    """Over how much of what the film's points mirror, along ``way`` from ``start`` in camera axes, a shape stands."""
     ahead = (np.float32(one.centre_mm[2]) - start[..., 2]) / np.minimum(way[..., 2], np.float32(-1e-3))
     x, y = (start[..., k] + ahead * way[..., k] for k in (0, 1))
     soft = np.maximum(np.float32(2 * alpha) * ahead, 3)

@@ -125,8 +125,9 @@ def _photograph(
     reflectance = at_photo_scale(levels.reflectance, backward.mean_film_pixels()) ** np.float32(passes(scene))
     seen = caster.annotate(camera.resized(map_size))
     view = caster.view(camera, seen if camera.size == map_size else None)
-    before, alone = around.before, np.zeros(camera.size, np.float32)
+    before = around.before
     if not scene.light.box and (scene.backdrop.kind == "room" or scene.backdrop.gap_mm > NEAR_MM):
+        alone = np.zeros(camera.size, np.float32)
         alone[view.box] = view.coverage
         before = [shading_only(patch, alone) for patch in before]  # what is far behind is not shaded
     linear = put_over(composite(view, reflectance, light, around.behind), before)
