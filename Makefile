@@ -8,7 +8,7 @@ help:
 	@echo "make demo   flatten the example photo into out/"
 	@echo "make test   lint, types, tests"
 	@echo "make setup  only make .venv, with everything in it"
-	@echo "make clean  remove .venv, out/ and caches"
+	@echo "make clean  remove .venv and caches"
 
 setup:
 	@bash tools/setup.sh
@@ -28,4 +28,4 @@ test: lint types
 	OMP_NUM_THREADS=1 $(PYTHON) -m pytest -n 2
 
 clean:
-	rm -rf .venv out .pytest_cache .ruff_cache .hypothesis hybrid.egg-info
+	rm -rf .venv .pytest_cache .ruff_cache .hypothesis hybrid.egg-info

@@ -13,7 +13,8 @@ from typing import Annotated, Any, TypeVar
 import tyro
 
 from hybrid.effort import Effort
-from hybrid.errors import ConfigError
+from hybrid.errors import ConfigError, describe
+from hybrid.image_io import READABLE, SUFFIXES
 from hybrid.outputs import RectifiedFormat, is_result
 
 Options = TypeVar("Options")
@@ -27,7 +28,7 @@ class PhotoOptions:
     """What most need; the options of the stages come on top."""
 
     photos: tyro.conf.Positional[tuple[Path, ...]]
-    """Photos: JPEG, PNG, TIFF, WebP or HEIC."""
+    """Photos (JPEG, PNG, TIFF, WebP or HEIC), or folders of them."""
 
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("out")
     """Folder for the results; it is made if need be. Results of the same photos there are replaced; other photos of
@@ -71,11 +72,26 @@ def parse(
 
 
 def photos_among(paths: Sequence[Path]) -> list[Path]:
-    """The paths without results of earlier runs, which is told."""
-    photos = [path for path in paths if not is_result(path)]
-    if len(photos) < len(paths):
-        print(f"{len(paths) - len(photos)} of these files are left out: they are results of earlier runs")
+    """The photos that are named and those in folders that are, each once, without results of earlier runs, which is
+    told.
+
+    Raises:
+        ConfigError: a folder holds no photo.
+    """
+    named = list(dict.fromkeys(photo for path in paths for photo in (_photos_in(path) if path.is_dir() else [path])))
+    photos = [path for path in named if not is_result(path)]
+    if len(photos) < len(named):
+        print(f"{len(named) - len(photos)} of these files are left out: they are results of earlier runs")
     return photos
+
+
+def _photos_in(folder: Path) -> list[Path]:
+    """The files of a folder, not of those within it, whose suffixes are those of photos."""
+    found = sorted(path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES and path.is_file())
+    if not found:
+        do = "Name the photos themselves, or the folder that they lie in."
+        raise ConfigError(describe(what="Folder", where=folder, got="no photo in it", allowed=READABLE, do=do))
+    return found
 
 
 def made_by(effort: Effort, usual: Any, config: Any) -> dict[str, Any]:

@@ -33,9 +33,6 @@ class FewOptions(PhotoOptions):
     def __post_init__(self) -> None:
         if self.workers < 1:
             raise ConfigError(describe(what="--workers", got=self.workers, allowed="1 or more", do="Name how many."))
-        if self.corners is not None and len(self.photos) > 1:
-            got, do = f"{len(self.photos)} photos", "Rectify this photo by itself."
-            raise ConfigError(describe(what="--corners", got=got, allowed="one photo", do=do))
 
 
 @dataclass(frozen=True)
@@ -60,6 +57,9 @@ def run(arguments: list[str]) -> int:
         told = "no photos; name at least one, for example: hybrid rectify photo.jpg -o out"
         print(f"hybrid rectify: {told}", file=sys.stderr)
         return 2
+    if options.corners is not None and len(photos) > 1:
+        got, do = f"{len(photos)} photos", "Rectify this photo by itself."
+        raise ConfigError(describe(what="--corners", got=got, allowed="one photo", do=do))
     made = made_by(options.effort, RectifyConfig.of(options.effort), options.config)
     outcomes = rectify_files(
         photos,
@@ -74,7 +74,9 @@ def run(arguments: list[str]) -> int:
     )
     failed = [outcome for outcome in outcomes if not outcome.ok]
     if len(outcomes) > 1:
-        print(f"{len(outcomes) - len(failed)} of {len(outcomes)} photos flattened, in {options.out}")
+        unsure = sum(outcome.unsure for outcome in outcomes)
+        told = f", {unsure} of them UNSURE" if unsure else ""
+        print(f"{len(outcomes) - len(failed)} of {len(outcomes)} photos flattened{told}, in {options.out}")
         for outcome in failed:
             print(f"  failed: {outcome.photo}: {outcome.message}")
         for outcome in outcomes:

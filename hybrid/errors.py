@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 import zlib
 from collections.abc import Callable, Sequence
-from dataclasses import fields, is_dataclass
-from typing import Any
+from dataclasses import MISSING, Field, fields, is_dataclass
+from typing import Any, NoReturn
 from zipfile import BadZipFile
 
 NPZ_ERRORS = (OSError, ValueError, KeyError, EOFError, BadZipFile, zlib.error)
@@ -69,21 +69,41 @@ def _require(config: Any, allowed: Callable[[Any], bool], told: str, names: Sequ
         value = getattr(config, name)
         values = value if isinstance(value, tuple) else (value,)
         if not values or not all(map(allowed, values)):
-            option = f"{type(config).__name__}.{name}"
-            raise ConfigError(describe(what=option, got=value, allowed=told, do="Choose another."))
+            _refuse(config, name, value, told)
+
+
+def _refuse(config: Any, name: str, value: Any, allowed: str) -> NoReturn:
+    option = f"{type(config).__name__}.{name}"
+    raise ConfigError(describe(what=option, got=repr(value), allowed=allowed, do="Choose another."))
+
+
+class FittedWeights:
+    """Options that are weights of a sum, which may have either sign."""
 
 
 def require_numbers(config: Any) -> None:
-    """Refuse options that are NaN, in a record of options and in those within it: comparisons with it hold nowhere.
+    """Refuse options that cannot be, in a record of options and in those within it: something else than such a record,
+    NaN, with which no comparison holds, and what is below 0, but for fitted weights and options that usually are:
+    sizes, counts and shares are not.
 
     Raises:
         ConfigError: one is.
     """
-    for name in (one.name for one in fields(config)):
-        value = getattr(config, name)
-        values = value if isinstance(value, tuple) else (value,)
-        if is_dataclass(value):
+    for one in fields(config):
+        value, usual = getattr(config, one.name), _usual(one)
+        if is_dataclass(usual):
+            if not isinstance(value, type(usual)):
+                _refuse(config, one.name, value, f"a {type(usual).__name__}")
             require_numbers(value)
-        elif any(isinstance(each, float) and math.isnan(each) for each in values):
-            option = f"{type(config).__name__}.{name}"
-            raise ConfigError(describe(what=option, got=value, allowed="numbers", do="Choose another."))
+            continue
+        signed = isinstance(config, FittedWeights) or (isinstance(usual, float) and usual < 0)
+        values = value if isinstance(value, tuple) else (value,)
+        if any(isinstance(each, (int, float)) and not each >= (-math.inf if signed else 0) for each in values):
+            _refuse(config, one.name, value, "numbers" if signed else ">= 0")
+
+
+def _usual(option: Field[Any]) -> Any:
+    """The value that an option has where none is given; None where one must be."""
+    if option.default_factory is not MISSING:
+        return option.default_factory()
+    return None if option.default is MISSING else option.default

@@ -58,8 +58,8 @@ class GridEdit:
                 do = "Name rows and columns: GridEdit.of(result, (4, 5))."
                 raise ConfigError(describe(what="Grid to edit", got="a film without one", do=do))
             return GridEdit(result, result.grid)
-        rows, cols = cells
-        if not (1 <= rows <= 99 and 1 <= cols <= 99):
+        rows, cols = cells if len(cells) == 2 else (0, 0)
+        if not (_whole(rows, cols) and 1 <= rows <= 99 and 1 <= cols <= 99):
             raise ConfigError(describe(what="Slices", got=cells, allowed="rows and columns from 1 to 99", do="Count."))
         vertices = film_nodes((rows + 1, cols + 1))
         grid = SliceGrid(rows, cols, vertices, result.backward.photo_from_film(vertices), confidence=0.0)
@@ -72,8 +72,12 @@ class GridEdit:
             ConfigError: there is no such corner, it is no point, or the film would fold.
         """
         rows, cols = self.start.vertices_photo.shape[:2]
-        x, y = (float(each) for each in to)
-        if not (0 <= row < rows and 0 <= col < cols):
+        try:
+            x, y = (float(each) for each in to)
+        except (TypeError, ValueError):
+            allowed, do = "a photo point (x, y)", "Name two numbers."
+            raise ConfigError(describe(what="Place of a corner", got=repr(to), allowed=allowed, do=do)) from None
+        if not (_whole(row, col) and 0 <= row < rows and 0 <= col < cols):
             allowed = f"rows 0 to {rows - 1}, columns 0 to {cols - 1}"
             raise ConfigError(describe(what="Corner of a cell", got=(row, col), allowed=allowed, do="Choose another."))
         further = replace(self, done=(*self.done, Move(row, col, (x, y))), undone=())
@@ -122,6 +126,10 @@ class GridEdit:
             edited = BackwardMap(edited.nodes + fit_tps(at, left)(nodes))
             left = by - (edited.photo_from_film(at) - film.photo_from_film(at))
         return edited
+
+
+def _whole(*numbers: object) -> bool:
+    return all(isinstance(each, (int, np.integer)) for each in numbers)
 
 
 __all__ = ["GridEdit", "Move"]

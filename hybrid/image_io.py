@@ -33,6 +33,7 @@ BITS, COMPRESSION, PLANES = 258, 259, 284
 """Further tags. Pillow reads uncompressed (1) planes (2) of 16 bits as if they had 8."""
 
 READABLE = "JPEG, PNG, TIFF, WebP or HEIC"
+SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp", ".heic", ".heif")
 _JPEG_START = b"\xff\xd8\xff"
 _JPEG_QUALITY = 95
 _PNG_LEVEL = 3  # drawings shrink to a third of what OpenCV's own options leave; of the film's noise hardly more goes

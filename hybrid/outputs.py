@@ -36,7 +36,7 @@ RectifiedFormat = Literal["jpg", "png"]
 class Outcome:
     """How one photo ended.
 
-    ok: a film was found and every file is written.
+    ok: a film was found and every file is written. unsure: that film may be off.
     message: the status, or the error, as a sentence.
     files: what was written, in that order.
     warnings: what a person should look at, a sentence each.
@@ -47,6 +47,7 @@ class Outcome:
     message: str
     files: tuple[Path, ...] = ()
     warnings: tuple[str, ...] = ()
+    unsure: bool = False
 
 
 def rectify_files(
@@ -71,7 +72,7 @@ def rectify_files(
         named.setdefault(path.stem, []).append(path)
     task = partial(_all_rectified, out, rectified_format, made or {}, verbose, dicom)
     outcomes: dict[Path, Outcome] = {}
-    with tqdm(total=len(photos), desc="rectify", unit="photo", disable=len(photos) < 2) as bar:
+    with tqdm(total=len(photos), desc="rectify", unit="photo", disable=True if len(photos) < 2 else None) as bar:
         for group, done in zip(
             named.values(), shared_out(task, make_rectify, list(named.values()), workers), strict=True
         ):
@@ -108,7 +109,8 @@ def _rectified(
         result = rectify(photo)
         result = replace(result, stages=(read, *result.stages))
         files = write_result(out, [path], photo, result, rectified_format, made=made, dicom=dicom)
-        outcome = Outcome(path, result.status.has_film, str(result.status), files, tuple(warnings_of(result)))
+        status, warnings = result.status, tuple(warnings_of(result))
+        outcome = Outcome(path, status.has_film, str(status), files, warnings, status.has_film and not status.ok)
         return outcome, "\n".join(report_lines(path, result, files, verbose))
     except (HybridError, OSError, MemoryError) as error:
         outcome = Outcome(path, False, str(error) or type(error).__name__)
@@ -355,7 +357,8 @@ def save_result(
         dicom: whether film and slices are written as DICOM, too (``hybrid.dicom``).
 
     Raises:
-        PhotoError: the photo cannot be read. ConfigError: nothing can be written there, or photos are missing.
+        PhotoError: the photo cannot be read. ConfigError: nothing can be written there, photos are missing, or it is
+            another photo (of another size).
     """
     if rectified_format not in get_args(RectifiedFormat):
         allowed = " or ".join(get_args(RectifiedFormat))
@@ -367,6 +370,7 @@ def save_result(
         got, do = f"{len(paths)} of its photos", "Name all that were fused, in their order."
         raise ConfigError(describe(what="A fused film", got=got, allowed=f"{result.photo + 1} or more", do=do))
     photo = read_photo(paths[result.photo])
+    result.of_photo(photo.shape, paths[result.photo])
     make_folder(folder, "the argument out")
     return write_result(folder, paths, photo, result, rectified_format, dicom=dicom)
 

@@ -132,7 +132,7 @@ class Rectifier:
             edit: of what this rectifier made of it.
 
         Raises:
-            PhotoError: the source cannot be read as a photo.
+            PhotoError: the source cannot be read as a photo. ConfigError: it is another photo (of another size).
         """
         before = edit.result
         if edit.grid is before.grid and edit.backward is before.backward:
@@ -141,7 +141,9 @@ class Rectifier:
         assert before.covered is not None
         clock = Clock()
         with one_thread():
-            pyramid = Pyramid(_photo_of(source, clock))
+            photo = _photo_of(source, clock)
+            before.of_photo(photo.shape)
+            pyramid = Pyramid(photo)
             with clock.stage("resample") as report:
                 size = (before.film.shape[0], before.film.shape[1])
                 flat = rectify_photo(pyramid, edit.backward, size, self.config.resample)
@@ -217,6 +219,7 @@ class Rectifier:
             expected_error_px=expected_error_px(signs, self.config.trust),
             limit_px=largest_error_px(signs.photo_px, self.config.trust),
             signs=signs,
+            photo_size=(photo.shape[0], photo.shape[1]),
         )
 
     def _finish(

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
 from hybrid.backward import BackwardMap, Orientation
+from hybrid.errors import ConfigError, describe
 
 # ---------------------------------------------------------------- what the network sees
 
@@ -97,7 +98,7 @@ class StatusCode(Enum):
     )
     NO_FILM = (
         "No film was found in the photo. Photograph the whole sheet, edges included, "
-        "so that it fills at least a third of the picture; one film to a photo. Where there is one, name its corners."
+        "so that it fills at least a third of the picture; one film to a photo. Where there is one, name its corners (--corners)."
     )
     CUT_OFF = (
         "A film was seen, but a large part of the sheet lies outside the photo. "
@@ -219,6 +220,7 @@ class RectifyResult:
         allows more. That it is off by less must be 94 % probable (``TrustConfig.least_chance``), and nothing else may
         speak against it (``status.doubts``).
     signs: what speaks for the map and against it, of which both are told (``rectify/trust.py``).
+    photo_size: height and width of the photo in pixels.
     photo: of a film fused from several photos the index of the one that rectified, backward and the grid's vertices in
         the photo are of: the first in which a film was found.
     """
@@ -237,7 +239,19 @@ class RectifyResult:
     expected_error_px: float | None = None
     limit_px: float | None = None
     signs: Signs | None = None
+    photo_size: tuple[int, int] | None = None
     photo: int = 0
+
+    def of_photo(self, size: tuple[int, ...], where: object = None) -> None:
+        """Refuse a photo of another ``size`` (height, width) than the one that this is the result of.
+
+        Raises:
+            ConfigError: it is another photo.
+        """
+        if self.photo_size is not None and tuple(size[:2]) != self.photo_size:
+            got, allowed = (f"{w} x {h} pixels" for h, w in (size[:2], self.photo_size))
+            do = "Name the photo that the result is of."
+            raise ConfigError(describe(what="Another photo", where=where, got=got, allowed=allowed, do=do))
 
     def slices(self) -> list[Float[np.ndarray, "sh sw"]]:
         """The slice images cut out of the film, row by row; empty where no grid was found."""

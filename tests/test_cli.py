@@ -74,6 +74,7 @@ class StandIn:
             confidence=np.ones(size, dtype=np.float32),
             expected_error_px=1.234,
             limit_px=5.0,
+            photo_size=size,
         )
 
 
@@ -225,6 +226,8 @@ def test_a_result_is_saved_from_python_as_the_command_writes_it(photo: Path, tmp
     assert json.loads(fused[-1].read_text())["further_photos"] == ["black.png"]
     with pytest.raises(ConfigError, match="A fused film: got 1 of its photos; allowed: 2 or more"):
         hybrid.save_result(photo, replace(StandIn()(read_photo(photo)), photo=1), saved)
+    with pytest.raises(ConfigError, match=r"Another photo \(.*black.png\): got 64 x 64 pixels; allowed: 90 x 60"):
+        hybrid.save_result(black_photo(tmp_path), StandIn()(read_photo(photo)), saved)
     told = hybrid.save_result(black_photo(tmp_path), RectifyResult(Status(StatusCode.NO_FILM)), saved)
     assert told == (saved / "black.json",)
     with pytest.raises(ConfigError, match="Nothing can be written there"):
@@ -275,7 +278,7 @@ def test_a_film_that_may_be_off_is_written_with_a_warning(
     assert (record["ok"], record["status"]) == (False, "UNSURE")
     printed = capsys.readouterr().out
     assert f"UNSURE  {StatusCode.UNSURE.value}" in printed
-    assert "2 of 2 photos flattened" in printed
+    assert "2 of 2 photos flattened, 1 of them UNSURE, in " in printed
     assert f"look at {photo.with_name('dark.png')}: It may be off." in printed
     assert f"look at {photo}:" not in printed
 
@@ -434,7 +437,7 @@ def test_bad_photos_do_not_stop_the_good_ones(photo: Path, tmp_path: Path, capsy
     (folder / "empty.jpg").touch()
     (folder / "text.jpg").write_text("no picture")
     write_rgb(folder / "white.png", np.full((64, 64, 3), 255, dtype=np.uint8))
-    bad = [folder / "gone.jpg", folder / "empty.jpg", folder / "text.jpg", folder, black_photo(folder)]
+    bad = [folder / "gone.jpg", folder / "empty.jpg", folder / "text.jpg", black_photo(folder)]
     bad.append(folder / "white.png")
     out = tmp_path / "out"
     assert cli.main(["rectify", *map(str, bad), str(photo), "-o", str(out)]) == 1
@@ -443,15 +446,29 @@ def test_bad_photos_do_not_stop_the_good_ones(photo: Path, tmp_path: Path, capsy
         "No such file",
         "is empty",
         "got text",
-        "a folder",
         StatusCode.NO_FILM.value,
         "IndexError: a defect",
     ):
         assert message in printed
-    assert "1 of 7 photos flattened" in printed
+    assert "1 of 6 photos flattened" in printed
     assert (out / "film_film.png").exists()
     record = json.loads((out / "black.json").read_text())
     assert (record["ok"], record["status"], record["files"]) == (False, "NO_FILM", [])
+
+
+@pytest.mark.usefixtures("_stand_in")
+def test_a_folder_stands_for_the_photos_in_it(photo: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder, out = photo.parent, tmp_path / "out"
+    for name in ("b.PNG", "deeper/c.png"):
+        (folder / name).parent.mkdir(exist_ok=True)
+        (folder / name).write_bytes(photo.read_bytes())
+    (folder / "notes.txt").write_text("no photo")
+    assert cli.main(["rectify", str(folder), str(photo), "-o", str(out)]) == 0
+    assert "2 of 2 photos flattened, in" in capsys.readouterr().out
+    assert sorted(path.stem for path in out.glob("*.json")) == ["b", "film"]
+    (empty := tmp_path / "empty").mkdir()
+    assert cli.main(["rectify", str(empty), "-o", str(out)]) == 1
+    assert f"hybrid: Folder ({empty}): got no photo in it" in capsys.readouterr().err
 
 
 @pytest.mark.usefixtures("_stand_in")

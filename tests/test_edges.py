@@ -230,7 +230,10 @@ def test_the_packaged_network_reads_a_drawn_film(reader, ground):
     assert off.mean() < 0.005 * max(film.mean_film_pixels())
 
 
-def test_blank_photos_raise_nothing(reader):
+def test_in_blank_photos_no_edges_are_read(reader):
     _, film = sheet_photo()
     for grey in (0, 255):
-        put_on_edges(film, read_edges(Pyramid(np.full((700, 700, 3), grey, np.uint8)), film, reader, CONFIG), CONFIG)
+        read = read_edges(Pyramid(np.full((700, 700, 3), grey, np.uint8)), film, reader, CONFIG)
+        assert not read.sightings
+        assert read.support.max() < 0.2
+        assert put_on_edges(film, read, CONFIG) is film

@@ -287,8 +287,11 @@ def test_a_broad_remains_of_light_in_one_of_three_is_left_out():
     u, _ = film_centres(SIZE).transpose(2, 0, 1)
     veiled = (film + 0.3 * (u > 0.6)).astype(np.float32)
     nothing, trust = np.zeros(SIZE, bool), np.ones(SIZE, np.float32)
-    result = merge([veiled, film, film], [nothing] * 3, [trust] * 3, MergeConfig())
+    less = np.full(SIZE, 0.8, np.float32)
+    result = merge([veiled, film, film], [nothing] * 3, [trust, less, less], MergeConfig())
     assert np.abs(result.film - film).mean() < 0.005
+    np.testing.assert_allclose(result.confidence[u > 0.7], 0.8, atol=1e-3)  # not of the photo that is left out there
+    np.testing.assert_allclose(result.confidence[u < 0.5], 1.0, atol=1e-3)
 
 
 def test_fewer_than_two_photos_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]):

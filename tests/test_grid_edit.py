@@ -94,8 +94,9 @@ def test_moves_that_cannot_be_are_refused(edit: GridEdit):
         edit.moved(edit.grid.rows + 1, 0, (10.0, 10.0))
     with pytest.raises(ConfigError, match="fold"):
         edit.moved(1, 1, place(edit, 3, 3))
-    with pytest.raises(ConfigError, match="Place of a corner"):
-        edit.moved(1, 1, (np.nan, 10.0))
+    for no_point in ((np.nan, 10.0), (1.0, 2.0, 3.0), np.zeros((2, 2))):
+        with pytest.raises(ConfigError, match="Place of a corner"):
+            edit.moved(1, 1, no_point)
 
 
 def test_a_grid_can_be_given(result: RectifyResult):
@@ -134,6 +135,12 @@ def test_the_film_of_an_edit_is_made_anew(rectifier: Rectifier, result: RectifyR
     middle, corner = apart[h // 4 : -h // 4, w // 4 : -w // 4].mean(), apart[: h // 8, : w // 8].mean()
     assert middle > 3 * corner
     assert len(film.slices()) == len(result.slices())
+
+
+def test_another_photo_is_refused(rectifier: Rectifier, edit: GridEdit):
+    moved = edit.moved(2, 2, place(edit, 2, 2) + 3)
+    with pytest.raises(ConfigError, match="Another photo: got 300 x 200 pixels"):
+        rectifier.edited(np.zeros((200, 300, 3), np.uint8), moved)
 
 
 def test_an_edit_that_was_reset_is_the_result_itself(rectifier: Rectifier, result: RectifyResult, edit: GridEdit):

@@ -14,9 +14,11 @@ from safetensors.torch import load_file
 from data_gen.generate import GenerateConfig, generate
 from data_gen.sample import SampleConfig
 from hybrid.backward import BackwardMap, Orientation
-from hybrid.coords import film_centres, pixel_centres, rescale_points
+from hybrid.coords import film_centres, film_nodes, pixel_centres, rescale_points
 from hybrid.errors import ConfigError, DataError
+from hybrid.learn import cast_shadow
 from hybrid.learn import train as train_module
+from hybrid.learn.cast_shadow import with_shadow
 from hybrid.learn.data import AugmentConfig, grid_along, random_view, training_view
 from hybrid.learn.inference import PackedConv, ready
 from hybrid.learn.losses import (
@@ -288,6 +290,40 @@ def test_flattened_views_hold_the_film_about_where_it_belongs(dataset):
     view = training_view(place, 64, np.random.default_rng(0), errors)
     expected = film_from_view(film_centres(view.mask.shape), 0.1)
     assert np.quantile(np.abs(view.uv - expected)[view.mask], 0.95) < 0.005
+
+
+def test_a_shadow_is_thrown_beside_the_film_and_not_on_it():
+    """Of a film of one grey before a ground of another: what is darker is ground."""
+    film = BackwardMap(film_nodes((9, 9)) * np.array([70.0, 90.0]) + np.array([50.0, 40.0]))
+    photo = np.full((180, 170, 3), 200, np.uint8)
+    photo[40:130, 50:120] = 90
+    inside = np.zeros((180, 170), bool)
+    inside[42:128, 52:118] = True
+    darkened = []
+    for seed in range(12):
+        shaded = with_shadow(photo, film, np.random.default_rng(seed))
+        np.testing.assert_array_equal(shaded[inside], 90)
+        assert (shaded <= photo).all()
+        darkened.append(float((shaded[..., 1] < 0.9 * photo[..., 1]).mean()))
+    assert min(darkened) > 0.02
+    assert len(set(darkened)) == len(darkened)
+    np.testing.assert_array_equal(
+        with_shadow(photo, film, np.random.default_rng(3)), with_shadow(photo, film, np.random.default_rng(3))
+    )
+
+
+def test_shadows_are_thrown_in_some_views_and_not_where_colours_stay(dataset, monkeypatch):
+    place = open_places([dataset])[2]
+    thrown = []
+    monkeypatch.setattr(cast_shadow, "with_shadow", lambda photo, film, rng: thrown.append(film) or photo)
+    for seed in range(40):
+        training_view(place, 64, np.random.default_rng(seed), AugmentConfig())
+    assert 4 < len(thrown) < 24
+    thrown.clear()
+    for seed in range(10):
+        training_view(place, 64, np.random.default_rng(seed), kind_of_view())
+    training_view(place, 64, np.random.default_rng(0), None)
+    assert not thrown
 
 
 # ---------------------------------------------------------------- the paper's networks' data

@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
-from hybrid.errors import require_at_least
+from hybrid.errors import FittedWeights, require_at_least
 from hybrid.rectify.cell_phases import AxisPhases
 from hybrid.rectify.grid import MAX_CELLS, GridConfig, line_votes, narrowed
 from hybrid.rectify.repeat import Repeats, autocorrelation, detail, highest
@@ -31,7 +31,7 @@ LEAST_PROBABILITY = 0.3
 
 
 @dataclass(frozen=True)
-class Weights:
+class Weights(FittedWeights):
     """By how much each sign of a grid along one axis raises the logarithm of its odds, for a sign of 1.
 
     line: share of the film's length on which the lines between its cells are seen. clear: strength of the print there,
@@ -98,6 +98,8 @@ class CellsConfig:
 
     def __post_init__(self) -> None:
         require_at_least(self, 64, "side_px")
+        require_at_least(self, 0.1, "detail_px")
+        require_at_least(self, 1, "kept")
 
 
 @dataclass(frozen=True, eq=False)

@@ -64,7 +64,9 @@ class CongealConfig:
     """From this blur on, a view of half the size shows as much, and is four times as quick."""
 
     def __post_init__(self) -> None:
-        require_at_least(self, 0.001, "block_px")
+        require_at_least(self, 0.001, "block_px", "min_gain")
+        require_at_least(self, 0.1, "blurs_px", "light")
+        require_at_least(self, 1, "steps")
 
     def shrunk(self, factor: int) -> CongealConfig:
         """The same options in pixels of a view that is reduced by ``factor``."""

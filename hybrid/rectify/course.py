@@ -101,6 +101,7 @@ class RefineConfig:
 
     def __post_init__(self) -> None:
         require_at_least(self, 64, "working_px")
+        require_at_least(self, 1e-3, "sheet_prior_px")
 
     @property
     def outline_again(self) -> OutlineConfig:

@@ -54,6 +54,7 @@ class ForeshorteningConfig:
 
     def __post_init__(self) -> None:
         require_at_least(self, 1e-3, "steps", "pitches")
+        require_at_least(self, 1e-6, "sigma", "edge_sigma", "shared_sigma")
 
 
 @dataclass(frozen=True)

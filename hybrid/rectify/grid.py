@@ -83,7 +83,7 @@ class GridConfig:
     """The same of one that ends in rules along the film's edges."""
 
     def __post_init__(self) -> None:
-        require_at_least(self, 1, "widths_px")
+        require_at_least(self, 1, "widths_px", "reach_px")
         require_at_least(self, 3, "strips")
 
 

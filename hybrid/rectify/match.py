@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from hybrid.coords import opencv_from_photo
+from hybrid.errors import require_at_least
 from hybrid.film_view import FilmView
 from hybrid.rectify.repeat import Repeats, cell_moments, detail, shrunk
 from hybrid.rectify.sightings import Sightings
@@ -48,6 +49,10 @@ class MatchConfig:
     """Prior standard deviation of the pitch, in film units."""
     shrink: int = 2
     """The view is reduced by this factor first: what is searched to a pixel or two shows on a smaller view, too."""
+
+    def __post_init__(self) -> None:
+        require_at_least(self, 1, "reach_px", "shrink")
+        require_at_least(self, 0.1, "fine_px")
 
 
 def match_cells(view: FilmView, columns: Repeats, rows: Repeats, config: MatchConfig) -> tuple[Sightings, ...]:

@@ -66,7 +66,7 @@ def merge(
     broad = [_blurred_where(film, ~gone, sigma) for film, gone in zip(films, lost, strict=True)]
     level = _middle(broad, lost, trust)
     total, weights = np.zeros(films[0].shape, np.float32), []
-    merged = np.zeros_like(total)
+    merged, best = np.zeros_like(total), np.zeros_like(total)
     sharp = np.array([_sharpness(film, gone, config.sharpness_px) for film, gone in zip(films, lost, strict=True)])
     sharp = (sharp / max(sharp.max(), 1e-9)) ** 4  # what is blurred adds little but blur
     for film, gone, sure, smooth, worth in zip(films, lost, trust, broad, sharp.tolist(), strict=True):
@@ -77,10 +77,10 @@ def merge(
         weight = np.where(gone, np.float32(0), weight + np.float32(1e-4))
         merged += weight * film
         total += weight
+        best = np.maximum(best, np.where(gone, np.float32(0), sure * odd))  # not of what the others do not bear out
         weights.append(weight)
     nowhere = np.logical_and.reduce(list(lost))
     film = np.where(nowhere, films[0], merged / np.maximum(total, np.float32(1e-9)))
-    best = np.maximum.reduce([np.where(gone, np.float32(0), sure) for gone, sure in zip(lost, trust, strict=True)])
     shares = tuple(float((weight / np.maximum(total, 1e-9))[~nowhere].mean()) if not nowhere.all() else 0.0
                    for weight in weights)  # fmt: skip
     return Fused(film, nowhere, best, shares)

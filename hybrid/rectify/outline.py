@@ -68,6 +68,8 @@ class OutlineConfig:
 
     def __post_init__(self) -> None:
         require_at_least(self, 4, "profiles")
+        require_at_least(self, 1, "windows_px", "gap_windows_px")
+        require_at_least(self, 1e-3, "sigma_px", "rule_sigma_px")
 
 
 _NOWHERE = -10.0

@@ -84,7 +84,9 @@ class SheetConfig:
     """With fewer edges the sheet's shape is not determined."""
 
     def __post_init__(self) -> None:
-        require_at_least(self, 0.1, "focal")
+        require_at_least(self, 0.1, "focal", "focal_range")
+        require_at_least(self, 1e-3, "focal_sigma", "beyond_sigma", "distortion")
+        require_at_least(self, 1, "every")
 
     @property
     def near(self) -> SheetConfig:

@@ -18,6 +18,7 @@ from scipy.linalg import eigvalsh, get_lapack_funcs
 
 from hybrid.backward import BackwardMap
 from hybrid.coords import film_nodes
+from hybrid.errors import require_at_least
 from hybrid.rectify.tps import MAD_TO_SIGMA, LatticeSpline, lattice_spline, mad_sigma, tukey_weights
 
 PRIOR_COUNT = 4.0
@@ -96,6 +97,11 @@ class SplineConfig:
     """Lowest and highest bending weight tried, and how many; the evidence chooses. In 1 / (squared film units)."""
     reweightings: int = 5
     """Rounds of robust reweighting."""
+
+    def __post_init__(self) -> None:
+        require_at_least(self, 3, "lattice")
+        require_at_least(self, 1e-3, "prior_px")
+        require_at_least(self, 1e-9, "stiffness")
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,7 +18,7 @@ from jaxtyping import Float
 
 from hybrid.backward import BackwardMap
 from hybrid.coords import film_centres_1d
-from hybrid.errors import require_at_least
+from hybrid.errors import FittedWeights, require_at_least
 from hybrid.film_view import view_film
 from hybrid.pyramid import Pyramid
 from hybrid.records import CoarseMaps, Signs, SliceGrid, StatusCode
@@ -47,7 +47,7 @@ UNKNOWN_BESIDE = 0.04
 
 
 @dataclass(frozen=True)
-class ChanceConfig:
+class ChanceConfig(FittedWeights):
     """How probable it is that a map is right to a limit: a logistic regression over 934 maps of simulated photos of the
     training scans, with limits of 4, 5 and 6 pixels of a photo of 1080.
 
@@ -66,7 +66,7 @@ class ChanceConfig:
 
 
 @dataclass(frozen=True)
-class ErrorConfig:
+class ErrorConfig(FittedWeights):
     """Which error is to be expected: the logarithm of the error, in parts of the film, as a linear function of the
     signs (``error_features``), fitted by absolute deviations to photos of training scans with truth, as they are and
     damaged."""
@@ -240,14 +240,14 @@ def film_verdict(signs: Signs, config: TrustConfig | None = None) -> Verdict:
             (f"{signs.edges} of 4 edges seen", signs.edges < config.min_edges),
             ("no grid seen", not signs.grid),
             (f"only {signs.levels:.0f} of 255 grey levels", signs.levels < config.min_levels),
-            (f"an edge reads as one to {signs.support:.0%} only", signs.support < config.min_support),
+            (f"one edge is only {signs.support:.0%} likely to be the sheet's", signs.support < config.min_support),
             (
-                f"the network's film fills the sheet to {signs.overlap_after:.0%} only",
+                f"what the network sees as film overlaps the sheet by only {signs.overlap_after:.0%}",
                 signs.overlap_after < config.min_overlap,
             ),
             ("the network sees other cells", signs.grid and signs.in_step < config.min_in_step),
             ("cells are not alike", signs.grid and signs.alike < config.min_alike),
-            ("not corrected by what is seen on the film", not signs.corrected),
+            ("edges, lines and texts of the film did not correct the network's map", not signs.corrected),
             (f"{expected:.1f} px of error expected, {allowed:.1f} allowed", expected > allowed),
             (f"only {_floored(chance)} sure to be right to {limit:.1f} px", chance < config.least_chance),
         )
@@ -256,8 +256,8 @@ def film_verdict(signs: Signs, config: TrustConfig | None = None) -> Verdict:
     evidence = (
         f"{_floored(chance)} sure to be right to {limit:.1f} px, expected to be off by {expected:.1f} px; "
         f"mask and outline agree to {signs.overlap_before:.1%} before and "
-        f"{signs.overlap_after:.1%} after refinement, edges read as such to {signs.support:.0%} at least, "
-        f"cells are alike to {signs.alike:.0%} and agree with what the network sees to {signs.in_step:.0%}"
+        f"{signs.overlap_after:.1%} after refinement, each edge is at least {signs.support:.0%} likely to be the "
+        f"sheet's, cells are alike to {signs.alike:.0%} and agree with what the network sees to {signs.in_step:.0%}"
     )
     if doubts:
         nothing = not signs.grid and not signs.corrected and signs.support < config.least_support
