@@ -36,20 +36,22 @@ SCENE = Path(__file__).with_name("blender_scene.py")
 
 @dataclass(frozen=True)
 class Options:
-    """Make check photos with Blender.
-
-    out: folder of the photos. python: a Python that has bpy. count: how many photos. seed: of all that is drawn.
-    side: of the photos in pixels. samples: of light per pixel, before they are denoised. sources: of CT volumes and
-    environments; without environments light is plain.
-    """
+    """Make check photos with Blender."""
 
     out: Path
+    """Folder of the photos."""
     python: Path
+    """A Python that has bpy."""
     count: int = 48
+    """How many photos."""
     seed: int = 0
+    """Of all that is drawn."""
     side: int = 1080
+    """Of the photos in pixels."""
     samples: int = 24
+    """Of light per pixel, before they are denoised."""
     sources: tyro.conf.OmitArgPrefixes[SourceConfig] = field(default_factory=SourceConfig)
+    """Of CT volumes and environments; without environments light is plain."""
 
     def __post_init__(self) -> None:
         require_at_least(self, 1, "count", "samples")

@@ -150,18 +150,20 @@ def summary(errors: Sequence[Errors]) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Options:
-    """Check that the truth of samples agrees with itself.
-
-    json: where the figures go. samples: how many. size: of their photos. data: a data set that is there already.
-    workers: processes that make the samples. sources: what is printed and what lights it.
-    """
+    """Check that the truth of samples agrees with itself."""
 
     json_path: Annotated[Path, tyro.conf.arg(name="json")]
+    """File for the figures."""
     samples: int = 200
+    """How many."""
     size: int = 256
+    """Side of their photos in pixels."""
     data: Path | None = None
+    """A data set that is there already."""
     workers: int = 2
+    """Processes that make the samples."""
     sources: tyro.conf.OmitArgPrefixes[SourceConfig] = field(default_factory=SourceConfig)
+    """What is printed and what lights it."""
 
 
 def measured(options: Options) -> dict[str, Any]:

@@ -20,10 +20,12 @@ Curve = tuple[tuple[float, float], ...]
 
 @dataclass(frozen=True)
 class CurvesConfig:
-    """curves: ``curves.csv`` of a training. picture: where the picture is written (.png or .jpg)."""
+    """Draw the curves of a training."""
 
     curves: tyro.conf.Positional[Path]
+    """Its ``curves.csv``."""
     picture: Path = Path("curves.png")
+    """The picture to write, .png or .jpg."""
 
 
 def read_curves(path: Path) -> dict[str, Curve]:

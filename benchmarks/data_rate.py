@@ -58,16 +58,16 @@ PARTS: dict[str, tuple[str, ...]] = {
 
 @dataclass(frozen=True)
 class Options:
-    """Measure how fast samples are made.
-
-    json: where the figures go. quick: shorter, of fewer phantoms, and memory after 128 samples only.
-    seconds: that each rate is measured for. sources: CT volumes and environments; without them all is embedded.
-    """
+    """Measure how fast samples are made."""
 
     json_path: Annotated[Path, tyro.conf.arg(name="json")]
+    """File for the figures."""
     quick: bool = False
+    """Shorter, of fewer phantoms, and memory after 128 samples only."""
     seconds: float = 40.0
+    """That each rate is measured for."""
     sources: tyro.conf.OmitArgPrefixes[SourceConfig] = field(default_factory=SourceConfig)
+    """CT volumes and environments; without them all is embedded."""
 
 
 def measured(options: Options) -> dict[str, Any]:

@@ -101,15 +101,14 @@ def write_page(page: Path, out: Path, readme: Path | None = None) -> None:
 
 @dataclass(frozen=True)
 class Options:
-    """Make the page from results that are there.
-
-    out: folder of run.json and, if made, stability.json and soak.json. page: the file to write. readme: a README whose
-    table is made anew as well.
-    """
+    """Make the page from results that are there."""
 
     out: Path
+    """Folder of run.json and, if made, stability.json and soak.json."""
     page: Path = Path("docs/benchmarks.md")
+    """The file to write."""
     readme: Path | None = None
+    """A README whose table is made anew as well."""
 
 
 def run(options: Options, command: list[str]) -> None:

@@ -204,8 +204,8 @@ def _stability_text(stability: StabilityReport) -> str:
         + table(("part", "what", "tried", "refused", "failed", "worst residual"), rows)
         + f"\n\n{verdict}\n\n"
         + table(("damage", "photos", "ok", "unsure", "refused", "failed"), damages)
-        + "\n\n*Failed* is whatever must not be: a crash, a hang, NaN, an untruth, or a refusal though the same photo's "
-        "right map was there."
+        + "\n\n*Failed* is whatever must not be: a crash, a hang, NaN, an untruth, or a refusal though a right map was "
+        "there."
     )
 
 

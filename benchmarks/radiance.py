@@ -45,18 +45,20 @@ BOUND = 0.05
 
 @dataclass(frozen=True)
 class Options:
-    """Compare the shading with a path tracer.
-
-    json: where the figures go. hdri: folder of environments in place of procedural rooms. picture: side by side.
-    side: of the traced photo in pixels. samples: per pixel. only: the scenes with one of these words in their names.
-    """
+    """Compare the shading with a path tracer."""
 
     json_path: Annotated[Path, tyro.conf.arg(name="json")]
+    """File for the figures."""
     hdri: Path | None = None
+    """Folder of environments in place of procedural rooms."""
     picture: Path | None = None
+    """File for both side by side."""
     side: int = 48
+    """Of the traced photo in pixels."""
     samples: int = 2048
+    """Per pixel."""
     only: tuple[str, ...] = ()
+    """The scenes with one of these words in their names; all if none is named."""
 
 
 @dataclass(frozen=True)

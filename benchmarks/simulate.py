@@ -216,17 +216,18 @@ def _shares(profile: cProfile.Profile) -> dict[str, float]:
 
 @dataclass(frozen=True)
 class Options:
-    """Check the film solver.
-
-    json: where the figures go. picture: where the picture of the recipes goes. quick: fewer and smaller scenes.
-    scenes: number of random scenes. only: names of the checks to run, none for all.
-    """
+    """Check the film solver."""
 
     json_path: Annotated[Path, tyro.conf.arg(name="json")]
+    """File for the figures."""
     picture: Path | None = None
+    """File for a picture of the recipes."""
     quick: bool = False
+    """Fewer and smaller scenes."""
     scenes: int = 2000
+    """Number of random scenes."""
     only: tuple[str, ...] = ()
+    """Names of the checks to run, none for all."""
 
 
 def measured(options: Options) -> dict[str, Any]:

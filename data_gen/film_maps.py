@@ -38,13 +38,12 @@ FAR = 0.2
 
 @dataclass(frozen=True)
 class FilmMapsConfig:
-    """Write FilmNet's maps of a data set's photos beside its shards, where ``hybrid train --preset edges`` finds them.
-
-    data: folder of the data set. workers: processes; 0 makes everything in this one.
-    """
+    """Write FilmNet's maps of a data set's photos beside its shards, where the training of EdgeNet finds them."""
 
     data: Annotated[Path, tyro.conf.Positional]
+    """Folder of the data set."""
     workers: int = os.cpu_count() or 1
+    """Processes; 0 makes everything in this one."""
 
     def __post_init__(self) -> None:
         require_at_least(self, 0, "workers")

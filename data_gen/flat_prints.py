@@ -21,17 +21,18 @@ from hybrid.image_io import write_bytes
 
 @dataclass(frozen=True)
 class FlatPrintsConfig:
-    """Write flat prints as grey JPEG files, and beside each a JSON that says where its slices are.
-
-    count: prints to make; those that are there already stay. out: their folder, one for each seed. seed: the same seed
-    gives the same prints. workers: processes; 0 makes everything in this one. sources: of CT volumes.
-    """
+    """Write flat prints as grey JPEG files, and beside each a JSON that says where its slices are."""
 
     count: int
+    """Prints to make; those that are there already stay."""
     out: Path
+    """Their folder, one for each seed."""
     seed: int = 0
+    """The same seed gives the same prints."""
     workers: int = os.cpu_count() or 1
+    """Processes; 0 makes everything in this one."""
     sources: tyro.conf.OmitArgPrefixes[SourceConfig] = field(default_factory=SourceConfig)
+    """Of CT volumes."""
 
     def __post_init__(self) -> None:
         require_at_least(self, 1, "count")

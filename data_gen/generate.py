@@ -35,25 +35,27 @@ MAX_MAP_SIZE = 448
 
 @dataclass(frozen=True)
 class GenerateConfig:
-    """Make photos of bent CT films with all their maps.
-
-    count: photos to make; a larger count on the same folder extends its data set. out: folder for the data set;
-        finished shards in it are kept, so a run that was cut off goes on. seed: the same seed gives the same bytes.
-    size: side of the photos in pixels. map_size: side of the maps; if not named that of photos, but at most 448.
-    workers: processes (all cores); 0 makes everything in this one. scheduler: address of a Dask scheduler whose
-        workers do the work instead; they need this package and the folders of --ct and --hdri at the same paths.
-    shard_size: photos in a shard. sources: of CT volumes and of light.
-    """
+    """Make photos of bent CT films with all their maps."""
 
     count: int
+    """Photos to make; a larger count on the same folder extends its data set."""
     out: Path
+    """Folder for the data set; finished shards in it are kept, so a run that was cut off goes on."""
     seed: int = 0
+    """The same seed gives the same bytes."""
     size: int = 256
+    """Side of the photos in pixels."""
     map_size: int | None = None
+    """Side of the maps; if not named that of the photos, but at most 448."""
     sources: tyro.conf.OmitArgPrefixes[SourceConfig] = field(default_factory=SourceConfig)
+    """Of CT volumes and of light."""
     workers: int = field(default_factory=lambda: os.cpu_count() or 1)
+    """Processes; 0 makes everything in this one."""
     scheduler: str | None = None
+    """Address of a Dask scheduler whose workers do the work instead; they need this package and the folders of --ct and
+    --hdri at the same paths."""
     shard_size: int = 512
+    """Photos in a shard."""
     sample: tyro.conf.Suppress[SampleConfig] = field(default_factory=SampleConfig)
     """Everything else: in Python only."""
 

@@ -42,19 +42,20 @@ _PHOTO_SIZE = (384, 384)
 
 @dataclass(frozen=True)
 class LitFilmsConfig:
-    """Write flat films under many lights, where ``hybrid train --preset light`` finds them.
-
-    count: films to make; those that are there already stay. out: their folder, one for each seed. seed: the same seed
-    gives the same films. photos: of each film, each in another light. workers: processes; 0 makes everything in this
-    one. sources: of CT volumes and of light.
-    """
+    """Write flat films under many lights, where ``hybrid train --preset light`` finds them."""
 
     count: int
+    """Films to make; those that are there already stay."""
     out: Path
+    """Their folder, one for each seed."""
     seed: int = 0
+    """The same seed gives the same films."""
     photos: int = 10
+    """Of each film, each in another light."""
     workers: int = os.cpu_count() or 1
+    """Processes; 0 makes everything in this one."""
     sources: tyro.conf.OmitArgPrefixes[SourceConfig] = field(default_factory=SourceConfig)
+    """Of CT volumes and of light."""
 
     def __post_init__(self) -> None:
         require_at_least(self, 1, "count", "photos")

@@ -41,15 +41,14 @@ STORED_NODES = (65, 65)
 
 @dataclass(frozen=True)
 class OwnPhotosConfig:
-    """Make a data set of photos whose true maps are known.
-
-    pairs: folder of NAME.jpg (.jpeg, .png) and NAME.npz with the film's lattice. out: folder for the data set.
-    size: longer side, in pixels, to which photos are reduced; training looks at no more than a few hundred.
-    """
+    """Make a data set of photos whose true maps are known."""
 
     pairs: Annotated[Path, tyro.conf.Positional]
+    """Folder of NAME.jpg (.jpeg, .png) and NAME.npz with the film's lattice."""
     out: Path
+    """Folder for the data set."""
     size: int = 1024
+    """Longer side, in pixels, to which photos are reduced; training looks at no more than a few hundred."""
 
     def __post_init__(self) -> None:
         if self.size < 64:

@@ -24,23 +24,22 @@ HEAD_SHARE = 0.6
 
 @dataclass(frozen=True)
 class SourceConfig:
-    """What is printed and what lights it; a part can be held out for a test set.
-
-    ct: folder with CT volumes (.npz) and DICOM files, folders or zips; without it embedded phantoms are printed.
-    hdri: folder with .hdr environments; without it embedded rooms light the films.
-    real_share: share of films (rooms) taken from those folders where they are given.
-    only: names of the volumes and environments to use, * stands for anything; all if none is named.
-    leave_out: names not to use. phantoms: first embedded phantom and the one after the last; rooms follow the seed.
-    reformatted_share: share of films whose slices are coronal or sagittal.
-    """
+    """What is printed and what lights it; a part can be held out for a test set."""
 
     ct: Path | None = None
+    """Folder with CT volumes (.npz) and DICOM files, folders or zips; without it embedded phantoms are printed."""
     hdri: Path | None = None
+    """Folder with .hdr environments; without it embedded rooms light the films."""
     real_share: float = 0.6
+    """Share of films (rooms) taken from those folders where they are given."""
     only: tuple[str, ...] = ()
+    """Names of the volumes and environments to use, * stands for anything; all if none is named."""
     leave_out: tuple[str, ...] = ()
+    """Names not to use."""
     phantoms: tuple[int, int] = (0, PHANTOMS)
+    """First embedded phantom and the one after the last; rooms follow the seed."""
     reformatted_share: float = 0.0
+    """Share of films whose slices are coronal or sagittal."""
 
     def __post_init__(self) -> None:
         shares = (self.real_share, self.reformatted_share)

@@ -72,13 +72,12 @@ def parse(
 
 
 def photos_among(paths: Sequence[Path]) -> list[Path]:
-    """The photos that are named and those in folders that are, each once, without results of earlier runs, which is
-    told.
+    """The photos that are named and those in folders that are, without results of earlier runs, which is told.
 
     Raises:
         ConfigError: a folder holds no photo.
     """
-    named = list(dict.fromkeys(photo for path in paths for photo in (_photos_in(path) if path.is_dir() else [path])))
+    named = [photo for path in paths for photo in (_photos_in(path) if path.is_dir() else [path])]
     photos = [path for path in named if not is_result(path)]
     if len(photos) < len(named):
         print(f"{len(named) - len(photos)} of these files are left out: they are results of earlier runs")

@@ -98,7 +98,8 @@ class StatusCode(Enum):
     )
     NO_FILM = (
         "No film was found in the photo. Photograph the whole sheet, edges included, "
-        "so that it fills at least a third of the picture; one film to a photo. Where there is one, name its corners (--corners)."
+        "so that it fills at least a third of the picture; one film to a photo. "
+        "Where there is one, name its corners (--corners)."
     )
     CUT_OFF = (
         "A film was seen, but a large part of the sheet lies outside the photo. "

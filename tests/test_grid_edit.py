@@ -143,6 +143,17 @@ def test_another_photo_is_refused(rectifier: Rectifier, edit: GridEdit):
         rectifier.edited(np.zeros((200, 300, 3), np.uint8), moved)
 
 
+def test_what_hides_the_film_does_so_after_an_edit_too(rectifier: Rectifier, result: RectifyResult, edit: GridEdit):
+    """What was found to lie before it stays marked, and is not trusted."""
+    covered = np.zeros_like(result.covered)
+    covered[: covered.shape[0] // 4] = True
+    hidden = replace(edit, result=replace(result, covered=covered))
+    film = rectifier.edited(IT.photo, hidden.moved(2, 2, place(edit, 2, 2) + 3))
+    np.testing.assert_array_equal(film.covered, covered)
+    assert film.confidence[covered].max() == 0
+    assert np.median(film.confidence[~covered]) > 0.5
+
+
 def test_an_edit_that_was_reset_is_the_result_itself(rectifier: Rectifier, result: RectifyResult, edit: GridEdit):
     moved = edit.moved(1, 2, place(edit, 1, 2) + 3)
     assert rectifier.edited(IT.photo, moved.reset()) is result

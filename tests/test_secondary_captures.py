@@ -15,7 +15,7 @@ from test_cli import StandIn
 from hybrid.dicom import PhotoFile, secondary_captures
 from hybrid.errors import HybridError
 from hybrid.image_io import levels_16, read_photo, write_rgb
-from hybrid.outputs import is_result, save_result
+from hybrid.outputs import is_result, photo_digest, save_result
 from hybrid.records import RectifyResult, Status, StatusCode
 
 FILE = PhotoFile("0" * 64, 12.5, "ISO_10918_1")
@@ -136,3 +136,19 @@ def test_files_can_be_read_and_belong_to_the_result(result: RectifyResult, tmp_p
     assert (tmp_path / "out" / names[0]).read_bytes() == before
     save_result(photo, result, tmp_path / "out")
     assert not any((tmp_path / "out" / name).exists() for name in names)
+
+
+def test_a_fused_film_belongs_to_the_photo_that_its_map_is_of(result: RectifyResult, tmp_path: Path):
+    """Its files tell the study by the second photo, a JPEG, not by the first, which shows no film."""
+    for name in ("first.png", "second.jpg"):
+        write_rgb(tmp_path / name, result.rectified)
+    both = [tmp_path / "first.png", tmp_path / "second.jpg"]
+    studies = []
+    for photo in (0, 1):
+        files = save_result(both, replace(result, photo=photo), tmp_path / f"out{photo}", dicom=True)
+        of = pydicom.dcmread(next(file for file in files if file.name == "film.dcm"))
+        digest = photo_digest(both[photo])
+        assert of.StudyInstanceUID == captures(result, replace(FILE, digest=digest))[0].StudyInstanceUID
+        studies.append(of)
+    assert "LossyImageCompression" not in studies[0]
+    assert studies[1].LossyImageCompression == "01"
