@@ -50,6 +50,8 @@ class Options:
     """Of the photos in pixels."""
     samples: int = 24
     """Of light per pixel, before they are denoised."""
+    hard_shadows: bool = False
+    """Each film before a desk and in the light of a small lamp, which throws its shadow beside it."""
     sources: tyro.conf.OmitArgPrefixes[SourceConfig] = field(default_factory=SourceConfig)
     """Of CT volumes and environments; without environments light is plain."""
 
@@ -119,7 +121,7 @@ def draw_job(rng: np.random.Generator, film_print: FilmPrint, rooms: Sequence[Pa
     from_side = float(rng.choice([-1, 1]) * rng.uniform(0.2, 1))
     force = rng.uniform(5, 20) if soft else rng.uniform(1000, 5000)
     room = "" if lit_from_behind or not rooms else str(rooms[int(rng.integers(len(rooms)))].resolve())
-    return Job(
+    job = Job(
         photo="",
         texture="",
         size=(height * scale, width * scale),
@@ -152,23 +154,28 @@ def draw_job(rng: np.random.Generator, film_print: FilmPrint, rooms: Sequence[Pa
         samples=options.samples,
         seed=0,
     )
+    if options.hard_shadows:
+        strength, size = float(rng.uniform(150, 600)), float(rng.uniform(0.02, 0.2))
+        job = replace(job, through=0.0, lamps=(_lamp(rng, 1.0, 2.5, size, strength),), desk=_desk(rng))
+    return job
 
 
 def _lamps(rng: np.random.Generator, behind: bool, room: bool) -> tuple[dict[str, Any], ...]:
     """Discs behind the film, or before it: always where no room lights it."""
-
-    def lamp(side: float, at: float, size: float, watts: float) -> dict[str, Any]:
-        place = (float(rng.uniform(-at, at)), float(rng.uniform(-at, at)), side * float(rng.uniform(2, 4)))
-        return {"at": place, "size": size, "watts": watts, "colour": rng.uniform(0.75, 1, 3).tolist()}
-
     if behind:
-        return (lamp(-1.0, 0.3, float(rng.uniform(2, 4)), 300.0),)
+        return (_lamp(rng, -1.0, 0.3, float(rng.uniform(2, 4)), 300.0),)
     if room and rng.random() < 0.6:
         return ()
     return tuple(
-        lamp(1.0, 2.5, float(rng.uniform(0.1, 1.5)), float(rng.uniform(30, 150)))
+        _lamp(rng, 1.0, 2.5, float(rng.uniform(0.1, 1.5)), float(rng.uniform(30, 150)))
         for _ in range(int(rng.integers(1, 3)))
     )
+
+
+def _lamp(rng: np.random.Generator, side: float, at: float, size: float, watts: float) -> dict[str, Any]:
+    """A disc on a side of the film, up to ``at`` beside its middle."""
+    place = (float(rng.uniform(-at, at)), float(rng.uniform(-at, at)), side * float(rng.uniform(2, 4)))
+    return {"at": place, "size": size, "watts": watts, "colour": rng.uniform(0.75, 1, 3).tolist()}
 
 
 def _desk(rng: np.random.Generator) -> dict[str, Any]:

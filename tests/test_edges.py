@@ -156,6 +156,18 @@ def test_support_tells_edges_that_are_right_from_others():
     assert (edge_support(pyramid, moved_edges(film, 0.02), STEPS) < 0.1).all()
 
 
+def test_edges_far_beside_are_read_once_more_from_where_they_were_found():
+    photo, film = sheet_photo()
+    for outwards, again in ((0.03, True), (0.005, False)):
+        start = moved_edges(film, outwards)
+        read = read_edges(Pyramid(photo), start, STEPS, CONFIG)
+        assert (read.off > CONFIG.far) is again  # how far they were beside at first
+        assert (read.through is not start) is again
+        moved = put_on_edges(read.through, read, CONFIG)
+        off = np.linalg.norm(moved.photo_from_film(film_nodes((9, 9))) - film.nodes, axis=2)
+        assert off.max() < 1.5
+
+
 def test_a_refinement_with_a_wrong_edge_starts_once_more_from_where_edges_are_read():
     photo, film = sheet_photo()
     reports = []

@@ -113,6 +113,21 @@ def test_glare_that_stays_in_place_stays_marked():
     assert (result.confidence[result.glare] == 0).all()
 
 
+def test_what_hides_the_film_in_one_photo_only_is_not_hidden_in_the_fused_film():
+    """A hand in two photos, at different ends: what the other shows is the print, what both hide stays marked."""
+    (a, first), (b, second) = seen(SPOTS[0], 0), seen(SPOTS[0], 1)
+    u, v = film_centres(SIZE).transpose(2, 0, 1)
+    left, right, both = v > 0.75, v < 0.25, (np.abs(u - 0.8) < 0.1) & (np.abs(v - 0.5) < 0.1)
+    result = fuse([a, b], [replace(first, covered=left | both), replace(second, covered=right | both)], READER)
+    assert result.covered is not None
+    assert result.confidence is not None
+    assert result.covered[both].mean() > 0.8
+    assert result.covered[left | right].mean() < 0.02
+    assert (result.confidence[result.covered] == 0).all()
+    inner = np.s_[int(0.8 * SIZE[0]) : -12, 12:-12]
+    assert np.median(result.confidence[inner]) > 0.3
+
+
 def test_registration_finds_the_true_map():
     (_, first), (_, second) = seen(SPOTS[0], 0), seen(SPOTS[1], 1)
     found = register(first, second, FuseConfig())
