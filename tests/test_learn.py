@@ -6,6 +6,7 @@ import signal
 from dataclasses import asdict, replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 import torch
@@ -16,9 +17,8 @@ from data_gen.sample import SampleConfig
 from hybrid.backward import BackwardMap, Orientation
 from hybrid.coords import film_centres, film_nodes, pixel_centres, rescale_points
 from hybrid.errors import ConfigError, DataError
-from hybrid.learn import cast_shadow
+from hybrid.learn import behind
 from hybrid.learn import train as train_module
-from hybrid.learn.cast_shadow import with_shadow
 from hybrid.learn.data import AugmentConfig, grid_along, random_view, training_view
 from hybrid.learn.inference import PackedConv, ready
 from hybrid.learn.losses import (
@@ -38,10 +38,10 @@ from hybrid.learn.network import STRIDE, FilmNet, FilmNetConfig, FilmNetOutput
 from hybrid.learn.paper_data import PaperView, paper_batch
 from hybrid.learn.predict import as_in_view, look, look_from_sides
 from hybrid.learn.presets import PRESETS, weighted_sum
-from hybrid.learn.samples import film_of, open_places
+from hybrid.learn.samples import film_of, open_places, photo_of
 from hybrid.learn.train import TrainConfig, train
 from hybrid.learn.upright import UprightNet, UprightNetConfig
-from hybrid.learn.views import film_from_view, output_points, square_view
+from hybrid.learn.views import film_from_view, film_view, output_points, square_view, view_image
 from hybrid.learn.weights import load_into, load_weights, parameter_count, save_weights
 from hybrid.pyramid import Pyramid
 from hybrid.records import CoarseMaps
@@ -292,38 +292,49 @@ def test_flattened_views_hold_the_film_about_where_it_belongs(dataset):
     assert np.quantile(np.abs(view.uv - expected)[view.mask], 0.95) < 0.005
 
 
-def test_a_shadow_is_thrown_beside_the_film_and_not_on_it():
-    """Of a film of one grey before a ground of another: what is darker is ground."""
+@pytest.mark.parametrize("kind", list(behind.KINDS))
+def test_what_is_put_behind_a_film_changes_what_is_around_it_alone(dataset, monkeypatch, kind):
+    monkeypatch.setattr(behind, "SHARE", 1.0)
+    monkeypatch.setattr(behind, "KINDS", {kind: 1.0})
     film = BackwardMap(film_nodes((9, 9)) * np.array([70.0, 90.0]) + np.array([50.0, 40.0]))
-    photo = np.full((180, 170, 3), 200, np.uint8)
-    photo[40:130, 50:120] = 90
+    place, around = open_places([dataset])[5], np.random.default_rng(1)
+    photo = cv2.GaussianBlur(around.integers(60, 250, (180, 170, 3), dtype=np.uint8), (0, 0), 2)
     inside = np.zeros((180, 170), bool)
     inside[42:128, 52:118] = True
-    darkened = []
+    changed = set()
     for seed in range(12):
-        shaded = with_shadow(photo, film, np.random.default_rng(seed))
-        np.testing.assert_array_equal(shaded[inside], 90)
-        assert (shaded <= photo).all()
-        darkened.append(float((shaded[..., 1] < 0.9 * photo[..., 1]).mean()))
-    assert min(darkened) > 0.02
-    assert len(set(darkened)) == len(darkened)
-    np.testing.assert_array_equal(
-        with_shadow(photo, film, np.random.default_rng(3)), with_shadow(photo, film, np.random.default_rng(3))
-    )
+        put = behind.behind_some(place, photo, film, np.random.default_rng(seed))
+        np.testing.assert_array_equal(put[inside], photo[inside])
+        changed.add(float((np.abs(put.astype(int) - photo).max(axis=2) > 4)[~inside].mean()))
+        if kind in ("shadow", "pattern"):
+            assert (put <= photo).all()
+        again = behind.behind_some(place, photo, film, np.random.default_rng(seed))
+        np.testing.assert_array_equal(put, again)
+    assert len(changed) == 12
+    assert np.median(list(changed)) > 0.02
 
 
-def test_shadows_are_thrown_in_some_views_and_not_where_colours_stay(dataset, monkeypatch):
+def test_another_film_is_another(dataset):
+    places = open_places([dataset])
+    for index in (0, 5):
+        one = film_view(film_of(places[index]), 0.0)
+        own = view_image(photo_of(places[index]), one, behind.FILM_PX)
+        for seed in range(10):
+            assert not np.array_equal(behind.another_film(places[index], np.random.default_rng(seed)), own)
+
+
+def test_something_is_put_behind_some_films_and_nothing_where_colours_stay(dataset, monkeypatch):
     place = open_places([dataset])[2]
-    thrown = []
-    monkeypatch.setattr(cast_shadow, "with_shadow", lambda photo, film, rng: thrown.append(film) or photo)
-    for seed in range(40):
-        training_view(place, 64, np.random.default_rng(seed), AugmentConfig())
-    assert 4 < len(thrown) < 24
-    thrown.clear()
-    for seed in range(10):
-        training_view(place, 64, np.random.default_rng(seed), kind_of_view())
+    photo, film = photo_of(place), film_of(place)
+    put = [behind.behind_some(place, photo, film, np.random.default_rng(seed)) is not photo for seed in range(100)]
+    assert abs(np.mean(put) - behind.SHARE) < 0.15
+    asked = []
+    monkeypatch.setattr(behind, "behind_some", lambda place, photo, film, rng: asked.append(film) or photo)
+    training_view(place, 64, np.random.default_rng(0), AugmentConfig())
+    assert len(asked) == 1
+    training_view(place, 64, np.random.default_rng(0), kind_of_view())
     training_view(place, 64, np.random.default_rng(0), None)
-    assert not thrown
+    assert len(asked) == 1
 
 
 # ---------------------------------------------------------------- the paper's networks' data

@@ -11,7 +11,7 @@ from jaxtyping import Float, UInt8
 
 from hybrid.backward import MIN_NODES, BackwardMap, Orientation, film_as_seen, orientation_of
 from hybrid.coords import film_centres, film_nodes
-from hybrid.learn import cast_shadow
+from hybrid.learn import behind
 from hybrid.learn.losses import Targets
 from hybrid.learn.network import STRIDE
 from hybrid.learn.samples import Place, Truth, film_of, photo_of, truth_at
@@ -29,7 +29,7 @@ class AugmentConfig:
     shift: one sigma of their rotation and of their shift (in parts of their side). margin: around a flattened film.
     plane_error, bend_error: range of the error, in parts of the film, of the maps by which films are flattened.
     Every view is turned by any number of quarter turns and mirrored or not. colours: whether they are disturbed, and
-    shadows thrown beside some films.
+    something is put behind some films.
     """
 
     empty_share: float = 0.04
@@ -79,7 +79,7 @@ def training_view(place: Place, px: int, rng: np.random.Generator, config: Augme
     """A sample in a random view of ``px`` pixels; with no ``config``, the whole photo, undisturbed."""
     photo = photo_of(place)
     if config is not None and config.colours:
-        photo = cast_shadow.beside_some(photo, film_of(place), rng)
+        photo = behind.behind_some(place, photo, film_of(place), rng)
     size = (photo.shape[0], photo.shape[1])
     view, weight = (whole_view(size), 1.0) if config is None else random_view(film_of(place), size, rng, config)
     image = view_image(photo, view, px)

@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float, UInt8
 from hybrid.backward import BackwardMap, Orientation, film_as_seen
 from hybrid.coords import film_centres_1d, rescale_points, sample_bilinear
 from hybrid.errors import NPZ_ERRORS, DataError, describe
-from hybrid.learn import cast_shadow
+from hybrid.learn import behind
 from hybrid.learn.data import BEND_ERROR_NODES, disturbed, disturbed_map, log_uniform
 from hybrid.learn.samples import Place, film_mask, film_of, open_places, photo_of
 from hybrid.learn.views import plane_of
@@ -91,7 +91,7 @@ def edge_view(
     place, way = sample.place, Orientation(int(rng.integers(4)), bool(rng.random() < 0.5))
     photo, true = photo_of(place), film_as_seen(film_of(place)).turned(way)
     if augment.colours:
-        photo = cast_shadow.beside_some(photo, true, rng)
+        photo = behind.behind_some(place, photo, true, rng)
     if sample.found is not None and rng.random() < augment.found_share:
         guess = BackwardMap(sample.found.astype(np.float64)).turned(way)
         guess = disturbed_map(guess, 2, log_uniform(rng, augment.found_error), rng)
