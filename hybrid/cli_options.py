@@ -42,7 +42,7 @@ class PhotoOptions:
 
     effort: Effort = "default"
     """How much work a photo is worth: fast takes 0.6 of the time for three times the error (of photos of 12
-    megapixels eleven times), thorough refines unsure films from four sides. It sets the options of the stages that are
+    megapixels twelve times), thorough refines unsure films from four sides. It sets the options of the stages that are
     not named."""
 
     verbose: Annotated[bool, tyro.conf.arg(aliases=["-v"]), tyro.conf.FlagCreatePairsOff] = False
