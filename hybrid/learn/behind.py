@@ -43,7 +43,7 @@ def behind_some(place: Place, photo: Picture, film: BackwardMap, rng: np.random.
     if rng.random() >= SHARE:
         return photo
     nodes = film.photo_from_film(film_nodes((_ALONG, _ALONG)))
-    free = 255 - _within(_filled(_around(nodes), photo.shape[:2]))
+    free = 255 - _within(_filled(BackwardMap(nodes).outline(), photo.shape[:2]))
     kind = str(rng.choice(list(KINDS), p=list(KINDS.values())))
     if kind == "shadow":
         return with_shadow(photo, nodes, free, rng)
@@ -59,7 +59,8 @@ def with_shadow(photo: Picture, nodes: Float[np.ndarray, "n m 2"], free: Grey, r
     """
     centre, size = nodes.mean(axis=(0, 1)), _size(nodes)
     turn, far = rng.uniform(0, 2 * np.pi), size * rng.uniform(0.02, 0.4)
-    thrown = (_around(nodes) - centre) * rng.uniform(0.95, 1.15) + centre + far * np.array([np.cos(turn), np.sin(turn)])
+    outline = BackwardMap(nodes).outline()
+    thrown = (outline - centre) * rng.uniform(0.95, 1.15) + centre + far * np.array([np.cos(turn), np.sin(turn)])
     rim = max(size * float(np.exp(rng.uniform(*np.log((0.001, 0.02))))), 0.3)
     shade = cv2.GaussianBlur(_filled(thrown, photo.shape[:2]), (0, 0), rim)
     return _darkened(photo, cv2.multiply(shade, free, scale=1 / 255), rng)
@@ -123,11 +124,6 @@ def _darkened(photo: Picture, share: Grey, rng: np.random.Generator) -> Picture:
     taken = np.clip(rng.uniform(0.15, 0.9) + 0.08 * rng.normal(0, 1) * np.array([1.0, 0.0, -1.0]), 0, 0.95)
     left = np.rint(255 - np.arange(256)[:, None] * taken).astype(np.uint8)
     return cv2.multiply(photo, cv2.LUT(cv2.merge([share] * 3), left[None]), scale=1 / 255)
-
-
-def _around(nodes: Float[np.ndarray, "n m 2"]) -> Float[np.ndarray, "k 2"]:
-    """The outermost nodes, once around."""
-    return np.concatenate([nodes[0, :-1], nodes[:-1, -1], nodes[-1, :0:-1], nodes[:0:-1, 0]])
 
 
 def _size(nodes: Float[np.ndarray, "n m 2"]) -> float:
