@@ -58,9 +58,9 @@ class GridEdit:
                 do = "Name rows and columns: GridEdit.of(result, (4, 5))."
                 raise ConfigError(describe(what="Grid to edit", got="a film without one", do=do))
             return GridEdit(result, result.grid)
-        rows, cols = cells if len(cells) == 2 else (0, 0)
-        if not (_whole(rows, cols) and 1 <= rows <= 99 and 1 <= cols <= 99):
+        if len(cells) != 2 or not _whole(*cells) or not all(1 <= each <= 99 for each in cells):
             raise ConfigError(describe(what="Slices", got=cells, allowed="rows and columns from 1 to 99", do="Count."))
+        rows, cols = cells
         vertices = film_nodes((rows + 1, cols + 1))
         grid = SliceGrid(rows, cols, vertices, result.backward.photo_from_film(vertices), confidence=0.0)
         return GridEdit(result, grid)

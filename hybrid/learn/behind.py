@@ -101,15 +101,15 @@ def with_sheet(
     placed = (corners - centre) * scale @ axes + centre + far * np.array([np.cos(to), np.sin(to)])
     if picture is None:
         colour = np.clip(rng.uniform(4, 250) * np.exp2(rng.normal(0, 0.1, 3)), 0, 255)
-        laid, covers = np.full_like(photo, np.rint(colour).astype(np.uint8)), _filled(placed, (h, w))
+        laid = np.full_like(photo, np.rint(colour).astype(np.uint8))
     else:
         film = picture()
         side = np.float32(len(film))
         square = np.array([[0, 0], [side, 0], [side, side], [0, side]], np.float32)
         to_photo = cv2.getPerspectiveTransform(opencv_from_photo(square), opencv_from_photo(placed.astype(np.float32)))
-        laid, covers = cv2.warpPerspective(film, to_photo, (w, h)), _filled(placed, (h, w))
-    share = cv2.multiply(covers, free, scale=1 / 255)
-    return cv2.blendLinear(laid, photo, share / np.float32(255), 1 - share / np.float32(255))
+        laid = cv2.warpPerspective(film, to_photo, (w, h))
+    share = cv2.multiply(_filled(placed, (h, w)), free, scale=1 / 255) / np.float32(255)
+    return cv2.blendLinear(laid, photo, share, 1 - share)
 
 
 def another_film(place: Place, rng: np.random.Generator) -> Picture:

@@ -77,11 +77,11 @@ class View:
 
 def training_view(place: Place, px: int, rng: np.random.Generator, config: AugmentConfig | None) -> View:
     """A sample in a random view of ``px`` pixels; with no ``config``, the whole photo, undisturbed."""
-    photo = photo_of(place)
+    photo, film = photo_of(place), film_of(place)
     if config is not None and config.colours:
-        photo = behind.behind_some(place, photo, film_of(place), rng)
+        photo = behind.behind_some(place, photo, film, rng)
     size = (photo.shape[0], photo.shape[1])
-    view, weight = (whole_view(size), 1.0) if config is None else random_view(film_of(place), size, rng, config)
+    view, weight = (whole_view(size), 1.0) if config is None else random_view(film, size, rng, config)
     image = view_image(photo, view, px)
     if config is not None and config.colours:
         image = disturbed(image, rng)
