@@ -8,7 +8,7 @@ on stripes 26.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Sequence
 
 import cv2
 import numpy as np
@@ -21,12 +21,17 @@ from hybrid.learn.views import film_view, view_image
 
 Picture = UInt8[np.ndarray, "h w 3"]
 Grey = UInt8[np.ndarray, "h w"]
+Square = UInt8[np.ndarray, "s s 3"]
+Nodes = Float[np.ndarray, "n m 2"]
 
-SHARE = 0.4
+SHARE = 0.45
 """Photos that get something behind their film."""
 
-KINDS = {"shadow": 0.3, "sheet": 0.25, "film": 0.2, "pattern": 0.25}
+KINDS = {"shadow": 0.25, "sheet": 0.3, "films": 0.25, "pattern": 0.2}
 """Of these the shares of what it is."""
+
+MORE_SHARE = 0.25
+"""Of these, those with two such things, one upon the other."""
 
 LENS_PX = 0.8
 """Sigma of a lens's blur in the data's photos."""
@@ -44,15 +49,25 @@ def behind_some(place: Place, photo: Picture, film: BackwardMap, rng: np.random.
         return photo
     nodes = film.photo_from_film(film_nodes((_ALONG, _ALONG)))
     free = 255 - _within(_filled(BackwardMap(nodes).outline(), photo.shape[:2]))
-    kind = str(rng.choice(list(KINDS), p=list(KINDS.values())))
-    if kind == "shadow":
-        return with_shadow(photo, nodes, free, rng)
-    if kind == "pattern":
-        return with_pattern(photo, free, rng)
-    return with_sheet(photo, nodes, free, rng, (lambda: another_film(place, rng)) if kind == "film" else None)
+    for _ in range(1 + int(rng.random() < MORE_SHARE)):
+        kind = rng.choice(list(KINDS), p=list(KINDS.values()))
+        if kind == "shadow":
+            photo = with_shadow(photo, nodes, free, rng)
+        elif kind == "sheet":
+            photo = with_sheet(photo, nodes, free, rng)
+        elif kind == "films":
+            photo = with_films(photo, nodes, free, [another_film(place, rng) for _ in range(_few(rng))], rng)
+        else:
+            photo = with_pattern(photo, free, rng)
+    return photo
 
 
-def with_shadow(photo: Picture, nodes: Float[np.ndarray, "n m 2"], free: Grey, rng: np.random.Generator) -> Picture:
+def _few(rng: np.random.Generator) -> int:
+    """One, mostly; two or three."""
+    return 1 + int(rng.choice(3, p=[0.6, 0.25, 0.15]))
+
+
+def with_shadow(photo: Picture, nodes: Nodes, free: Grey, rng: np.random.Generator) -> Picture:
     """A hard shadow of the film's shape, as a point source throws it of a film that stands off what is behind it.
 
     nodes: photo points of a lattice of film points, edges included. free: share, of 255, of the ground in each pixel.
@@ -80,39 +95,51 @@ def with_pattern(photo: Picture, free: Grey, rng: np.random.Generator) -> Pictur
     return _darkened(photo, cv2.multiply(soft, free, scale=1 / 255), rng)
 
 
-def with_sheet(
-    photo: Picture,
-    nodes: Float[np.ndarray, "n m 2"],
-    free: Grey,
-    rng: np.random.Generator,
-    picture: Callable[[], Picture] | None = None,
-) -> Picture:
-    """A sheet of one colour, larger or smaller than the film, below it; or a further film, partly below.
-
-    picture: of the further film, flat.
-    """
-    h, w = photo.shape[:2]
-    corners = nodes[[0, 0, -1, -1], [0, -1, -1, 0]]
-    centre, size = corners.mean(axis=0), _size(nodes)
-    turn = rng.normal(0, 0.2)
-    axes = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
-    far, to = size * (abs(rng.normal(0, 0.12)) if picture is None else rng.uniform(0.4, 1.0)), rng.uniform(0, 2 * np.pi)
-    scale = rng.uniform(0.7, 1.6) if picture is None else rng.uniform(0.8, 1.15)
-    placed = (corners - centre) * scale @ axes + centre + far * np.array([np.cos(to), np.sin(to)])
-    if picture is None:
-        colour = np.clip(rng.uniform(4, 250) * np.exp2(rng.normal(0, 0.1, 3)), 0, 255)
-        laid = np.full_like(photo, np.rint(colour).astype(np.uint8))
+def with_sheet(photo: Picture, nodes: Nodes, free: Grey, rng: np.random.Generator) -> Picture:
+    """A sheet, larger or smaller than the film, below it: of one colour, which may be near the film's, and shaded."""
+    corners, size = _corners(nodes), _size(nodes)
+    to = rng.uniform(0, 2 * np.pi)
+    shift = size * abs(rng.normal(0, 0.12)) * np.array([np.cos(to), np.sin(to)])
+    placed = _moved(corners, rng.normal(0, 0.2), rng.uniform(0.85, 1.7), shift)
+    if rng.random() < 0.5:
+        colour = rng.uniform(4, 250) * np.exp2(rng.normal(0, 0.1, 3))
     else:
-        film = picture()
-        side = np.float32(len(film))
+        at = nodes[tuple(rng.integers(0, _ALONG, 2))]
+        x, y = np.clip(at, 0, [photo.shape[1] - 1, photo.shape[0] - 1]).astype(int)
+        colour = photo[y, x] * np.exp2(rng.normal(0, 0.3)) + rng.normal(0, 4)
+    tilt = rng.normal(0, 0.2, 2)
+    axes = (np.linspace(-1, 1, n, dtype=np.float32) for n in photo.shape[:2])
+    down, across = (np.exp2(axis * slope).astype(np.float32) for axis, slope in zip(axes, tilt, strict=True))
+    shaded = (down[:, None] * across)[..., None] * np.clip(colour, 2, 250).astype(np.float32)
+    return _laid(photo, np.clip(shaded, 0, 255).astype(np.uint8), placed, free)
+
+
+def with_films(
+    photo: Picture, nodes: Nodes, free: Grey, pictures: Sequence[Square], rng: np.random.Generator
+) -> Picture:
+    """Further films, flat: in a row with this one, as on a light box, or anyhow and partly below it.
+
+    pictures: of these films.
+    """
+    corners, size = _corners(nodes), _size(nodes)
+    in_row = rng.random() < 0.5
+    for picture in pictures:
+        if in_row:
+            sides = corners[[1, 2]] - corners[[0, 1]]  # along u and along v
+            shift = sides[rng.integers(2)] * rng.choice([-1, 1]) * rng.uniform(0.95, 1.15)
+            placed = _moved(corners, rng.normal(0, 0.03), rng.uniform(0.95, 1.05), shift)
+        else:
+            to = rng.uniform(0, 2 * np.pi)
+            shift = size * rng.uniform(0.4, 1.0) * np.array([np.cos(to), np.sin(to)])
+            placed = _moved(corners, rng.normal(0, 0.2), rng.uniform(0.8, 1.15), shift)
+        side = np.float32(len(picture))
         square = np.array([[0, 0], [side, 0], [side, side], [0, side]], np.float32)
         to_photo = cv2.getPerspectiveTransform(opencv_from_photo(square), opencv_from_photo(placed.astype(np.float32)))
-        laid = cv2.warpPerspective(film, to_photo, (w, h))
-    share = cv2.multiply(_filled(placed, (h, w)), free, scale=1 / 255) / np.float32(255)
-    return cv2.blendLinear(laid, photo, share, 1 - share)
+        photo = _laid(photo, cv2.warpPerspective(picture, to_photo, photo.shape[1::-1]), placed, free)
+    return photo
 
 
-def another_film(place: Place, rng: np.random.Generator) -> Picture:
+def another_film(place: Place, rng: np.random.Generator) -> Square:
     """The flat film of another sample of the same shard, in its light."""
     shard, index = place
     other = shard, (index + 1 + int(rng.integers(max(len(shard) - 1, 1)))) % len(shard)
@@ -126,7 +153,27 @@ def _darkened(photo: Picture, share: Grey, rng: np.random.Generator) -> Picture:
     return cv2.multiply(photo, cv2.LUT(cv2.merge([share] * 3), left[None]), scale=1 / 255)
 
 
-def _size(nodes: Float[np.ndarray, "n m 2"]) -> float:
+def _laid(photo: Picture, laid: Picture, outline: Float[np.ndarray, "4 2"], free: Grey) -> Picture:
+    """The photo with another picture in it, within an outline and where the ground is seen."""
+    share = cv2.multiply(_filled(outline, photo.shape[:2]), free, scale=1 / 255) / np.float32(255)
+    return cv2.blendLinear(laid, photo, share, 1 - share)
+
+
+def _moved(
+    corners: Float[np.ndarray, "4 2"], turn: float, scale: float, shift: Float[np.ndarray, "2"]
+) -> Float[np.ndarray, "4 2"]:
+    """Corners turned and scaled about their middle, and shifted."""
+    centre = corners.mean(axis=0)
+    axes = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
+    return (corners - centre) * scale @ axes + centre + shift
+
+
+def _corners(nodes: Nodes) -> Float[np.ndarray, "4 2"]:
+    """Once around, from the film's top-left."""
+    return nodes[[0, 0, -1, -1], [0, -1, -1, 0]]
+
+
+def _size(nodes: Nodes) -> float:
     """Of the film in the photo, in pixels."""
     return float(np.linalg.norm(np.ptp(nodes, axis=(0, 1))) / np.sqrt(2))
 
