@@ -48,7 +48,7 @@ def behind_some(place: Place, photo: Picture, film: BackwardMap, rng: np.random.
     if rng.random() >= SHARE:
         return photo
     nodes = film.photo_from_film(film_nodes((_ALONG, _ALONG)))
-    free = 255 - _within(_filled(BackwardMap(nodes).outline(), photo.shape[:2]))
+    free = ground_of(nodes, photo.shape[:2])
     for _ in range(1 + int(rng.random() < MORE_SHARE)):
         kind = rng.choice(list(KINDS), p=list(KINDS.values()))
         if kind == "shadow":
@@ -77,7 +77,7 @@ def with_shadow(photo: Picture, nodes: Nodes, free: Grey, rng: np.random.Generat
     outline = BackwardMap(nodes).outline()
     thrown = (outline - centre) * rng.uniform(0.95, 1.15) + centre + far * np.array([np.cos(turn), np.sin(turn)])
     rim = max(size * float(np.exp(rng.uniform(*np.log((0.001, 0.02))))), 0.3)
-    shade = cv2.GaussianBlur(_filled(thrown, photo.shape[:2]), (0, 0), rim)
+    shade = cv2.GaussianBlur(filled(thrown, photo.shape[:2]), (0, 0), rim)
     return _darkened(photo, cv2.multiply(shade, free, scale=1 / 255), rng)
 
 
@@ -146,6 +146,15 @@ def another_film(place: Place, rng: np.random.Generator) -> Square:
     return view_image(photo_of(other), film_view(film_of(other), 0.0), FILM_PX)
 
 
+def ground_of(nodes: Nodes, size: tuple[int, ...]) -> Grey:
+    """Share, of 255, of the ground in each pixel of a photo of ``size`` (h, w), of a film whose nodes are seen there.
+
+    All of the film's rim counts as ground, for there the lens mixes both: left as it was it would tell film from rest.
+    """
+    soft = cv2.GaussianBlur(filled(BackwardMap(nodes).outline(), size), (0, 0), LENS_PX)
+    return 255 - cv2.LUT(soft, np.clip(2 * np.arange(256) - 255, 0, 255).astype(np.uint8))
+
+
 def _darkened(photo: Picture, share: Grey, rng: np.random.Generator) -> Picture:
     """The photo with some of its light taken, by ``share`` of 255, and a little of its colour: other light is left."""
     taken = np.clip(rng.uniform(0.15, 0.9) + 0.08 * rng.normal(0, 1) * np.array([1.0, 0.0, -1.0]), 0, 0.95)
@@ -155,7 +164,7 @@ def _darkened(photo: Picture, share: Grey, rng: np.random.Generator) -> Picture:
 
 def _laid(photo: Picture, laid: Picture, outline: Float[np.ndarray, "4 2"], free: Grey) -> Picture:
     """The photo with another picture in it, within an outline and where the ground is seen."""
-    share = cv2.multiply(_filled(outline, photo.shape[:2]), free, scale=1 / 255) / np.float32(255)
+    share = cv2.multiply(filled(outline, photo.shape[:2]), free, scale=1 / 255) / np.float32(255)
     return cv2.blendLinear(laid, photo, share, 1 - share)
 
 
@@ -178,15 +187,9 @@ def _size(nodes: Nodes) -> float:
     return float(np.linalg.norm(np.ptp(nodes, axis=(0, 1))) / np.sqrt(2))
 
 
-def _filled(outline: Float[np.ndarray, "n 2"], size: tuple[int, ...]) -> Grey:
+def filled(outline: Float[np.ndarray, "n 2"], size: tuple[int, ...]) -> Grey:
     """Share, of 255, of each pixel within an outline of photo points, to a quarter of a pixel."""
     mask = np.zeros((size[0] * _FINER, size[1] * _FINER), np.uint8)
     fixed = np.clip(opencv_from_photo(outline * _FINER) * 16, -(2**19), 2**19).round().astype(np.int32)
     cv2.fillPoly(mask, [fixed], 255, shift=4)
     return cv2.resize(mask, size[::-1], interpolation=cv2.INTER_AREA)
-
-
-def _within(film: Grey) -> Grey:
-    """The film without its rim, in which the lens mixes the ground: left as it was it would tell film from the rest."""
-    soft = cv2.GaussianBlur(film, (0, 0), LENS_PX)
-    return cv2.LUT(soft, np.clip(2 * np.arange(256) - 255, 0, 255).astype(np.uint8))

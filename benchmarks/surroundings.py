@@ -1,0 +1,272 @@
+"""What a film lies on, and what that costs: ``python -m benchmarks.surroundings --photos DIR [DIR ...] --json OUT``.
+
+Photos with truth are changed around their film (grounds.py), which stays as it was, and flattened again: by the network
+alone and by the whole pipeline. Errors are mean end-point errors in pixels of the photo before, had it 1080.
+"""
+
+from __future__ import annotations
+
+import sys
+import zlib
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import tyro
+from tqdm import tqdm
+
+from benchmarks.cases import Case, photo_cases, read_alike, sample_cases
+from benchmarks.command import run_command
+from benchmarks.damage import Damaged
+from benchmarks.grounds import CHANGES, Sheet
+from benchmarks.machine import describe_run
+from benchmarks.page_tables import number, table
+from benchmarks.schema import write_record
+from benchmarks.scores import LATTICE
+from hybrid.backward import BackwardMap, end_point_error
+from hybrid.draw import annotated, contact_sheet, fitted
+from hybrid.effort import Effort, RectifyConfig
+from hybrid.errors import ConfigError, DataError, HybridError, describe, require_at_least
+from hybrid.image_io import write_rgb
+from hybrid.outputs import make_folder
+from hybrid.pipeline import Rectifier
+from hybrid.rectify.trust import REFERENCE_PX
+from hybrid.workers import shared_out
+
+SHOWN = 2
+"""Photos of each change that are drawn."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """Change photos with truth around their film, and see what it costs."""
+
+    json_path: Annotated[Path, tyro.conf.arg(name="json")]
+    """File for the figures."""
+
+    photos: tuple[Path, ...] = ()
+    """Folders of NAME.jpg, NAME.npz (the true lattice) and textures/."""
+
+    data: tuple[Path, ...] = ()
+    """Data sets made by data_gen.generate."""
+
+    only: tuple[str, ...] = ()
+    """Names of changes; all if none is named."""
+
+    every: int = 1
+    """Of the photos, every so many."""
+
+    network_alone: bool = False
+    """Leave the whole pipeline out."""
+
+    effort: Effort = "default"
+    """How much work a photo is worth."""
+
+    weights: Path | None = None
+    """Another network than the packaged one."""
+
+    workers: int = 2
+    """Photos flattened at a time, each by a process."""
+
+    pictures: Path | None = None
+    """Folder for surroundings.jpg: some of the changed photos, with what was found in them."""
+
+    def __post_init__(self) -> None:
+        require_at_least(self, 1, "every", "workers")
+        unknown = [name for name in self.only if name not in CHANGES]
+        if unknown:
+            allowed = ", ".join(CHANGES)
+            raise ConfigError(describe(what="--only", got=unknown[0], allowed=allowed, do="Name some of these."))
+
+
+@dataclass(frozen=True)
+class Ended:
+    """One changed photo: errors of the network alone and of the film, None where none was found; its status.
+
+    wrong: called ``OK``, and further off than that allows.
+    """
+
+    change: str
+    case: str
+    network_px: float | None
+    film_px: float | None = None
+    status: str = ""
+    wrong: bool = False
+
+
+@dataclass(frozen=True)
+class ChangeCount:
+    """All photos with one change. Geometric means are over the films that were found."""
+
+    change: str
+    what: str
+    photos: int
+    network_found: int
+    network_px: float | None
+    network_to_10: int
+    found: int
+    film_px: float | None
+    to_1: int
+    to_5: int
+    ok: int
+    wrong: int
+
+
+@dataclass(frozen=True)
+class SurroundingsReport:
+    """A whole run. run: benchmarks.machine.describe_run. whole: whether the pipeline was run, too."""
+
+    run: dict[str, Any]
+    whole: bool
+    counts: tuple[ChangeCount, ...]
+    photos: tuple[Ended, ...]
+
+
+# ---------------------------------------------------------------- one photo
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """A case, one whose film is laid beside it, and the change."""
+
+    change: str
+    case: Case
+    other: Case
+
+    def made(self) -> Damaged:
+        """The changed photo and its truth; the same each time."""
+        rng = np.random.default_rng(zlib.crc32(f"{self.change} {self.case.name}".encode()))
+        sheet, other = (Sheet(case.photo(), case.backward) for case in (self.case, self.other))
+        return CHANGES[self.change][1](sheet, other, rng)
+
+
+def tried(whole: bool, rectifier: Rectifier, task: Task) -> Ended:
+    """A changed photo, flattened."""
+    it, size = task.made(), max(task.case.photo().shape[:2])
+
+    def error_px(found: BackwardMap | None) -> float | None:
+        if found is None:
+            return None
+        near = read_alike(found, it.backward)[0]
+        error = float(end_point_error(near, it.backward.lattice(LATTICE)).mean())
+        return error / it.scale * REFERENCE_PX / size
+
+    network = error_px(rectifier.network_map(it.photo))
+    if not whole:
+        return Ended(task.change, task.case.name, network)
+    result = rectifier(it.photo)
+    found = error_px(result.backward)
+    limit = None if result.limit_px is None else result.limit_px / it.scale * REFERENCE_PX / size
+    wrong = result.status.ok and found is not None and limit is not None and found > limit
+    return Ended(task.change, task.case.name, network, found, result.status.code.name, wrong)
+
+
+def tasks_of(options: Options) -> list[Task]:
+    """Every photo with every change; beside it lies the next photo's film.
+
+    Raises:
+        ConfigError: no photos are named. DataError: they cannot be read, or are fewer than two.
+    """
+    if not options.photos and not options.data:
+        do = "Name --photos or --data."
+        raise ConfigError(describe(what="benchmarks.surroundings", got="nothing to change", do=do))
+    cases = [case for folder in options.photos for case in photo_cases(folder)]
+    cases = (cases + (sample_cases(options.data) if options.data else []))[:: options.every]
+    if len(cases) < 2:
+        do = "Name more of them, or a smaller --every."
+        raise DataError(describe(what="photos", got=f"{len(cases)}", allowed="two or more", do=do))
+    names = options.only or tuple(CHANGES)
+    return [Task(name, case, cases[(k + 1) % len(cases)]) for name in names for k, case in enumerate(cases)]
+
+
+# ---------------------------------------------------------------- figures
+
+
+def counted(ended: Sequence[Ended]) -> tuple[ChangeCount, ...]:
+    """The photos of each change together, in the order of the changes."""
+    names = dict.fromkeys(one.change for one in ended)
+    return tuple(_count(name, [one for one in ended if one.change == name]) for name in names)
+
+
+def _count(change: str, ended: Sequence[Ended]) -> ChangeCount:
+    network = [one.network_px for one in ended if one.network_px is not None]
+    film = [one.film_px for one in ended if one.film_px is not None]
+    return ChangeCount(
+        change=change,
+        what=CHANGES[change][0],
+        photos=len(ended),
+        network_found=len(network),
+        network_px=_geometric_mean(network),
+        network_to_10=sum(px < 10 for px in network),
+        found=len(film),
+        film_px=_geometric_mean(film),
+        to_1=sum(px < 1 for px in film),
+        to_5=sum(px < 5 for px in film),
+        ok=sum(one.status == "OK" for one in ended),
+        wrong=sum(one.wrong for one in ended),
+    )
+
+
+def _geometric_mean(errors: Sequence[float]) -> float | None:
+    return float(np.exp(np.mean(np.log(np.maximum(errors, 1e-6))))) if errors else None
+
+
+def surroundings_table(report: SurroundingsReport) -> str:
+    """A row for each change, in Markdown."""
+    head = ("", "photos", "network alone, px", "to 10 px")
+    rows = [[c.what, str(c.photos), number(c.network_px, 2), str(c.network_to_10)] for c in report.counts]
+    if report.whole:
+        head += ("found", "film, px", "to 1 px", "to 5 px", "`OK` (wrongly)")
+        for row, c in zip(rows, report.counts, strict=True):
+            row += [str(c.found), number(c.film_px, 2), str(c.to_1), str(c.to_5), f"{c.ok} ({c.wrong})"]
+    return table(head, rows)
+
+
+# ---------------------------------------------------------------- the command
+
+
+def run(options: Options, command: list[str]) -> SurroundingsReport:
+    """Change, flatten, write the figures as JSON and print them."""
+    tasks, config = tasks_of(options), replace(RectifyConfig.of(options.effort), weights=options.weights)
+    if options.pictures is not None:
+        _draw(options.pictures, tasks, Rectifier(config))
+    ended = tuple(tqdm(_each(options, tasks, config), total=len(tasks), unit="photo"))
+    report = SurroundingsReport(describe_run(command), not options.network_alone, counted(ended), ended)
+    write_record(options.json_path, report)
+    print(surroundings_table(report))
+    return report
+
+
+def _each(options: Options, tasks: Sequence[Task], config: RectifyConfig) -> Iterator[Ended]:
+    for answer in shared_out(
+        partial(tried, not options.network_alone), partial(Rectifier, config), tasks, options.workers
+    ):
+        if isinstance(answer, HybridError):
+            raise answer
+        yield answer
+
+
+def _draw(folder: Path, tasks: Sequence[Task], rectifier: Rectifier) -> None:
+    """Some photos of each change, with what is found in them."""
+    make_folder(folder)
+    tiles, captions = [], []
+    for name in dict.fromkeys(task.change for task in tasks):
+        for task in [one for one in tasks if one.change == name][:SHOWN]:
+            photo = task.made().photo
+            tiles.append(fitted(annotated(photo, rectifier(photo)), (360, 360)))
+            captions.append(f"{CHANGES[name][0]}: {task.case.name}")
+    write_rgb(folder / "surroundings.jpg", contact_sheet(tiles, captions, 6))
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The command; 0 if it went through."""
+    return run_command("benchmarks.surroundings", Options, run, arguments)
+
+
+__all__ = ["SurroundingsReport", "counted", "main", "run", "surroundings_table"]
+
+if __name__ == "__main__":
+    sys.exit(main())
