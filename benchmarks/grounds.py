@@ -219,8 +219,8 @@ def _moved(sheet: Sheet, other: Sheet, rng: np.random.Generator) -> Damaged:
 
 CHANGES: dict[str, tuple[str, Change]] = {
     "plain": ("as they were", lambda sheet, other, rng: Damaged(sheet.photo, sheet.backward)),
-    "dark_sheet": ("a dark sheet below", _below((8, 45))),
-    "white_sheet": ("a white sheet below", _below((200, 250))),
+    "dark_sheet": ("a dark sheet below", _below((8.0, 45.0))),
+    "white_sheet": ("a white sheet below", _below((200.0, 250.0))),
     "as_black": ("on ground as black as the film", _on(_as_black)),
     "checks": ("on a chequered cloth", _on(_checks)),
     "stripes": ("on a striped cloth", _on(_stripes)),
@@ -228,9 +228,9 @@ CHANGES: dict[str, tuple[str, Change]] = {
     "film_beside": ("another film beside", _beside(1)),
     "films_around": ("films on all four sides", _beside(4)),
     "hard_shadow": ("its own hard shadow behind", _hard_shadow),
-    "wide": ("in a frame of 5:3", _frame(1, 5 / 3)),
-    "tall": ("in a frame of 3:5", _frame(5 / 3, 1)),
-    "small": ("in a frame twice as large", _frame(2, 2)),
+    "wide": ("in a frame of 5:3", _frame(1.0, 5 / 3)),
+    "tall": ("in a frame of 3:5", _frame(5 / 3, 1.0)),
+    "small": ("in a frame twice as large", _frame(2.0, 2.0)),
     "turned": ("turned by 45 degrees", _turned),
     "moved": ("blurred by motion", _moved),
 }

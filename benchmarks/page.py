@@ -1,6 +1,6 @@
 """The page and the README's table, made from results: ``python -m benchmarks.page --out OUT``.
 
-OUT holds run.json and, if they were made, stability.json and soak.json.
+OUT holds run.json and, if they were made, surroundings.json, stability.json and soak.json.
 """
 
 from __future__ import annotations
@@ -16,9 +16,10 @@ from benchmarks.lineup import CONFIGURATIONS, MAIN
 from benchmarks.page_tables import number, table
 from benchmarks.page_text import Results, page_text
 from benchmarks.results import Report
-from benchmarks.schema import read_record
+from benchmarks.schema import Record, read_record
 from benchmarks.stress_records import SoakReport, StabilityReport
 from benchmarks.summary import FLOOR, rows_of, split_rows
+from benchmarks.surroundings_records import SurroundingsReport
 from hybrid.image_io import write_bytes
 from hybrid.outputs import make_folder
 
@@ -33,11 +34,16 @@ def read_results(folder: Path, prefix: str = "") -> Results:
     Raises:
         DataError: no run.json there, or one that is not as it should be.
     """
-    stability, soak = folder / f"{prefix}stability.json", folder / f"{prefix}soak.json"
+
+    def further(name: str, kind: type[Record]) -> Record | None:
+        path = folder / f"{prefix}{name}.json"
+        return read_record(path, kind) if path.exists() else None
+
     return Results(
         read_record(folder / f"{prefix}run.json", Report),
-        read_record(stability, StabilityReport) if stability.exists() else None,
-        read_record(soak, SoakReport) if soak.exists() else None,
+        further("stability", StabilityReport),
+        further("soak", SoakReport),
+        further("surroundings", SurroundingsReport),
         (folder / ("images" if prefix else "pictures") / f"{prefix}{GALLERY}").exists(),
     )
 
@@ -89,7 +95,7 @@ def write_page(page: Path, out: Path, readme: Path | None = None) -> None:
     results = read_results(out)
     make_folder(page.parent / "images")
     write_bytes(page, page_text(results).encode())
-    for name in ("run", "stability", "soak"):
+    for name in ("run", "surroundings", "stability", "soak"):
         if (out / f"{name}.json").exists():
             shutil.copyfile(out / f"{name}.json", page.parent / f"{PREFIX}{name}.json")
     for name in (*PICTURES, GALLERY):
@@ -104,7 +110,7 @@ class Options:
     """Make the page from results that are there."""
 
     out: Path
-    """Folder of run.json and, if made, stability.json and soak.json."""
+    """Folder of run.json and, if made, surroundings.json, stability.json and soak.json."""
     page: Path = Path("docs/benchmarks.md")
     """The file to write."""
     readme: Path | None = None

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from benchmarks.lineup import CONFIGURATIONS, EFFORTS, MAIN, OWN
 from benchmarks.results import Report
 from benchmarks.summary import FLOOR, Duel, Row, duels, rows_of, split_rows, spread
+from benchmarks.surroundings_records import SurroundingsReport
 
 PHOTOS_SHOWN = 24
 """Photos that are listed one by one: the best, the worst and those between, evenly."""
@@ -75,6 +76,17 @@ def _cells(row: Row, floor: Row | None) -> list[str]:
         "-" if floor is None else f"{t[0] / floor.seconds[0]:.3g} ({row.cpu_seconds / floor.cpu_seconds:.3g})",
         number(row.output, 2),
     ]
+
+
+def surroundings_table(report: SurroundingsReport) -> str:
+    """A row for each change, in Markdown."""
+    head = ("", "photos", "network alone, px", "to 10 px")
+    rows = [[c.what, str(c.photos), number(c.network_px, 2), str(c.network_to_10)] for c in report.counts]
+    if report.whole:
+        head += ("found", "film, px", "to 1 px", "to 5 px", "`OK` (wrongly)")
+        for row, c in zip(rows, report.counts, strict=True):
+            row += [str(c.found), number(c.film_px, 2), str(c.to_1), str(c.to_5), f"{c.ok} ({c.wrong})"]
+    return table(head, rows)
 
 
 def memory_text(report: Report) -> str:

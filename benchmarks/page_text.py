@@ -19,12 +19,14 @@ from benchmarks.page_tables import (
     size_section,
     split_text,
     stages_text,
+    surroundings_table,
     table,
 )
 from benchmarks.published import TIME_ONLY
 from benchmarks.results import Report
 from benchmarks.stress_records import SoakReport, StabilityReport
 from benchmarks.summary import FLOOR, duels, rows_of
+from benchmarks.surroundings_records import SurroundingsReport
 
 
 @dataclass(frozen=True)
@@ -34,6 +36,7 @@ class Results:
     run: Report
     stability: StabilityReport | None = None
     soak: SoakReport | None = None
+    surroundings: SurroundingsReport | None = None
     gallery: bool = False
 
 
@@ -59,6 +62,8 @@ def page_text(results: Results) -> str:
         parts.append(
             "## Best, median, worst\n\n![Photo with what was found, film, error](images/benchmarks_gallery.jpg)"
         )
+    if results.surroundings is not None:
+        parts.append("## Surroundings\n\n" + _surroundings_text(results.surroundings))
     if results.stability is not None:
         parts.append("## Stability\n\n" + _stability_text(results.stability))
     if results.soak is not None:
@@ -116,8 +121,8 @@ def _how(report: Report) -> str:
     timed = sorted(m.label for m in report.methods if m.unscored == TIME_ONLY)
     lines = [
         f"To make these figures again:\n\n```bash\n{run['command']}\n```\n\nParts of other commands are put beside "
-        "them (`stability.json` and `soak.json` into the same folder); `python -m benchmarks.page --out DIR` makes the "
-        "page.",
+        "them (`surroundings.json`, `stability.json` and `soak.json` into the same folder); `python -m benchmarks.page "
+        "--out DIR` makes the page.",
         f"{machine['processor']}, {machine['usable_processors']} usable processors, {machine['memory_gib']} GiB; "
         f"threads for every method: {settings.threads}; Python {run['python']}, {versions}; {_made(run)}.",
         f"**Equal footing.** {len(report.cases)} photos whose true geometry is known ({settings.source}). Where that "
@@ -180,6 +185,15 @@ def _warnings(report: Report) -> list[str]:
             "for run time and memory, but they hold no more detail."
         )
     return lines
+
+
+def _surroundings_text(surroundings: SurroundingsReport) -> str:
+    return (
+        "Photos with truth, changed around their film, which stays as it was photographed. Errors are geometric means, "
+        "over the films found, of end-point errors in pixels of the photo before it was changed, had it 1080.\n\n"
+        f"```bash\n{surroundings.run['command']}\n```\n\n{_made(surroundings.run).capitalize()}.\n\n"
+        + surroundings_table(surroundings)
+    )
 
 
 def _stability_text(stability: StabilityReport) -> str:

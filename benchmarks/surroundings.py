@@ -1,7 +1,8 @@
 """What a film lies on, and what that costs: ``python -m benchmarks.surroundings --photos DIR [DIR ...] --json OUT``.
 
 Photos with truth are changed around their film (grounds.py), which stays as it was, and flattened again: by the network
-alone and by the whole pipeline. Errors are mean end-point errors in pixels of the photo before, had it 1080.
+alone and by the whole pipeline. Errors are mean end-point errors in pixels of the photo before, had it 1080. The JSON
+file, named surroundings.json, may lie beside run.json for ``benchmarks.page``.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 import tyro
@@ -23,9 +24,10 @@ from benchmarks.command import run_command
 from benchmarks.damage import Damaged
 from benchmarks.grounds import CHANGES, Sheet
 from benchmarks.machine import describe_run
-from benchmarks.page_tables import number, table
+from benchmarks.page_tables import surroundings_table
 from benchmarks.schema import write_record
 from benchmarks.scores import LATTICE
+from benchmarks.surroundings_records import ChangeCount, Ended, SurroundingsReport
 from hybrid.backward import BackwardMap, end_point_error
 from hybrid.draw import annotated, contact_sheet, fitted
 from hybrid.effort import Effort, RectifyConfig
@@ -80,49 +82,6 @@ class Options:
         if unknown:
             allowed = ", ".join(CHANGES)
             raise ConfigError(describe(what="--only", got=unknown[0], allowed=allowed, do="Name some of these."))
-
-
-@dataclass(frozen=True)
-class Ended:
-    """One changed photo: errors of the network alone and of the film, None where none was found; its status.
-
-    wrong: called ``OK``, and further off than that allows.
-    """
-
-    change: str
-    case: str
-    network_px: float | None
-    film_px: float | None = None
-    status: str = ""
-    wrong: bool = False
-
-
-@dataclass(frozen=True)
-class ChangeCount:
-    """All photos with one change. Geometric means are over the films that were found."""
-
-    change: str
-    what: str
-    photos: int
-    network_found: int
-    network_px: float | None
-    network_to_10: int
-    found: int
-    film_px: float | None
-    to_1: int
-    to_5: int
-    ok: int
-    wrong: int
-
-
-@dataclass(frozen=True)
-class SurroundingsReport:
-    """A whole run. run: benchmarks.machine.describe_run. whole: whether the pipeline was run, too."""
-
-    run: dict[str, Any]
-    whole: bool
-    counts: tuple[ChangeCount, ...]
-    photos: tuple[Ended, ...]
 
 
 # ---------------------------------------------------------------- one photo
@@ -214,17 +173,6 @@ def _geometric_mean(errors: Sequence[float]) -> float | None:
     return float(np.exp(np.mean(np.log(np.maximum(errors, 1e-6))))) if errors else None
 
 
-def surroundings_table(report: SurroundingsReport) -> str:
-    """A row for each change, in Markdown."""
-    head = ("", "photos", "network alone, px", "to 10 px")
-    rows = [[c.what, str(c.photos), number(c.network_px, 2), str(c.network_to_10)] for c in report.counts]
-    if report.whole:
-        head += ("found", "film, px", "to 1 px", "to 5 px", "`OK` (wrongly)")
-        for row, c in zip(rows, report.counts, strict=True):
-            row += [str(c.found), number(c.film_px, 2), str(c.to_1), str(c.to_5), f"{c.ok} ({c.wrong})"]
-    return table(head, rows)
-
-
 # ---------------------------------------------------------------- the command
 
 
@@ -266,7 +214,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return run_command("benchmarks.surroundings", Options, run, arguments)
 
 
-__all__ = ["SurroundingsReport", "counted", "main", "run", "surroundings_table"]
+__all__ = ["Options", "counted", "main", "run", "tasks_of", "tried"]
 
 if __name__ == "__main__":
     sys.exit(main())
