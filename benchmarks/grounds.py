@@ -161,6 +161,29 @@ def _hard_shadow(sheet: Sheet, other: Sheet, rng: np.random.Generator) -> Damage
     return Damaged(sheet.on(dark, shade), sheet.backward)
 
 
+def _rounded(sheet: Sheet, other: Sheet, rng: np.random.Generator) -> Damaged:
+    """Its corners rounded, as those of films from a box are: the ground near them is seen there."""
+    down, across = sheet.backward.mean_film_pixels()
+    radius = rng.uniform(0.015, 0.04) * max(down, across)
+    turns = np.linspace(0, np.pi / 2, 17)
+    arcs = [
+        np.array([abs(u - radius / across), abs(v - radius / down)])
+        + np.stack([np.cos(turns + turn) * radius / across, np.sin(turns + turn) * radius / down], axis=1)
+        for (u, v), turn in zip(((0, 0), (1, 0), (1, 1), (0, 1)), np.pi * np.array([1, 1.5, 0, 0.5]), strict=True)
+    ]
+    size = sheet.photo.shape[:2]
+    left = filled(sheet.backward.photo_from_film(np.concatenate(arcs)), size)
+    ground = (sheet.ground / np.float32(255))[..., None]
+    near = radius / 2
+    around = cv2.GaussianBlur(sheet.photo * ground, (0, 0), near) / (
+        cv2.GaussianBlur(ground, (0, 0), near)[..., None] + 1e-3
+    )
+    cut = cv2.dilate(cv2.subtract(filled(sheet.backward.outline(), size), left), np.ones((5, 5), np.uint8))
+    corners = cv2.min(cut, 255 - left) / np.float32(255)  # with the rim, in which the lens mixed them with the ground
+    filling = np.clip(np.rint(around), 0, 255).astype(np.uint8)
+    return Damaged(cv2.blendLinear(filling, sheet.photo, corners, 1 - corners), sheet.backward)
+
+
 # ---------------------------------------------------------------- how it lies in the frame
 
 
@@ -228,6 +251,7 @@ CHANGES: dict[str, tuple[str, Change]] = {
     "film_beside": ("another film beside", _beside(1)),
     "films_around": ("films on all four sides", _beside(4)),
     "hard_shadow": ("its own hard shadow behind", _hard_shadow),
+    "rounded": ("its corners rounded", _rounded),
     "wide": ("in a frame of 5:3", _frame(1.0, 5 / 3)),
     "tall": ("in a frame of 3:5", _frame(5 / 3, 1.0)),
     "small": ("in a frame twice as large", _frame(2.0, 2.0)),

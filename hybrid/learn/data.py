@@ -11,7 +11,7 @@ from jaxtyping import Float, UInt8
 
 from hybrid.backward import MIN_NODES, BackwardMap, Orientation, film_as_seen, orientation_of
 from hybrid.coords import film_centres, film_nodes
-from hybrid.learn import behind
+from hybrid.learn import behind, rounded
 from hybrid.learn.losses import Targets
 from hybrid.learn.network import STRIDE
 from hybrid.learn.samples import Place, Truth, film_of, photo_of, truth_at
@@ -28,8 +28,8 @@ class AugmentConfig:
     a homography, as in the later ones; the others flatten it by a bent map. zoom: of the windows. roll_deg,
     shift: one sigma of their rotation and of their shift (in parts of their side). margin: around a flattened film.
     plane_error, bend_error: range of the error, in parts of the film, of the maps by which films are flattened.
-    Every view is turned by any number of quarter turns and mirrored or not. colours: whether they are disturbed, and
-    something is put behind some films.
+    Every view is turned by any number of quarter turns and mirrored or not. colours: whether they are disturbed,
+    something is put behind some films, and corners of some are rounded.
     """
 
     empty_share: float = 0.04
@@ -78,14 +78,19 @@ class View:
 def training_view(place: Place, px: int, rng: np.random.Generator, config: AugmentConfig | None) -> View:
     """A sample in a random view of ``px`` pixels; with no ``config``, the whole photo, undisturbed."""
     photo, film = photo_of(place), film_of(place)
+    rounding = None
     if config is not None and config.colours:
-        photo = behind.behind_some(place, photo, film, rng)
+        photo, rounding = behind.behind_some(place, photo, film, rng), rounded.rounding_of_some(film, rng)
+        if rounding is not None:
+            photo = rounded.with_round_corners(photo, film, rounding, rng)
     size = (photo.shape[0], photo.shape[1])
     view, weight = (whole_view(size), 1.0) if config is None else random_view(film, size, rng, config)
     image = view_image(photo, view, px)
     if config is not None and config.colours:
         image = disturbed(image, rng)
     truth = truth_at(place, output_points(view, px, STRIDE), size)
+    if rounding is not None:
+        truth = truth.without(rounding.cuts(truth.uv))
     way, axes = orientation_in(truth), axes_of(view)
     return View(
         image,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -43,6 +43,12 @@ class Truth:
     has_shape: bool
     has_print: bool
     vertices: Float[np.ndarray, "r c 2"] | None
+
+    def without(self, cut: Bool[np.ndarray, "h w"]) -> Truth:
+        """The same of a sheet from which film points are cut off."""
+        left = self.mask & ~cut
+        maps = {name: np.where(left[..., None], getattr(self, name), 0) for name in ("uv", "xyz", "normal")}
+        return replace(self, mask=left, albedo=np.where(left, self.albedo, 0), **maps)
 
 
 def open_places(folders: Sequence[Path]) -> list[Place]:
