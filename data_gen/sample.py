@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -29,6 +29,7 @@ from hybrid.mesh.camera import Camera
 from hybrid.mesh.film import FilmMesh, base_lines, film_mesh
 from hybrid.mesh.raycast import FACET_MM, AnnotationMaps, FilmCaster, true_backward_map
 from hybrid.mesh.recipes import BendConfig, bend
+from hybrid.round_corners import RoundCorners
 
 SIMULATION_VERTICES = 26
 """The sheet is subdivided as long as its longer side then has at most this many lattice intervals."""
@@ -48,6 +49,9 @@ METERED_EVERY = 3
 COLOUR_TAKEN_OUT = 0.6
 """Power by which white balance follows the light's colour."""
 
+_CORNERS = 7
+"""Tells the random numbers of corners from those of the rest of a film."""
+
 PLACES = (32, 32)
 """Film points whose place in the photo, and so their vignetting, is looked up; it varies slowly."""
 
@@ -57,12 +61,15 @@ class SampleConfig:
     """What samples are made of.
 
     size: side of the photo in pixels. map_size: side of the maps.
-    photos_per_film: photos taken of one bent film. sources: of CT volumes and of light. The rest: of each stage.
+    photos_per_film: photos taken of one bent film. round_share: sheets whose corners are round. corner_mm: range of
+    their radius. sources: of CT volumes and of light. The rest: of each stage.
     """
 
     size: int = 256
     map_size: int = 256
     photos_per_film: int = 8
+    round_share: float = 0.4
+    corner_mm: tuple[float, float] = (2.0, 14.0)
     sources: SourceConfig = field(default_factory=SourceConfig)
     prints: PrintConfig = field(default_factory=PrintConfig)
     bend: BendConfig = field(default_factory=BendConfig)
@@ -101,17 +108,28 @@ def film_samples(seed: int, number: int, config: SampleConfig) -> Iterator[Sampl
     recipe, frames = bend(sheet_of(film_print), rng, config.bend)
     room = prefilter(draw_environment(config.sources, rng))
     levels = print_levels(film_print.image)
-    casters: dict[int, FilmCaster] = {}
+    corners, casters = corners_of(film_print.size_mm, [seed, number], config), dict[int, FilmCaster]()
     for k in range(config.photos_per_film):
         chosen = int(rng.integers(len(frames)))
         if chosen not in casters:
-            casters[chosen] = FilmCaster(frames[chosen].mesh, FACET_MM * max(1.0, FACET_SIDE / config.size))
+            facet_mm = FACET_MM * max(1.0, FACET_SIDE / config.size)
+            casters[chosen] = FilmCaster(frames[chosen].mesh, facet_mm, corners)
         scene = sample_scene(frames[chosen].mesh, (config.size, config.size), rng, config.scene)
         sample = _photograph(casters[chosen], film_print, levels, scene, room, rng, (config.map_size, config.map_size))
         sample.parameters.update(
-            seed=seed, film=number, photo=k, recipe=recipe, frame=chosen, room=room.environment.name
-        )
+            seed=seed, film=number, photo=k, recipe=recipe, frame=chosen, room=room.environment.name,
+            round_corners=None if corners is None else (corners.u, corners.v),
+        )  # fmt: skip
         yield sample
+
+
+def corners_of(size_mm: tuple[float, float], seeds: Sequence[int], config: SampleConfig) -> RoundCorners | None:
+    """Round corners of some sheets; None for the others. Drawn apart, so that nothing else depends on it."""
+    rng = np.random.default_rng([*seeds, _CORNERS])
+    if rng.random() >= config.round_share:
+        return None
+    radius = float(rng.uniform(*config.corner_mm))
+    return RoundCorners(radius / size_mm[1], radius / size_mm[0])
 
 
 def _photograph(

@@ -8,6 +8,7 @@ from hybrid.errors import SimulationError
 from hybrid.mesh.camera import Camera, look_at
 from hybrid.mesh.film import film_mesh
 from hybrid.mesh.raycast import FilmCaster, facet_shape, true_backward_map
+from hybrid.round_corners import RoundCorners
 
 SIZE = (150, 180)
 
@@ -41,10 +42,11 @@ def supersampled(caster, cam, n=8):
     return count / n**2, cells.sum(axis=(1, 3)) / np.maximum(count, 1)[..., None]
 
 
+@pytest.mark.parametrize("corners", [None, RoundCorners(0.12, 0.1)])
 @pytest.mark.parametrize("roll", [0.0, 0.7])
 @pytest.mark.parametrize("shape", SHAPES)
-def test_a_view_is_what_many_rays_see(shape, roll):
-    caster, cam = FilmCaster(film(SHAPES[shape])), camera(roll=roll)
+def test_a_view_is_what_many_rays_see(shape, roll, corners):
+    caster, cam = FilmCaster(film(SHAPES[shape]), corners=corners), camera(roll=roll)
     view = caster.view(cam)
     coverage, uv = supersampled(caster, cam)
     assert coverage.max() > 0

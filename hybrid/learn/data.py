@@ -14,7 +14,7 @@ from hybrid.coords import film_centres, film_nodes
 from hybrid.learn import behind, rounded
 from hybrid.learn.losses import Targets
 from hybrid.learn.network import STRIDE
-from hybrid.learn.samples import Place, Truth, film_of, photo_of, truth_at
+from hybrid.learn.samples import Place, Truth, film_of, photo_of, round_corners_of, truth_at
 from hybrid.learn.tensors import image_batch, map_batch
 from hybrid.learn.views import VIEW_NODES, film_view, output_points, plane_of, square_view, view_image, whole_view
 
@@ -78,19 +78,18 @@ class View:
 def training_view(place: Place, px: int, rng: np.random.Generator, config: AugmentConfig | None) -> View:
     """A sample in a random view of ``px`` pixels; with no ``config``, the whole photo, undisturbed."""
     photo, film = photo_of(place), film_of(place)
-    rounding = None
+    corners = None
     if config is not None and config.colours:
-        photo, rounding = behind.behind_some(place, photo, film, rng), rounded.rounding_of_some(film, rng)
-        if rounding is not None:
-            photo = rounded.with_round_corners(photo, film, rounding, rng)
+        photo = behind.behind_some(place, photo, film, rng)
+        photo, corners = rounded.round_some(photo, film, round_corners_of(place), rng)
     size = (photo.shape[0], photo.shape[1])
     view, weight = (whole_view(size), 1.0) if config is None else random_view(film, size, rng, config)
     image = view_image(photo, view, px)
     if config is not None and config.colours:
         image = disturbed(image, rng)
     truth = truth_at(place, output_points(view, px, STRIDE), size)
-    if rounding is not None:
-        truth = truth.without(rounding.cuts(truth.uv))
+    if corners is not None:
+        truth = truth.without(corners.cut(truth.uv))
     way, axes = orientation_in(truth), axes_of(view)
     return View(
         image,

@@ -13,15 +13,15 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
-from hybrid.backward import BackwardMap, Orientation, film_as_seen
+from hybrid.backward import BackwardMap, Orientation, film_as_seen, orientation
 from hybrid.coords import film_centres_1d, rescale_points, sample_bilinear
 from hybrid.errors import NPZ_ERRORS, DataError, describe
 from hybrid.learn import behind, rounded
 from hybrid.learn.data import BEND_ERROR_NODES, disturbed, disturbed_map, log_uniform
-from hybrid.learn.rounded import Rounding
-from hybrid.learn.samples import Place, film_mask, film_of, open_places, photo_of
+from hybrid.learn.samples import Place, film_mask, film_of, open_places, photo_of, round_corners_of
 from hybrid.learn.views import plane_of
 from hybrid.pyramid import Pyramid
+from hybrid.round_corners import RoundCorners
 from hybrid.strips import SIDES, StripConfig, edge_strips, strip_copy
 
 FILM_MAPS = "film_maps.npy"
@@ -90,11 +90,13 @@ def edge_view(
 ) -> tuple[UInt8[np.ndarray, "4 r c 3"], Bool[np.ndarray, "4 r c"], Float[np.ndarray, "4 c2"]]:
     """Strips of a sample, where the photo covers them, and the true rows in each pair of columns (NaN: not shown)."""
     place, way = sample.place, Orientation(int(rng.integers(4)), bool(rng.random() < 0.5))
-    photo, true, rounding = photo_of(place), film_as_seen(film_of(place)).turned(way), None
+    photo, film, corners = photo_of(place), film_of(place), round_corners_of(place)
     if augment.colours:
-        photo, rounding = behind.behind_some(place, photo, true, rng), rounded.rounding_of_some(true, rng)
-        if rounding is not None:
-            photo = rounded.with_round_corners(photo, true, rounding, rng)
+        photo = behind.behind_some(place, photo, film, rng)
+        photo, corners = rounded.round_some(photo, film, corners, rng)
+    true = film_as_seen(film).turned(way)
+    if corners is not None:
+        corners = corners.turned(orientation(film).turns + way.turns)
     if sample.found is not None and rng.random() < augment.found_share:
         guess = BackwardMap(sample.found.astype(np.float64)).turned(way)
         guess = disturbed_map(guess, 2, log_uniform(rng, augment.found_error), rng)
@@ -107,7 +109,7 @@ def edge_view(
     if augment.colours:
         images = np.stack(np.split(disturbed(np.concatenate(images, axis=1), rng), len(images), axis=1))  # side by side
     size = (photo.shape[0], photo.shape[1])
-    return images, inside, true_rows(true, guess, size, film_mask(place), strip, rounding)
+    return images, inside, true_rows(true, guess, size, film_mask(place), strip, corners)
 
 
 def true_rows(
@@ -116,7 +118,7 @@ def true_rows(
     size: tuple[int, int],
     mask: Bool[np.ndarray, "h w"],
     strip: StripConfig,
-    rounding: Rounding | None = None,
+    corners: RoundCorners | None = None,
 ) -> Float[np.ndarray, "4 c2"]:
     """Rows of the strips of ``guess`` at which the edges of ``true`` cross the middles of pairs of columns; NaN where a
     hand or another thing hides the edge, too: what hides it has an edge of its own, which must not count. NaN as well
@@ -134,8 +136,8 @@ def true_rows(
         depth = side.inward * (at[:, side.axis] - side.edge)
         visible = _film_at(mask, true.photo_from_film(side.film_points(t, np.full(len(t), JUST_INSIDE))), size)
         visible = np.minimum(visible, ((points >= 0) & (points < [size[1], size[0]])).all(axis=1))
-        if rounding is not None:
-            visible = np.minimum(visible, ~rounding.cuts(uv))
+        if corners is not None:
+            visible = np.minimum(visible, ~corners.cut(uv))
         order = np.argsort(at[:, 1 - side.axis])
         place = at[order, 1 - side.axis]
         depth = np.interp(along, place, depth[order], left=np.nan, right=np.nan)

@@ -15,6 +15,7 @@ from hybrid.coords import inside_outline, opencv_from_photo, rescale_points
 from hybrid.errors import DataError, describe
 from hybrid.learn.coding import ALBEDO_LEVELS, UV_LEVELS, decode_normal, xyz_from_stored
 from hybrid.learn.shards import Shard, open_dataset
+from hybrid.round_corners import RoundCorners
 
 Place = tuple[Shard, int]
 """A sample: its shard and its number in it."""
@@ -83,6 +84,13 @@ def film_mask(place: Place) -> Bool[np.ndarray, "h w"]:
     """Where the photo of a sample shows film, at the resolution of its maps."""
     shard, index = place
     return np.asarray(shard.stored("mask", index), dtype=bool)
+
+
+def round_corners_of(place: Place) -> RoundCorners | None:
+    """The round corners of a sample's film; None where they are sharp."""
+    shard, index = place
+    radii = shard.record(index).get("round_corners")
+    return None if radii is None else RoundCorners(*radii)
 
 
 def truth_at(place: Place, points: Float[np.ndarray, "h w 2"], photo_size: tuple[int, int]) -> Truth:
@@ -165,7 +173,9 @@ def _covered(place: Place, at: np.ndarray, photo_size: tuple[int, int]) -> Bool[
     """Where a pixel of the maps lies well within the sheet's outline and shows no film, at OpenCV coordinates."""
     mask = film_mask(place)
     size = (mask.shape[0], mask.shape[1])
-    inside = inside_outline(rescale_points(film_of(place).outline(), photo_size, size), size)
+    film, corners = film_of(place), round_corners_of(place)
+    edge = film.outline() if corners is None else film.photo_from_film(corners.outline())
+    inside = inside_outline(rescale_points(edge, photo_size, size), size)
     hidden = cv2.erode(inside.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool) & ~mask
     x, y = (np.rint(at[..., k]).astype(np.int64) for k in (0, 1))
     within = (x >= 0) & (x < size[1]) & (y >= 0) & (y < size[0])

@@ -17,6 +17,7 @@ from hybrid.mesh.camera import Camera
 from hybrid.mesh.film import FilmMesh, lattice_triangles
 from hybrid.mesh.sparse import FOR_MAPS, FOR_PHOTOS, Blocks, Sparse, bumpy, crossed, enlarged, smooth_film
 from hybrid.mesh.vectors import dot, turned
+from hybrid.round_corners import RoundCorners
 
 _MISS = 2**32 - 1
 """Open3D's primitive number of a ray that hits nothing."""
@@ -77,12 +78,15 @@ class PixelView:
 
 
 class FilmCaster:
-    """A bent film ready for ray casting: built once, then cast from any camera at any resolution."""
+    """A bent film ready for ray casting: built once, then cast from any camera at any resolution.
 
-    def __init__(self, film: FilmMesh, facet_mm: float = FACET_MM) -> None:
+    Through corners that are cut off nothing is seen of film further back, which only a sheet rolled up shows there.
+    """
+
+    def __init__(self, film: FilmMesh, facet_mm: float = FACET_MM, corners: RoundCorners | None = None) -> None:
         import open3d as o3d
 
-        self.film = film
+        self.film, self.corners = film, corners
         self.shape = facet_shape(film, facet_mm)
         self._v, self._u = (node_centres_1d(n) for n in self.shape)
         self._points = film.surface(self._u, self._v)
@@ -165,8 +169,14 @@ class FilmCaster:
     def _rim(self, projected: Float[np.ndarray, "nv nu 2"], box: tuple[slice, slice]) -> Bool[np.ndarray, "h w"]:
         """Pixels of a part of the photo through which the outline or a fold runs."""
         rows, cols = box
-        size = rows.stop - rows.start, cols.stop - cols.start
-        return crossed(_outline_and_folds(projected - [cols.start, rows.start]), size)
+        size, origin = (rows.stop - rows.start, cols.stop - cols.start), [cols.start, rows.start]
+        lines = _outline_and_folds(projected - origin)
+        if self.corners is not None:
+            edge = self.corners.outline()
+            lattice = np.ascontiguousarray(projected, np.float32)
+            at = photo_from_opencv(edge[None] * (np.array(self.shape[::-1]) - 1))  # vertices are at whole numbers
+            lines.append(sample_bilinear(lattice, at.astype(np.float32))[0].astype(float) - origin)
+        return crossed(lines, size)
 
     def _blocks(self, part: Camera, sparse: Sparse) -> Blocks:
         """What rays through the centres of blocks of pixels meet."""
@@ -199,9 +209,11 @@ class FilmCaster:
         np.matmul(directions.astype(np.float32), camera.camera_from_world[:3, :3].astype(np.float32), out=rays[..., 3:])
         answer = self.scene.cast_rays(_tensor(rays))
         primitive, depth = answer["primitive_ids"].numpy(), answer["t_hit"].numpy().copy()
-        hit = primitive != _MISS
-        missed = ~hit
         uv = self._film_points(primitive, answer["primitive_uvs"].numpy())
+        hit = primitive != _MISS
+        if self.corners is not None:
+            hit &= ~self.corners.cut(uv)
+        missed = ~hit
         uv[missed] = depth[missed] = np.nan
         return hit, uv, depth
 
