@@ -18,6 +18,7 @@ from benchmarks.damage import Damaged
 from hybrid.backward import BackwardMap
 from hybrid.coords import film_nodes, opencv_from_photo
 from hybrid.learn.behind import filled, ground_of
+from hybrid.round_corners import RoundCorners
 
 Picture = UInt8[np.ndarray, "h w 3"]
 
@@ -165,23 +166,17 @@ def _rounded(sheet: Sheet, other: Sheet, rng: np.random.Generator) -> Damaged:
     """Its corners rounded, as those of films from a box are: the ground near them is seen there."""
     down, across = sheet.backward.mean_film_pixels()
     radius = rng.uniform(0.015, 0.04) * max(down, across)
-    turns = np.linspace(0, np.pi / 2, 17)
-    arcs = [
-        np.array([abs(u - radius / across), abs(v - radius / down)])
-        + np.stack([np.cos(turns + turn) * radius / across, np.sin(turns + turn) * radius / down], axis=1)
-        for (u, v), turn in zip(((0, 0), (1, 0), (1, 1), (0, 1)), np.pi * np.array([1, 1.5, 0, 0.5]), strict=True)
-    ]
-    size = sheet.photo.shape[:2]
-    left = filled(sheet.backward.photo_from_film(np.concatenate(arcs)), size)
+    corners, size = RoundCorners(radius / across, radius / down), sheet.photo.shape[:2]
+    left = filled(sheet.backward.photo_from_film(corners.outline()), size)
     ground = (sheet.ground / np.float32(255))[..., None]
     near = radius / 2
     around = cv2.GaussianBlur(sheet.photo * ground, (0, 0), near) / (
         cv2.GaussianBlur(ground, (0, 0), near)[..., None] + 1e-3
     )
     cut = cv2.dilate(cv2.subtract(filled(sheet.backward.outline(), size), left), np.ones((5, 5), np.uint8))
-    corners = cv2.min(cut, 255 - left) / np.float32(255)  # with the rim, in which the lens mixed them with the ground
+    share = cv2.min(cut, 255 - left) / np.float32(255)  # with the rim, in which the lens mixed them with the ground
     filling = np.clip(np.rint(around), 0, 255).astype(np.uint8)
-    return Damaged(cv2.blendLinear(filling, sheet.photo, corners, 1 - corners), sheet.backward)
+    return Damaged(cv2.blendLinear(filling, sheet.photo, share, 1 - share), sheet.backward)
 
 
 # ---------------------------------------------------------------- how it lies in the frame
