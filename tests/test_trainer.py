@@ -32,7 +32,7 @@ from hybrid.learn.losses import masked_mean
 from hybrid.learn.network import FilmNet, FilmNetConfig
 from hybrid.learn.presets import PRESETS
 from hybrid.learn.samples import film_of, photo_of
-from hybrid.learn.train import Rank, TrainConfig, train
+from hybrid.learn.train import Plan, Rank, TrainConfig, train
 from hybrid.learn.weights import load_weights, save_weights
 
 ROOT = Path(__file__).parents[1]
@@ -188,6 +188,28 @@ def test_curves_of_a_run_that_ended_before_its_first_checkpoint_are_begun_anew(d
     (tmp_path / "checkpoint.pt").unlink()
     train(quick_run(dataset, tmp_path, passes=8, steps_per_test=1))
     assert (tmp_path / "curves.csv").read_text() == curves
+
+
+# ---------------------------------------------------------------- what a step is done with
+
+
+def test_the_learning_rate_warms_up_and_falls_by_half_a_cosine(tmp_path):
+    config = TrainConfig((tmp_path,), tmp_path, passes=4000, batch=4, learning_rate=0.8)
+    plan = Plan.of(config)
+    assert plan.steps == 1000
+    rates = np.array([plan.rate_at(step) for step in range(1000)])
+    np.testing.assert_allclose(rates[:20], 0.8 * np.arange(1, 21) / 20)
+    assert rates.argmax() in (19, 20)
+    assert rates[20 + 490] == pytest.approx(0.4)
+    np.testing.assert_allclose(rates[20:] + rates[20:][::-1], 0.8, atol=2e-3)
+    assert 0 < rates[-1] < 1e-5
+    assert np.diff(rates[20:]).max() < 0
+
+
+def test_the_coarse_part_comes_first(tmp_path):
+    plan = Plan.of(TrainConfig((tmp_path,), tmp_path, passes=400, batch=4, coarse_share=0.25, coarse_px=64))
+    own = plan.preset.config.input_px
+    assert [plan.px_at(step) for step in (0, 24, 25, 99)] == [64, 64, own, own]
 
 
 # ---------------------------------------------------------------- averaged weights

@@ -71,6 +71,8 @@ def test_labels_are_the_truth():
         seen = backward.turned(Orientation(view["turns"], view["mirrored"]).inverse).nodes
         down = (seen[-1] - seen[0]).mean(axis=0)
         assert down[1] > 0
+        roll, own = np.deg2rad(view["roll_deg"]), (backward.nodes[-1] - backward.nodes[0]).mean(axis=0)
+        np.testing.assert_allclose(own / np.linalg.norm(own), [-np.sin(roll), np.cos(roll)], atol=1e-6)
         assert np.linalg.norm(camera.centre_world - film.surface(T, T).mean(axis=(0, 1))) == pytest.approx(
             view["distance_mm"]
         )
