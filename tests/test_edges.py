@@ -1,6 +1,7 @@
 """The sheet's edges as EdgeNet reads them: strips, paths through what was read, and maps put onto them."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -108,6 +109,23 @@ def test_an_edge_behind_a_hand_is_not_shown():
     shown = ~np.isnan(rows[:2])
     assert shown[:, : COLUMNS // 2 - 2].all()
     assert not shown[:, COLUMNS // 2 + 2 :].any()
+
+
+def test_corners_that_show_no_edge_do_not_count_against_a_side():
+    photo, film = sheet_photo()
+
+    def rounded(images, inside, columns):
+        logs = step_reader(images, inside)
+        for k in [*range(columns), *range(-columns, 0)]:
+            logs[:, :-1, k], logs[:, -1, k] = -20.0, 0.0
+        return logs
+
+    pyramid, ends = Pyramid(photo), int(0.04 * COLUMNS)
+    support = edge_support(pyramid, film, STEPS)
+    assert support.min() > 0.9
+    for columns, share in ((ends, 1.0), (COLUMNS // 4, 0.6)):
+        reader = EdgeReader(STRIP, partial(rounded, columns=columns))
+        np.testing.assert_allclose(edge_support(pyramid, film, reader), share * support, atol=0.08 * (share < 1))
 
 
 # ---------------------------------------------------------------- paths

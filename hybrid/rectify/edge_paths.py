@@ -24,6 +24,8 @@ SUPPORT_ROWS = 2
 """Rows on each side of an edge within which what was read agrees with it."""
 LEAST_SHOWN = 0.1
 """Share of a side that the photo must show for it to be read."""
+CORNER = 0.04
+"""Parts of a side at its ends that tell nothing of how well it is seen: corners may be round."""
 
 
 @dataclass(frozen=True)
@@ -95,7 +97,7 @@ class EdgesRead:
     """The sheet's edges as they were read. through: the map across whose edges was looked. sightings: through it, one
     record for each side that was seen. off: how far beside the edges of the map asked for the farthest of them lies, in
     parts of the film. support: for SIDES, the mean probability that the sheet's edge lies within SUPPORT_ROWS of where
-    that map puts it; 1 for a side that the photo hardly shows."""
+    that map puts it, corners aside; 1 for a side that the photo hardly shows."""
 
     through: BackwardMap
     sightings: tuple[Sightings, ...]
@@ -151,7 +153,8 @@ def _support(logs: Float[np.ndarray, "4 r1 c"], inside: Bool[np.ndarray, "4 r c2
     middle = inside.shape[1] // 2
     near = slice(middle - SUPPORT_ROWS, middle + SUPPORT_ROWS)
     chances = np.exp(logs)[:, near].sum(axis=1)
-    shown = inside[:, near].all(axis=1).reshape(*chances.shape, -1).all(axis=2)
+    along = film_centres_1d(chances.shape[1])
+    shown = inside[:, near].all(axis=1).reshape(*chances.shape, -1).all(axis=2) & (np.abs(along - 0.5) < 0.5 - CORNER)
     seen = shown.mean(axis=1) > LEAST_SHOWN
     return np.where(seen, (chances * shown).sum(axis=1) / np.maximum(shown.sum(axis=1), 1), 1.0)
 
