@@ -18,7 +18,7 @@ from benchmarks.damage import Damaged
 from hybrid.backward import BackwardMap
 from hybrid.coords import film_nodes, opencv_from_photo
 from hybrid.learn.behind import filled, ground_of
-from hybrid.round_corners import RoundCorners
+from hybrid.round_corners import CORNERS, RoundCorners
 
 Picture = UInt8[np.ndarray, "h w 3"]
 
@@ -174,7 +174,11 @@ def _rounded(sheet: Sheet, other: Sheet, rng: np.random.Generator) -> Damaged:
         cv2.GaussianBlur(ground, (0, 0), near)[..., None] + 1e-3
     )
     cut = cv2.dilate(cv2.subtract(filled(sheet.backward.outline(), size), left), np.ones((5, 5), np.uint8))
-    share = cv2.min(cut, 255 - left) / np.float32(255)  # with the rim, in which the lens mixed them with the ground
+    cut = cv2.min(cut, 255 - left)  # with the rim, in which the lens mixed them with the ground
+    there = np.zeros(size, np.uint8)
+    for x, y in np.rint(sheet.backward.photo_from_film(CORNERS)).astype(int).tolist():
+        cv2.circle(there, (x, y), round(1.2 * radius), (255,), -1)
+    share = cv2.min(cut, there) / np.float32(255)
     filling = np.clip(np.rint(around), 0, 255).astype(np.uint8)
     return Damaged(cv2.blendLinear(filling, sheet.photo, share, 1 - share), sheet.backward)
 

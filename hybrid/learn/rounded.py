@@ -1,7 +1,6 @@
 """Round corners, cut off the sharp ones of training films: sheets of film come out of their box rounded.
 
-Of the twelve check photos, 0.28 px off at the geometric mean, networks that had only seen sharp corners made 1.81 px
-when these were rounded.
+The twelve check photos with round corners end 0.27 px off (geometric mean), 0.33 by networks that had seen none.
 """
 
 from __future__ import annotations
