@@ -1,7 +1,7 @@
 """Photos with truth, changed around their film: what it may lie on or beside, and how it may lie in the frame.
 
 The film itself stays as it was photographed. What networks were trained with behind films (hybrid/learn/behind.py) is
-drawn by other rules: of these changes only the hard shadow is much alike.
+drawn by other rules: of these changes only the hard shadow and the round corners are much alike.
 """
 
 from __future__ import annotations
