@@ -25,7 +25,7 @@ from hybrid.records import RectifyResult, Status, StatusCode
 
 SIZE = (240, 300)
 MOVING = ("wide", "tall", "small", "turned")
-ALL_BUT_LIKE = ("plain", "moved")
+ALL_BUT_LIKE = ("plain", "moved", "rounded")
 
 
 def sheet(seed: int = 0) -> Sheet:
@@ -73,6 +73,23 @@ def test_a_film_beside_is_the_other_one_where_this_one_is_not() -> None:
     assert new.mean() > 0.15
     assert not new[before.ground == 0].any()
     assert it.photo[:, :60].std() > 0  # its ground is not laid with it
+
+
+def test_round_corners_show_ground_and_nothing_else_is_changed() -> None:
+    """A rim that was left along the sides once deceived networks more than the corners."""
+    before = sheet()
+    dark = replace(before, photo=np.where(before.ground[..., None] == 255, before.photo, np.uint8(5)))
+    it = CHANGES["rounded"][1](dark, before, np.random.default_rng(3))
+    y, x = np.mgrid[: SIZE[0], : SIZE[1]] + 0.5
+    corners = before.backward.photo_from_film(np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]))
+    apart = np.hypot(x[..., None] - corners[:, 0], y[..., None] - corners[:, 1])
+    changed = np.abs(it.photo.astype(int) - dark.photo).max(axis=2) > 0
+    assert changed.any()
+    assert apart.min(axis=2)[changed].max() < 10
+    film = changed & (dark.photo == 5).all(axis=2)
+    assert film.any()
+    assert it.photo[film].min() > 5
+    assert it.photo[film].max() > 60
 
 
 def test_motion_leaves_the_film_where_it_is() -> None:
