@@ -7,8 +7,8 @@ drawn by other rules: of these changes only the hard shadow and the round corner
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import dataclass
+from functools import cached_property, partial
 
 import cv2
 import numpy as np
@@ -16,9 +16,10 @@ from jaxtyping import Float, UInt8
 
 from benchmarks.damage import Damaged
 from hybrid.backward import BackwardMap
-from hybrid.coords import film_nodes, opencv_from_photo
-from hybrid.learn.behind import filled, ground_of
-from hybrid.round_corners import CORNERS, RoundCorners
+from hybrid.coords import FILM_CORNERS, film_nodes, opencv_from_photo
+from hybrid.learn.behind import filled, ground_of, mixed
+from hybrid.learn.rounded import cut_share
+from hybrid.round_corners import RoundCorners
 
 Picture = UInt8[np.ndarray, "h w 3"]
 
@@ -49,9 +50,11 @@ class Sheet:
 
     def on(self, other: Picture, share: UInt8[np.ndarray, "h w"] | None = None) -> Picture:
         """The photo with another picture in place of its ground, or of a share of that."""
-        laid = self.ground if share is None else cv2.multiply(self.ground, share, scale=1 / 255)
-        weight = laid / np.float32(255)
-        return cv2.blendLinear(other, self.photo, weight, 1 - weight)
+        return mixed(self.photo, other, self.ground if share is None else self.seen(share))
+
+    def seen(self, share: UInt8[np.ndarray, "h w"]) -> UInt8[np.ndarray, "h w"]:
+        """What of a share of each pixel is ground."""
+        return cv2.multiply(self.ground, share, scale=1 / 255)
 
 
 Change = Callable[[Sheet, Sheet, np.random.Generator], Damaged]
@@ -78,16 +81,8 @@ def _as_black(sheet: Sheet, rng: np.random.Generator) -> Picture:
     return _plain(sheet, dark.mean(axis=0), rng)
 
 
-def _checks(sheet: Sheet, rng: np.random.Generator) -> Picture:
-    return _cloth(sheet, True, rng)
-
-
-def _stripes(sheet: Sheet, rng: np.random.Generator) -> Picture:
-    return _cloth(sheet, False, rng)
-
-
-def _cloth(sheet: Sheet, crossed: bool, rng: np.random.Generator) -> Picture:
-    """A table cloth of two colours, in perspective."""
+def _cloth(crossed: bool, sheet: Sheet, rng: np.random.Generator) -> Picture:
+    """A table cloth of two colours, in perspective: striped, or chequered."""
     h, w = sheet.photo.shape[:2]
     turn, period = rng.uniform(0, np.pi), max(h, w) * rng.uniform(0.04, 0.15)
     y, x = np.mgrid[:h, :w] / max(h, w) - 0.5
@@ -144,7 +139,7 @@ def _beside(sides: int) -> Change:
             moved = _for_opencv(np.column_stack([scale * np.eye(2), shift]))
             there = cv2.warpAffine(other.photo, moved, size[::-1])
             ground = cv2.warpAffine(other.ground, moved, size[::-1], borderValue=(255,))
-            photo = replace(sheet, photo=photo).on(there, 255 - ground)
+            photo = mixed(photo, there, sheet.seen(255 - ground))
         return Damaged(photo, sheet.backward)
 
     return change
@@ -166,21 +161,18 @@ def _rounded(sheet: Sheet, other: Sheet, rng: np.random.Generator) -> Damaged:
     """Its corners rounded, as those of films from a box are: the ground near them is seen there."""
     down, across = sheet.backward.mean_film_pixels()
     radius = rng.uniform(0.015, 0.04) * max(down, across)
-    corners, size = RoundCorners(radius / across, radius / down), sheet.photo.shape[:2]
-    left = filled(sheet.backward.photo_from_film(corners.outline()), size)
+    corners, size = RoundCorners(radius / across, radius / down), (sheet.photo.shape[0], sheet.photo.shape[1])
     ground = (sheet.ground / np.float32(255))[..., None]
     near = radius / 2
     around = cv2.GaussianBlur(sheet.photo * ground, (0, 0), near) / (
         cv2.GaussianBlur(ground, (0, 0), near)[..., None] + 1e-3
     )
-    cut = cv2.dilate(cv2.subtract(filled(sheet.backward.outline(), size), left), np.ones((5, 5), np.uint8))
-    cut = cv2.min(cut, 255 - left)  # with the rim, in which the lens mixed them with the ground
     there = np.zeros(size, np.uint8)
-    for x, y in np.rint(sheet.backward.photo_from_film(CORNERS)).astype(int).tolist():
+    for x, y in np.rint(sheet.backward.photo_from_film(FILM_CORNERS)).astype(int).tolist():
         cv2.circle(there, (x, y), round(1.2 * radius), (255,), -1)
-    share = cv2.min(cut, there) / np.float32(255)
+    share = cv2.min(cut_share(sheet.backward, corners, size, 2), there)
     filling = np.clip(np.rint(around), 0, 255).astype(np.uint8)
-    return Damaged(cv2.blendLinear(filling, sheet.photo, share, 1 - share), sheet.backward)
+    return Damaged(mixed(sheet.photo, filling, share), sheet.backward)
 
 
 # ---------------------------------------------------------------- how it lies in the frame
@@ -244,8 +236,8 @@ CHANGES: dict[str, tuple[str, Change]] = {
     "dark_sheet": ("a dark sheet below", _below((8.0, 45.0))),
     "white_sheet": ("a white sheet below", _below((200.0, 250.0))),
     "as_black": ("on ground as black as the film", _on(_as_black)),
-    "checks": ("on a chequered cloth", _on(_checks)),
-    "stripes": ("on a striped cloth", _on(_stripes)),
+    "checks": ("on a chequered cloth", _on(partial(_cloth, True))),
+    "stripes": ("on a striped cloth", _on(partial(_cloth, False))),
     "page": ("on a page of print", _on(_page)),
     "film_beside": ("another film beside", _beside(1)),
     "films_around": ("films on all four sides", _beside(4)),

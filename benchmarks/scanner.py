@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
 from hybrid.backward import BackwardMap
-from hybrid.coords import film_nodes, node_centres_1d, photo_from_opencv, rescale_points, sample_bilinear
+from hybrid.coords import FILM_CORNERS, film_nodes, node_centres_1d, photo_from_opencv, rescale_points, sample_bilinear
 from hybrid.draw import resized
 
 WORK_PX = 640
@@ -34,7 +34,6 @@ SEARCH_PX = 6
 """Points along each side that are fitted to the strongest edge, and how far from the side it may lie."""
 
 NODES = (33, 33)
-UNIT_SQUARE = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
 
 Corners = Float[np.ndarray, "4 2"]
 """Photo points, clockwise from the sheet's top left."""
@@ -57,7 +56,7 @@ def find_corners(photo: UInt8[np.ndarray, "H W 3"]) -> Corners | None:
 
 def map_of_corners(corners: Corners) -> BackwardMap:
     """The map of a plane sheet with these corners."""
-    square, points = UNIT_SQUARE.astype(np.float32), corners.astype(np.float32)
+    square, points = FILM_CORNERS.astype(np.float32), corners.astype(np.float32)
     homography = cv2.getPerspectiveTransform(square, points).astype(np.float64)
     nodes = film_nodes(NODES).reshape(-1, 1, 2)
     return BackwardMap(cv2.perspectiveTransform(nodes, homography).reshape(*NODES, 2))
@@ -65,7 +64,7 @@ def map_of_corners(corners: Corners) -> BackwardMap:
 
 def true_corners(backward: BackwardMap) -> Corners:
     """The corners of a sheet whose map is known."""
-    return backward.photo_from_film(UNIT_SQUARE)
+    return backward.photo_from_film(FILM_CORNERS)
 
 
 def scan(photo: UInt8[np.ndarray, "H W 3"]) -> BackwardMap | None:

@@ -104,22 +104,22 @@ class Task:
 
 def tried(whole: bool, rectifier: Rectifier, task: Task) -> Ended:
     """A changed photo, flattened."""
-    it, size = task.made(), max(task.case.photo().shape[:2])
+    it = task.made()
+    to_reference = REFERENCE_PX / max(task.case.photo().shape[:2]) / it.scale
 
     def error_px(found: BackwardMap | None) -> float | None:
         if found is None:
             return None
         near = read_alike(found, it.backward)[0]
-        error = float(end_point_error(near, it.backward.lattice(LATTICE)).mean())
-        return error / it.scale * REFERENCE_PX / size
+        return to_reference * float(end_point_error(near, it.backward.lattice(LATTICE)).mean())
 
     network = error_px(rectifier.network_map(it.photo))
     if not whole:
         return Ended(task.change, task.case.name, network)
     result = rectifier(it.photo)
     found = error_px(result.backward)
-    limit = None if result.limit_px is None else result.limit_px / it.scale * REFERENCE_PX / size
-    wrong = result.status.ok and found is not None and limit is not None and found > limit
+    limit = np.inf if result.limit_px is None else to_reference * result.limit_px
+    wrong = result.status.ok and found is not None and found > limit
     return Ended(task.change, task.case.name, network, found, result.status.code.name, wrong)
 
 

@@ -108,7 +108,8 @@ def film_samples(seed: int, number: int, config: SampleConfig) -> Iterator[Sampl
     recipe, frames = bend(sheet_of(film_print), rng, config.bend)
     room = prefilter(draw_environment(config.sources, rng))
     levels = print_levels(film_print.image)
-    corners, casters = corners_of(film_print.size_mm, [seed, number], config), dict[int, FilmCaster]()
+    corners = corners_of(film_print.size_mm, [seed, number], config)
+    casters: dict[int, FilmCaster] = {}
     for k in range(config.photos_per_film):
         chosen = int(rng.integers(len(frames)))
         if chosen not in casters:

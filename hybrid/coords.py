@@ -75,6 +75,10 @@ def film_nodes(size: tuple[int, int]) -> Float[np.ndarray, "gh gw 2"]:
 # ---------------------------------------------------------------- bridges to libraries
 
 
+FILM_CORNERS = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
+"""Film points of a sheet's corners, once around from its top-left one."""
+
+
 def opencv_from_photo(xy: np.ndarray) -> np.ndarray:
     """OpenCV pixel coordinates (centres at integers) of photo points; keeps dtype and shape."""
     return xy - np.asarray(0.5, dtype=xy.dtype)

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-CORNERS = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
-"""Of the sheet, once around from its top-left one."""
+from hybrid.coords import FILM_CORNERS
 
 _ARC, _SIDE = 17, 33
 
@@ -32,8 +31,8 @@ class RoundCorners:
         return RoundCorners(self.v, self.u) if quarters % 2 else self
 
     def centres(self) -> Float[np.ndarray, "4 2"]:
-        """Film points about which the arcs turn, in the order of CORNERS."""
-        return np.abs(CORNERS - [self.u, self.v])
+        """Film points about which the arcs turn, in the order of FILM_CORNERS."""
+        return np.abs(FILM_CORNERS - [self.u, self.v])
 
     def outline(self) -> Float[np.ndarray, "n 2"]:
         """Film points of the sheet's edge, once around from the top-left corner."""
@@ -48,4 +47,4 @@ class RoundCorners:
         return np.concatenate([part for pair in zip(arcs, sides, strict=True) for part in pair])
 
 
-__all__ = ["CORNERS", "RoundCorners"]
+__all__ = ["RoundCorners"]

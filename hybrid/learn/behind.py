@@ -164,8 +164,13 @@ def _darkened(photo: Picture, share: Grey, rng: np.random.Generator) -> Picture:
 
 def _laid(photo: Picture, laid: Picture, outline: Float[np.ndarray, "4 2"], free: Grey) -> Picture:
     """The photo with another picture in it, within an outline and where the ground is seen."""
-    share = cv2.multiply(filled(outline, photo.shape[:2]), free, scale=1 / 255) / np.float32(255)
-    return cv2.blendLinear(laid, photo, share, 1 - share)
+    return mixed(photo, laid, cv2.multiply(filled(outline, photo.shape[:2]), free, scale=1 / 255))
+
+
+def mixed(photo: Picture, other: Picture, share: Grey) -> Picture:
+    """The photo with a share, of 255, of another picture."""
+    weight = share / np.float32(255)
+    return cv2.blendLinear(other, photo, weight, 1 - weight)
 
 
 def _moved(

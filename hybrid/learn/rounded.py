@@ -10,8 +10,9 @@ import numpy as np
 from jaxtyping import UInt8
 
 from hybrid.backward import BackwardMap
-from hybrid.learn.behind import filled
-from hybrid.round_corners import CORNERS, RoundCorners
+from hybrid.coords import FILM_CORNERS
+from hybrid.learn.behind import filled, mixed
+from hybrid.round_corners import RoundCorners
 
 SHARE = 0.5
 """Films whose corners are rounded."""
@@ -37,10 +38,8 @@ def with_round_corners(
 ) -> UInt8[np.ndarray, "h w 3"]:
     """The photo with ground in place of the film's corners: what is seen further out, as it is or blurred."""
     size, changed = (photo.shape[0], photo.shape[1]), photo.copy()
-    left = filled(film.photo_from_film(corners.outline()), size)
-    # With the rim, in which the lens mixed the corners with the ground.
-    cut = cv2.min(cv2.dilate(cv2.subtract(filled(film.outline(), size), left), np.ones((3, 3), np.uint8)), 255 - left)
-    for at, centre in zip(film.photo_from_film(CORNERS), film.photo_from_film(corners.centres()), strict=True):
+    cut = cut_share(film, corners, size, 1)
+    for at, centre in zip(film.photo_from_film(FILM_CORNERS), film.photo_from_film(corners.centres()), strict=True):
         reach, (dx, dy) = 1.2 * float(np.hypot(*(at - centre))) + 4, np.rint((at - centre) * rng.uniform(1.2, 2.5))
         soft = reach * rng.uniform(0.1, 0.4) if rng.random() < 0.5 else 0.0
         (x0, y0), (x1, y1) = (np.clip(np.rint(at + sign * reach), 0, size[::-1]).astype(int) for sign in (-1, 1))
@@ -50,6 +49,14 @@ def with_round_corners(
         patch = photo[np.clip(rows, 0, size[0] - 1)[:, None], np.clip(columns, 0, size[1] - 1)]
         if soft:
             patch = cv2.GaussianBlur(patch, (0, 0), soft)
-        share = cut[y0:y1, x0:x1] / np.float32(255)
-        changed[y0:y1, x0:x1] = cv2.blendLinear(patch, changed[y0:y1, x0:x1], share, 1 - share)
+        changed[y0:y1, x0:x1] = mixed(changed[y0:y1, x0:x1], patch, cut[y0:y1, x0:x1])
     return changed
+
+
+def cut_share(film: BackwardMap, corners: RoundCorners, size: tuple[int, int], rim_px: int) -> UInt8[np.ndarray, "h w"]:
+    """Share, of 255, that is cut off in each pixel of a photo of ``size`` (h, w), with the rim around it, in which the
+    lens mixed film and ground. Where both outlines are one, along the sides, little may be left of it: it is meant near
+    the corners alone."""
+    left = filled(film.photo_from_film(corners.outline()), size)
+    kernel = np.ones((2 * rim_px + 1, 2 * rim_px + 1), np.uint8)
+    return cv2.min(cv2.dilate(cv2.subtract(filled(film.outline(), size), left), kernel), 255 - left)

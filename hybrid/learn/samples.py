@@ -89,7 +89,11 @@ def film_mask(place: Place) -> Bool[np.ndarray, "h w"]:
 def round_corners_of(place: Place) -> RoundCorners | None:
     """The round corners of a sample's film; None where they are sharp."""
     shard, index = place
-    radii = shard.record(index).get("round_corners")
+    return _round_corners(shard.record(index))
+
+
+def _round_corners(record: dict) -> RoundCorners | None:
+    radii = record.get("round_corners")
     return None if radii is None else RoundCorners(*radii)
 
 
@@ -134,7 +138,7 @@ def truth_at(place: Place, points: Float[np.ndarray, "h w 2"], photo_size: tuple
         _relative(xyz, seen, record) if has_shape else nothing,
         albedo[..., 0] / np.float32(ALBEDO_LEVELS),
         _nearest_normal(place, at, seen) if has_shape else nothing,
-        _covered(place, at, photo_size) & ~seen,
+        _covered(place, at, photo_size, _round_corners(record)) & ~seen,
         has_shape,
         has_print="albedo" in maps,
         vertices=np.array(record["grid"]["film"]) if "grid" in record else None,
@@ -169,11 +173,13 @@ def _nearest_film(mask: np.ndarray, at: Float[np.ndarray, "n 2"]) -> Int[np.ndar
     return pixels[np.arange(len(at)), nearest].T
 
 
-def _covered(place: Place, at: np.ndarray, photo_size: tuple[int, int]) -> Bool[np.ndarray, "h w"]:
+def _covered(
+    place: Place, at: np.ndarray, photo_size: tuple[int, int], corners: RoundCorners | None
+) -> Bool[np.ndarray, "h w"]:
     """Where a pixel of the maps lies well within the sheet's outline and shows no film, at OpenCV coordinates."""
     mask = film_mask(place)
     size = (mask.shape[0], mask.shape[1])
-    film, corners = film_of(place), round_corners_of(place)
+    film = film_of(place)
     edge = film.outline() if corners is None else film.photo_from_film(corners.outline())
     inside = inside_outline(rescale_points(edge, photo_size, size), size)
     hidden = cv2.erode(inside.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool) & ~mask
