@@ -82,6 +82,41 @@ def test_a_shadow_beside_the_sheet_is_not_its_edge_where_that_was_read():
     assert off[1] < 1.5
 
 
+def with_frame(photo, true, depth, sides=SIDES):
+    """The photo with a bright band along some of the film's edges, so many film units wide."""
+    photo, t = photo.copy(), np.linspace(0, 1, 200)
+    for side in sides:
+        outer, inner = (side.film_points(t, np.full(200, d)) for d in (0.0, depth))
+        points = true.photo_from_film(np.concatenate([outer, inner[::-1]]))
+        cv2.fillPoly(photo, [np.rint(16 * (points - 0.5)).astype(np.int32)], (235, 235, 235), cv2.LINE_AA, 4)
+    return cv2.GaussianBlur(photo, (0, 0), 0.7)
+
+
+def read_at(true, coarse, depth, side):
+    """An edge as read so far inside the true one, seen through a coarse map."""
+    at = side.film_points(film_centres_1d(64), np.full(64, depth))
+    seen = coarse.film_near(true.photo_from_film(at), at)
+    inside = side.inward * (seen[:, side.axis] - side.edge)
+    return edge_sightings(side, seen[:, 1 - side.axis], inside, np.full(64, 1e-3))
+
+
+@pytest.mark.parametrize(
+    ("framed", "read_depth", "has_frame"), [(4, 0.002, True), (4, 0.009, False), (1, 0.002, False)]
+)
+def test_a_bright_band_at_the_edge_is_the_films_where_the_edge_was_read_so(framed, read_depth, has_frame):
+    """A bar beside the film looks like a frame of it: it counts on two sides, if read nearer to its outer flank."""
+    rng = np.random.default_rng(9)
+    photo, true = make_photo(FilmDrawing(rules=False), rng, 90)
+    frame = 4.5 / min(true.mean_film_pixels())
+    coarse = disturbed(true, 2.0, rng)
+    read = [read_at(true, coarse, read_depth, side) for side in SIDES]
+    outline = find_outline(with_frame(photo, true, frame, SIDES[:framed]), coarse, OutlineConfig(), read)
+    assert len(outline) == 4
+    assert [edge.has_frame for edge in outline] == 4 * [has_frame]
+    if has_frame:
+        assert max(np.median(distance_from_edge(coarse, true, edge)) for edge in outline) < EDGE_PX
+
+
 def test_black_film_on_black_gives_no_sightings():
     rng = np.random.default_rng(6)
     photo = np.clip(np.rint(20 + rng.normal(0, 1.5, (400, 400, 3))), 0, 255).astype(np.uint8)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 import torch
 from jaxtyping import Float, UInt8
@@ -12,6 +11,7 @@ from jaxtyping import Float, UInt8
 from hybrid.backward import MIN_NODES, BackwardMap, Orientation, film_as_seen, orientation_of
 from hybrid.coords import film_centres, film_nodes
 from hybrid.learn import behind, rounded
+from hybrid.learn.colours import disturbed, taken_badly
 from hybrid.learn.losses import Targets
 from hybrid.learn.network import STRIDE
 from hybrid.learn.samples import Place, Truth, film_of, photo_of, round_corners_of, truth_at
@@ -82,6 +82,7 @@ def training_view(place: Place, px: int, rng: np.random.Generator, config: Augme
     if config is not None and config.colours:
         photo = behind.behind_some(place, photo, film, rng)
         photo, corners = rounded.round_some(photo, film, round_corners_of(place), rng)
+        photo = taken_badly(photo, rng)
     size = (photo.shape[0], photo.shape[1])
     view, weight = (whole_view(size), 1.0) if config is None else random_view(film, size, rng, config)
     image = view_image(photo, view, px)
@@ -222,22 +223,3 @@ def turned_axes(vectors: np.ndarray, axes: Float[np.ndarray, "2 2"]) -> np.ndarr
     turned = vectors.copy()
     turned[..., :2] = vectors[..., :2] @ axes
     return turned
-
-
-# ---------------------------------------------------------------- colours
-
-
-def disturbed(image: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Gain and gamma per channel; on a share of the views each grey, blur and noise."""
-    x = np.arange(256, dtype=np.float32) / 255
-    gain = np.exp2(rng.normal(0, 0.25) + rng.normal(0, 0.06, 3))
-    table = np.stack([np.clip(x ** np.exp2(rng.normal(0, 0.2)) * g, 0, 1) for g in gain], axis=-1)
-    image = cv2.LUT(image, np.rint(table * 255).astype(np.uint8)[None])
-    if rng.random() < 0.15:
-        image = cv2.cvtColor(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), cv2.COLOR_GRAY2RGB)
-    if rng.random() < 0.15:
-        image = cv2.GaussianBlur(image, (0, 0), rng.uniform(0.4, 1.2))
-    if rng.random() < 0.3:
-        noise = rng.standard_normal(image.shape, dtype=np.float32) * np.float32(rng.uniform(1, 10))
-        image = np.rint(np.clip(image + noise, 0, 255)).astype(np.uint8)
-    return image

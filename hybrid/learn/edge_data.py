@@ -17,7 +17,8 @@ from hybrid.backward import BackwardMap, Orientation, film_as_seen, orientation
 from hybrid.coords import film_centres_1d, rescale_points, sample_bilinear
 from hybrid.errors import NPZ_ERRORS, DataError, describe
 from hybrid.learn import behind, rounded
-from hybrid.learn.data import BEND_ERROR_NODES, disturbed, disturbed_map, log_uniform
+from hybrid.learn.colours import disturbed, taken_badly
+from hybrid.learn.data import BEND_ERROR_NODES, disturbed_map, log_uniform
 from hybrid.learn.samples import Place, film_mask, film_of, open_places, photo_of, round_corners_of
 from hybrid.learn.views import plane_of
 from hybrid.pyramid import Pyramid
@@ -94,6 +95,7 @@ def edge_view(
     if augment.colours:
         photo = behind.behind_some(place, photo, film, rng)
         photo, corners = rounded.round_some(photo, film, corners, rng)
+        photo = taken_badly(photo, rng)
     true = film_as_seen(film).turned(way)
     if corners is not None:
         corners = corners.turned(orientation(film).turns + way.turns)

@@ -15,7 +15,8 @@ from torch import Tensor
 
 from hybrid.backward import BackwardMap, film_as_seen, orientation
 from hybrid.errors import DataError, describe
-from hybrid.learn.data import AugmentConfig, axes_of, disturbed, random_window, turned_axes
+from hybrid.learn.colours import disturbed
+from hybrid.learn.data import AugmentConfig, axes_of, random_window, turned_axes
 from hybrid.learn.paper_targets import PaperTargets
 from hybrid.learn.samples import Place, film_of, photo_of, truth_at
 from hybrid.learn.tensors import image_batch, map_batch

@@ -378,7 +378,8 @@ def _observe_print(
             continue
         across = [edge for edge in outline if edge.axis == comb.axis]
         place, pitch, *insets = sightings.shared_sigma
-        if comb.fills_film(config.grid):
+        framed = any(edge.has_frame for edge in across)
+        if comb.fills_film(config.grid) and not framed:
             if any(edge.has_rule for edge in across):
                 place, pitch = config.grid.flush_sigma, config.grid.flush_sigma / comb.cells
         elif len(across) == 2:
@@ -399,7 +400,7 @@ def _as_uncertain(edge: Sightings, layout: Layout, config: RefineConfig) -> Sigh
     Its shape counts, its place only within a rule's width: where the lines' pitch tells the place better.
     """
     comb = layout.combs[edge.axis]
-    if len(edge.shared_sigma) or comb is None or comb.sign < 0 or not comb.fills_film(config.grid):
+    if len(edge.shared_sigma) or edge.has_frame or comb is None or comb.sign < 0 or not comb.fills_film(config.grid):
         return edge
     return may_shift(edge, config.rule_width)
 

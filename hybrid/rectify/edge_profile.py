@@ -5,12 +5,16 @@ So profiles across the edge are explained twice by least squares: as a blurred s
 band of a third level at the sheet's end. The band counts where it explains the whole side far better and is brighter
 than what lies on both sides of it: then it is neither a shadow nor the bright seam that a camera's sharpening leaves.
 Where a rule lies along another edge of the sheet, less tells of one.
+
+Wider bands, as bright gutters that go around the print or a narrow margin of clear film, are told in the same way, and
+their outer flank is looked at by itself. But bars and gaps beside the film look alike; so outline.py asks for them on
+two sides, and where the edge was read near that flank.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -22,16 +26,24 @@ from hybrid.rectify.curves import parabola_peak
 
 REACH = 4
 """Pixels from the path within which the edge lies."""
-ROWS = np.arange(-REACH - 5, REACH + 6)
-"""Pixels around the path that are explained."""
 PLACES = np.arange(-REACH, REACH + 1e-9, 0.25)
 """Places of the edge that are tried, from the path, in pixels; inwards is positive."""
+BEYOND = 5
+"""Pixels beyond these places that are explained."""
 BLURS_PX = (0.45, 0.8, 1.3)
 """Standard deviations of the blur that are tried."""
+MORE_BLUR_PX = 2.1
+"""One more where frames are thought of: a rule that is out of focus is as wide as a frame."""
 RULES_PX = (0.9, 2.0)
 """Widths of rules that are tried. Thinner ones look alike but for their level, so that a level tells no width."""
+FRAMES_PX = (3.4, 4.2, 5.2, 6.4)
+"""The same of frames."""
+OUTSIDE = 1.5
+"""Pixels by which the path may lie outside a frame."""
+FLANK_PX = 0.8
+"""Spread over which a frame's outer flank is looked at."""
 WIDER = 0.6
-"""By how much the wider rule has to explain better what the thinner one explains, as LEAST_GAIN."""
+"""By how much any wider band has to explain better what the thinnest explains, as LEAST_GAIN."""
 LEAST_GAIN = 1.4
 """Natural logarithm by which a rule must lower what is left unexplained, at the median of a side's profiles."""
 LEAST_EXCESS = 0.35
@@ -50,31 +62,76 @@ CLIPPED = 248.0
 
 
 @dataclass(frozen=True, eq=False)
-class EndOfSheet:
-    """Where the sheet ends in a strip across its edge.
+class Profiles:
+    """Profiles across an edge, inwards down, around a path along it.
 
-    rows: of each profile, to a fraction. has_rule: whether a rule is printed along it, and its outer flank was found.
-    clipped: whether the photo is clipped in all colours outside, for each profile.
+    path: row of each in the strip that they are of. light: linear, n = 2 (REACH + BESIDE) + 1 rows with the path in the
+    middle one. clipped: whether the photo is clipped in all colours outside, for each.
     """
 
-    rows: Float[np.ndarray, " p"]
-    has_rule: bool
+    path: Int[np.ndarray, " p"]
+    light: Float[np.ndarray, "n p 3"]
     clipped: Bool[np.ndarray, " p"]
 
+    def around(self, rows: Int[np.ndarray, " r"]) -> Float[np.ndarray, "r p 3"]:
+        """Some consecutive rows, counted from the path."""
+        first = len(self.light) // 2 + int(rows[0])
+        return self.light[first : first + len(rows)]
 
-def end_of_sheet(image: Float[np.ndarray, "d p 3"], path: Int[np.ndarray, " p"], expected: bool) -> EndOfSheet:
-    """Where the sheet ends in a strip across its edge, inwards down, within REACH of a path.
+    @cached_property
+    def may_have_frame(self) -> bool:
+        """Whether some rows are brighter than those beyond them on both sides, at the median: else nothing is a frame,
+        and more need not be asked."""
+        level = np.median(self.around(_rows(FRAMES_PX)).mean(axis=-1), axis=1)
+        band = np.minimum(np.minimum(level[:-2], level[1:-1]), level[2:]).max()
+        outer, inner = float(np.median(level[:3])), float(np.median(level[-4:]))
+        return bool(band > max(outer, inner) + 0.5 * LEAST_EXCESS * abs(outer - inner))
 
-    expected: whether a rule may well be printed along it, as one is along other edges.
-    """
+
+def profiles_along(image: Float[np.ndarray, "d p 3"], path: Int[np.ndarray, " p"]) -> Profiles:
+    """The profiles of a strip of grey levels around a path: one row for each column."""
     beyond = REACH + BESIDE
     padded = np.pad(image, ((beyond, beyond), (0, 0), (0, 0)), mode="edge")
     grey = padded[path + np.arange(2 * beyond + 1)[:, None], np.arange(len(path))]
-    # Blur adds up light, not grey levels: in these the steepest place of a blurred step lies on its dark side.
-    local = linear_from_srgb(grey / 255.0)
-    ruled = ruled_edge(local[beyond + ROWS[0] : beyond + ROWS[-1] + 1], expected)
     clipped = np.median(grey[: beyond - 3], axis=0).min(axis=-1) >= CLIPPED
-    return EndOfSheet(path + (stepped_edge(local) if ruled is None else ruled), ruled is not None, clipped)
+    # Blur adds up light, not grey levels: in these the steepest place of a blurred step lies on its dark side.
+    return Profiles(path, linear_from_srgb(grey / 255.0), clipped)
+
+
+@dataclass(frozen=True, eq=False)
+class EndOfSheet:
+    """Where the sheet ends in a strip across its edge.
+
+    rows: of each profile, to a fraction. band_px: width of the rule or frame that is printed along it, whose outer
+    flank was found; 0 for none. clipped: whether the photo is clipped in all colours outside, for each profile.
+    """
+
+    rows: Float[np.ndarray, " p"]
+    band_px: float
+    clipped: Bool[np.ndarray, " p"]
+
+    @property
+    def has_rule(self) -> bool:
+        """Whether a rule is printed along it."""
+        return 0.0 < self.band_px <= RULES_PX[-1]
+
+    @property
+    def has_frame(self) -> bool:
+        """Whether a wider band is: the print ends inside it."""
+        return self.band_px > RULES_PX[-1]
+
+
+def end_of_sheet(profiles: Profiles, expected: bool, frames: bool = False) -> EndOfSheet:
+    """Where the sheet ends across its edge, within REACH of the path; with a frame, as much further out as it is wider
+    than a rule.
+
+    expected: whether a band may well be printed along it, as one is along other edges. frames: whether wider bands than
+    rules are thought of; expected, these alone.
+    """
+    wide = FRAMES_PX if expected else RULES_PX + FRAMES_PX
+    band = banded_edge(profiles, wide if frames else RULES_PX, expected)
+    at, width = (stepped_edge(profiles.light), 0.0) if band is None else band
+    return EndOfSheet(profiles.path + at, width, profiles.clipped)
 
 
 def stepped_edge(local: Float[np.ndarray, "n p 3"]) -> Float[np.ndarray, " p"]:
@@ -87,27 +144,58 @@ def stepped_edge(local: Float[np.ndarray, "n p 3"]) -> Float[np.ndarray, " p"]:
     return parabola_peak(slope[middle - REACH - 1 : middle + REACH + 2]) - REACH - 1
 
 
-def ruled_edge(local: Float[np.ndarray, "n p 3"], expected: bool) -> Float[np.ndarray, " p"] | None:
-    """Pixels from the middle row of linear profiles to the outer flank of a rule along the edge; None without one."""
-    bases, inverses = _models()
+def banded_edge(
+    profiles: Profiles, widths: tuple[float, ...], expected: bool
+) -> tuple[Float[np.ndarray, " p"], float] | None:
+    """Pixels from the path to the outer flank of a band along the edge, and the band's width; None without one."""
+    rows = _rows(widths)
+    local = profiles.around(rows)
+    bases, inverses = _models(widths)
     some = local[:, 1::JUDGED_EVERY]
     score = np.median(_unexplained(bases[:, :, ::2], some).min(axis=2), axis=2)  # of models by width and blur
-    best = score.min(axis=1) + np.array([0.0, 0.0, WIDER])
-    width = 1 + int(np.argmin(best[1:]))
-    if best[0] - best[width] < (EXPECTED_GAIN if expected else LEAST_GAIN):
+    best = score.min(axis=1)
+    best[2:] += WIDER if widths[0] == RULES_PX[0] else 0.0
+    k = 1 + int(np.argmin(best[1:]))
+    if best[0] - best[k] < (EXPECTED_GAIN if expected else LEAST_GAIN):
         return None
-    model = width, int(np.argmin(score[width]))
+    model, width = (k, int(np.argmin(score[k]))), widths[k - 1]
     at = parabola_peak(-_unexplained(bases[model], local))
     nearest = np.rint(at).astype(np.intp)
-    outer, inner, rule = np.einsum("pkn,npc->kpc", inverses[model][nearest], local)
+    outer, inner, band = np.einsum("pkn,npc->kpc", inverses[model][nearest], local)
     contrast = np.linalg.norm(outer - inner, axis=-1)
-    if expected:
-        excess, least = (rule - inner).mean(axis=-1), EXPECTED_EXCESS
+    if expected and width <= RULES_PX[-1]:
+        excess, least = (band - inner).mean(axis=-1), EXPECTED_EXCESS
     else:
-        excess, least = np.linalg.norm(np.maximum(rule - np.maximum(outer, inner), 0.0), axis=-1), LEAST_EXCESS
+        excess, least = np.linalg.norm(np.maximum(band - np.maximum(outer, inner), 0.0), axis=-1), LEAST_EXCESS
     if np.median(excess - least * contrast) <= 0.0:
         return None
-    return PLACES[0] + at * (PLACES[1] - PLACES[0])
+    place = np.interp(at, np.arange(len(PLACES)), _places(width))
+    if width > RULES_PX[-1]:  # its flanks are apart: the outer one alone tells where it is
+        place = rows[0] + _steepest(local, band - outer, np.rint(place - rows[0]).astype(np.intp))
+    return place, width
+
+
+def _steepest(
+    local: Float[np.ndarray, "n p 3"], rise: Float[np.ndarray, "p 3"], near: Int[np.ndarray, " p"]
+) -> Float[np.ndarray, " p"]:
+    """Row, to a fraction, at which each profile rises most along a direction of its own, within 1 of ``near``."""
+    slope = gaussian_filter1d(np.einsum("npc,pc->np", local, rise), FLANK_PX, axis=0, order=1)
+    first = np.clip(near - 2, 0, len(local) - 5)
+    return first + parabola_peak(np.take_along_axis(slope, first + np.arange(5)[:, None], axis=0))
+
+
+def _places(width: float) -> Float[np.ndarray, " x"]:
+    """The places that are tried of an edge along which a band of some width is printed: the path may follow either
+    flank of a frame."""
+    if width <= RULES_PX[-1]:
+        return PLACES
+    return np.linspace(-REACH - (width - RULES_PX[-1]), OUTSIDE, len(PLACES))
+
+
+def _rows(widths: tuple[float, ...]) -> Int[np.ndarray, " n"]:
+    """Pixels around the path that are explained where bands may be so wide."""
+    outermost = int(np.floor(_places(widths[-1])[0])) - BEYOND
+    return np.arange(max(outermost, -REACH - BESIDE), REACH + BEYOND + 1)
 
 
 def _unexplained(bases: Float[np.ndarray, "*models k n"], local: Float[np.ndarray, "n p 3"]) -> np.ndarray:
@@ -118,20 +206,22 @@ def _unexplained(bases: Float[np.ndarray, "*models k n"], local: Float[np.ndarra
     return np.log(np.maximum(total - explained, 0.0) / np.maximum(variance, 1e-5) + UNEXPLAINED)
 
 
-@lru_cache(maxsize=1)
-def _models() -> tuple[Float[np.ndarray, "w s x k n"], Float[np.ndarray, "w s x k n"]]:
-    """Of each width of the rule (0: none), blur and place: an orthonormal basis of the profiles, and what gives their
-    levels outside, inside and of the rule."""
-    shape = (1 + len(RULES_PX), len(BLURS_PX), len(PLACES), 3, len(ROWS))
+@lru_cache(maxsize=3)
+def _models(widths: tuple[float, ...]) -> tuple[Float[np.ndarray, "w s x k n"], Float[np.ndarray, "w s x k n"]]:
+    """Of no band and each width of one, blur and place: an orthonormal basis of the profiles, and what gives their
+    levels outside, inside and of the band."""
+    rows = _rows(widths)
+    blurs = (*BLURS_PX, MORE_BLUR_PX) if widths[-1] > RULES_PX[-1] else BLURS_PX
+    shape = (1 + len(widths), len(blurs), len(PLACES), 3, len(rows))
     bases, inverses = np.zeros(shape), np.zeros(shape)
-    for w, width in enumerate((0.0, *RULES_PX)):
-        for s, blur in enumerate(BLURS_PX):
-            for x, place in enumerate(PLACES):
-                begins, ends = (ndtr((ROWS - place - offset) / blur) for offset in (0.0, width))
+    for w, width in enumerate((0.0, *widths)):
+        for s, blur in enumerate(blurs):
+            for x, place in enumerate(_places(width)):
+                begins, ends = (ndtr((rows - place - offset) / blur) for offset in (0.0, width))
                 levels = np.stack([1 - begins, ends, begins - ends][: 3 if width else 2], axis=-1)
                 bases[w, s, x, : levels.shape[1]] = np.linalg.qr(levels)[0].T
                 inverses[w, s, x, : levels.shape[1]] = np.linalg.pinv(levels)
     return bases, inverses
 
 
-__all__ = ["EndOfSheet", "end_of_sheet", "ruled_edge", "stepped_edge"]
+__all__ = ["EndOfSheet", "Profiles", "banded_edge", "end_of_sheet", "profiles_along", "stepped_edge"]

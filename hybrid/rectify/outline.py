@@ -22,7 +22,7 @@ from hybrid.backward import BackwardMap
 from hybrid.coords import film_centres_1d
 from hybrid.errors import require_at_least
 from hybrid.rectify.curves import best_paths, smooth_curve_weights
-from hybrid.rectify.edge_profile import EndOfSheet, end_of_sheet
+from hybrid.rectify.edge_profile import EndOfSheet, end_of_sheet, profiles_along
 from hybrid.rectify.sightings import Sightings
 from hybrid.strips import SIDES, Side, view_across
 
@@ -74,6 +74,8 @@ class OutlineConfig:
 
 _NOWHERE = -10.0
 """Score of rows that may not be chosen: so low that no path goes there while there is another way."""
+LEAST_FRAMED = 2
+"""Sides that must show a frame for it to be one."""
 _ALL = np.ones(3, np.float32)
 """Sums over the colours by a product, which is quicker along so short an axis."""
 
@@ -113,7 +115,7 @@ def find_outline(
         scores[k, : len(strip.depth)] = np.where(searched[:, None], score, _NOWHERE)
     paths = best_paths(scores)
     at_path = np.take_along_axis(scores, paths[:, None], axis=1)[:, 0]
-    ends = _ends(strips, paths)
+    ends = _ends(strips, paths, read)
     depth = np.stack([np.interp(e.rows, np.arange(len(s.depth)), s.depth) for e, s in zip(ends, strips, strict=True)])
     good = (at_path >= config.min_score) & np.isfinite(depth)
     rough = 1.2 * np.array([strip.pixel for strip in strips])
@@ -125,27 +127,55 @@ def find_outline(
     )
 
 
-def _ends(strips: Sequence[Strip], paths: Int[np.ndarray, "b p"]) -> list[EndOfSheet]:
-    """Where the sheet ends on each side. A print with a rule along one edge has mostly one along each."""
-    ends = [end_of_sheet(strip.image, path, False) for strip, path in zip(strips, paths, strict=True)]
+def _ends(strips: Sequence[Strip], paths: Int[np.ndarray, "b p"], read: Sequence[Sightings]) -> list[EndOfSheet]:
+    """Where the sheet ends on each side. A print with a rule along one edge has mostly one along each; a frame is one
+    only if two sides have it."""
+
+    profiles = [profiles_along(strip.image, path) for strip, path in zip(strips, paths, strict=True)]
+
+    def framed(expected: bool) -> dict[int, EndOfSheet]:
+        ends = {k: end_of_sheet(p, expected, frames=True) for k, p in enumerate(profiles) if p.may_have_frame}
+        return {k: end for k, end in ends.items() if _where_read(end, strips[k], SIDES[k], read)}
+
+    ends = [end_of_sheet(p, False) for p in profiles]
+    if len(read) >= LEAST_FRAMED and len(framed(expected=False)) >= LEAST_FRAMED:
+        wide = framed(expected=True)
+        return [wide.get(k, end) for k, end in enumerate(ends)]
     if not any(end.has_rule for end in ends):
         return ends
-    known = zip(strips, paths, ends, strict=True)
-    return [end if end.has_rule else end_of_sheet(strip.image, path, True) for strip, path, end in known]
+    return [end if end.has_rule else end_of_sheet(p, True) for p, end in zip(profiles, ends, strict=True)]
+
+
+def _where_read(end: EndOfSheet, strip: Strip, side: Side, read: Sequence[Sightings]) -> bool:
+    """Whether a frame ends the sheet: the edge was read nearer to its outer flank than to the inner one."""
+    of_side = [edge for edge in read if (edge.axis, edge.known[0]) == (side.axis, side.edge)]
+    if not end.has_frame or not of_side:
+        return False
+    along, depth, _ = _depth_read(of_side[0], side)
+    outer = np.interp(end.rows, np.arange(len(strip.depth)), strip.depth)
+    beside = np.interp(strip.along, along, depth) - outer
+    return bool(np.median(beside) < 0.5 * end.band_px * strip.pixel)
 
 
 def _prior(strip: Strip, read: Sequence[Sightings], side: Side, config: OutlineConfig) -> Float[np.ndarray, "d p"]:
     """What each place costs a path: by its distance from the prediction, and from where the edge was read."""
     cost = np.repeat(0.5 * np.square(strip.depth / config.prior)[:, None], len(strip.along), axis=1)
     for edge in read:
-        order = np.argsort(edge.seen[:, 1 - side.axis])
-        along, across = edge.seen[order, 1 - side.axis], edge.seen[order, side.axis]
-        depth, sigma = side.inward * (across - side.edge), edge.sigma[order]
+        along, depth, sigma = _depth_read(edge, side)
         off = np.abs(strip.depth[:, None] - np.interp(strip.along, along, depth))
         off -= config.read_free + np.interp(strip.along, along, sigma)
         near = np.abs(strip.along[:, None] - along).min(axis=1) < config.read_near
         cost += np.where(near, 0.5 * np.square(np.maximum(off, 0.0) / config.read_prior), 0.0)
     return cost
+
+
+def _depth_read(
+    edge: Sightings, side: Side
+) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+    """Where along a side its edge was read, how far inside the prediction, and the stated deviation of that."""
+    order = np.argsort(edge.seen[:, 1 - side.axis])
+    along, across = edge.seen[order, 1 - side.axis], edge.seen[order, side.axis]
+    return along, side.inward * (across - side.edge), edge.sigma[order]
 
 
 def sample_strip(photo: UInt8[np.ndarray, "H W 3"], backward: BackwardMap, side: Side, config: OutlineConfig) -> Strip:
@@ -208,6 +238,8 @@ def _side_sightings(
         covered, spread = config.covered_px
         return may_shift(edge_sightings(side, along, depth - covered * strip.pixel, sigma), spread * strip.pixel)
     seen = edge_sightings(side, along, depth, sigma)
+    if end.has_frame:
+        return replace(seen, has_frame=True)
     return may_shift(replace(seen, has_rule=True), config.rule_sigma_px * strip.pixel) if end.has_rule else seen
 
 
