@@ -41,9 +41,8 @@ class PhotoOptions:
     """Write film and slices as DICOM Secondary Captures, too, into NAME_dicom: without patient, date or spacing."""
 
     effort: Effort = "default"
-    """How much work a photo is worth: fast takes 0.6 of the time for three times the error (of photos of 12
-    megapixels twelve times), thorough refines unsure films from four sides. It sets the options of the stages that are
-    not named."""
+    """How much work a photo is worth: fast takes three quarters of the time for about one and a half times the error,
+    thorough refines unsure films from four sides. It sets the options of the stages that are not named."""
 
     verbose: Annotated[bool, tyro.conf.arg(aliases=["-v"]), tyro.conf.FlagCreatePairsOff] = False
     """Tell what each stage saw, and how long it took."""

@@ -19,6 +19,7 @@ from hybrid.rectify.invert import InvertConfig
 from hybrid.rectify.plane import PlaneConfig
 from hybrid.rectify.refine import RefineConfig
 from hybrid.rectify.resample import ResampleConfig
+from hybrid.rectify.sheet import SheetConfig
 from hybrid.rectify.survey import SurveyConfig
 from hybrid.rectify.trust import ErrorConfig, TrustConfig
 
@@ -59,20 +60,21 @@ class RectifyConfig:
     def of(effort: Effort | str) -> RectifyConfig:
         """The options of an effort.
 
-        fast: the network's map, made exact in two rounds without an unstretched sheet, and the photo read bilinearly; a
-        film counts as flattened if it is right to 10 pixels of a photo of 1080. default: the options' own values.
-        thorough: unless that is sure to about a pixel of a photo of 1080, the network looks from three more sides, and
-        refinement starts from each of their maps, and from the mean, too.
+        fast: the network's map, made exact in two rounds and by one unstretched sheet, found by one fit, and the photo
+        read bilinearly. default: the options' own values; sheets that do not explain what is seen are tried otherwise,
+        too, and up to three follow each other. thorough: unless that is sure to about a pixel of a photo of 1080, the
+        network looks from three more sides, and refinement starts from each of their maps, and from the mean, too.
 
         Raises:
             ConfigError: there is no such effort.
         """
         efforts = {
             "fast": RectifyConfig(
-                refine=RefineConfig(matched=False, sheet_rounds=0),
+                refine=RefineConfig(
+                    matched=False, sheet_rounds=1, sheet=SheetConfig(doubtful=float("inf"), coarse=float("inf"))
+                ),
                 resample=ResampleConfig(cubic_below=0.0),
-                # without a sheet 3.6 times the error is left
-                trust=TrustConfig(limit_px=10.0, error=ErrorConfig(constant=1.56)),
+                trust=TrustConfig(error=ErrorConfig(constant=0.54)),  # 1.3 times the error is left
             ),
             "default": RectifyConfig(),
             "thorough": RectifyConfig(again_above=0.0013),

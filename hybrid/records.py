@@ -217,9 +217,9 @@ class RectifyResult:
     confidence: (h, w) float32 in [0, 1], how far the film can be trusted; 0 on glare and where it is covered.
     expected_error_px: mean distance, in pixels of the photo, by which film points are expected to be off; the true one
         is as often larger as smaller.
-    limit_px: largest distance, in pixels of the photo, that a film whose status is OK may be off in truth; effort fast
-        allows more. That it is off by less must be 94 % probable (``TrustConfig.least_chance``), and nothing else may
-        speak against it (``status.doubts``).
+    limit_px: largest distance, in pixels of the photo, that a film whose status is OK may be off in truth. That it is
+        off by less must be 94 % probable (``TrustConfig.least_chance``), and nothing else may speak against it
+        (``status.doubts``).
     signs: what speaks for the map and against it, of which both are told (``rectify/trust.py``).
     photo_size: height and width of the photo in pixels.
     photo: of a film fused from several photos the index of the one that rectified, backward and the grid's vertices in

@@ -78,11 +78,12 @@ def test_the_shortcut_takes_corners_however_often_it_is_called(photo, result):
 
 
 def test_efforts_differ_in_what_runs(photo, result):
-    """Fast refines the network's map of one side and fits no sheet; thorough refines again what is not sure."""
+    """Fast refines the network's map of one side and fits one sheet; thorough refines again what is not sure."""
     fast = hybrid.rectify(photo, effort="fast")
     ran = {stage.name: stage.ran for stage in fast.stages}
     assert fast.status.ok
-    assert [ran[name] for name in ("outline", "grid", "sheet", "spline")] == [True, True, False, True]
+    assert [ran[name] for name in ("outline", "grid", "sheet", "spline")] == [True, True, True, True]
+    assert fast.limit_px == result.limit_px
     assert len(fast.slices()) == len(result.slices())
     thorough = RectifyConfig.of("thorough")
     sure, never_sure = (replace(thorough, again_above=above) for above in (1.0, 0.0))
