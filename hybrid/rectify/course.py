@@ -370,7 +370,8 @@ def _observe_print(
     """Sightings of lines, and of what the cells have in common.
 
     Where both edges across an axis are seen they say where the lines are, unless the grid fills the film: what is
-    straight and repeats need not lie where cells meet. A grid that fills a film with rules along its edges ends there.
+    straight and repeats need not lie where cells meet. A grid that fills a film with rules along its edges ends there;
+    with a frame, inside it.
     """
     evidence = []
     for comb, sightings in zip(layout.combs, lines, strict=True):
@@ -378,8 +379,7 @@ def _observe_print(
             continue
         across = [edge for edge in outline if edge.axis == comb.axis]
         place, pitch, *insets = sightings.shared_sigma
-        framed = any(edge.has_frame for edge in across)
-        if comb.fills_film(config.grid) and not framed:
+        if comb.fills_film(config.grid) and not any(edge.has_frame for edge in across):
             if any(edge.has_rule for edge in across):
                 place, pitch = config.grid.flush_sigma, config.grid.flush_sigma / comb.cells
         elif len(across) == 2:
