@@ -9,6 +9,7 @@ from typing import Literal
 from hybrid.errors import ConfigError, describe, require_numbers
 from hybrid.learn.orientation import UprightConfig
 from hybrid.learn.predict import PredictConfig
+from hybrid.rectify.clear_margins import ClearMarginsConfig
 from hybrid.rectify.cover import CoverConfig
 from hybrid.rectify.deilluminate import DeilluminateConfig
 from hybrid.rectify.edge_paths import EdgeConfig
@@ -37,6 +38,7 @@ class RectifyConfig:
     predict: PredictConfig = field(default_factory=PredictConfig)
     invert: InvertConfig = field(default_factory=InvertConfig)
     edges: EdgeConfig = field(default_factory=EdgeConfig)
+    margins: ClearMarginsConfig = field(default_factory=ClearMarginsConfig)
     told_cells: bool = True
     """Whether a map starts from what the network tells of the cells; else they are looked for in the print alone."""
     foreshortening: ForeshorteningConfig = field(default_factory=ForeshorteningConfig)

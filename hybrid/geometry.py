@@ -19,6 +19,7 @@ from hybrid.learn.views import film_view, plane_of, whole_view
 from hybrid.pyramid import Photo, Pyramid
 from hybrid.records import CoarseMaps, Signs, StageReport, StatusCode
 from hybrid.rectify.cell_phases import CellPhases
+from hybrid.rectify.clear_margins import with_margins
 from hybrid.rectify.consensus import geometric_median
 from hybrid.rectify.corners import put_on_corners
 from hybrid.rectify.edge_paths import EdgesRead, edge_support, look_across, put_on_edges, read_edges
@@ -33,6 +34,10 @@ from hybrid.strips import EdgeReader
 
 WIDER = 1.25
 """How many times as wide as the photo the first look is that is tried if none shows a film."""
+
+MOST_MARGINS = 2
+"""How often margins are looked for: beyond one end they may show only once the sheet is as long as it is at the other.
+"""
 
 AS_SURE = 1.6
 """A refinement that expects more than this times the least error of all does not count for their middle."""
@@ -289,6 +294,48 @@ def reread(
     report.reason += ", which counts" if surer else ", which is not surer"
     left = second.expected_px if second.believed else first.expected_px  # not believed, it starts from the first's map
     return replace(second, support=support, expected_px=left) if surer else first
+
+
+def whole_sheet(
+    pyramid: Pyramid,
+    phases: CellPhases | None,
+    refined: Refinement,
+    reader: EdgeReader,
+    config: RectifyConfig,
+    clock: Clock,
+) -> Refinement:
+    """A refinement, or one of the sheet with margins that were taken for the ground, if its edges show as well and all
+    that is seen of it agrees."""
+    with clock.stage("margins") as report:
+        found: list[str] = []
+        while len(found) < MOST_MARGINS:
+            wider = _with_margins(pyramid, phases, refined, reader, config)
+            if wider is None:
+                break
+            refined = wider[0]
+            found.append(wider[1])
+        report.ran = bool(found)
+        report.reason = "; ".join(found) or "the sheet does not go on beyond its map"
+    return refined
+
+
+def _with_margins(
+    pyramid: Pyramid, phases: CellPhases | None, refined: Refinement, reader: EdgeReader, config: RectifyConfig
+) -> tuple[Refinement, str] | None:
+    """The first refinement with such margins that is to be believed, and what they are."""
+    options, before = config.margins, refined.support
+    for read, told in with_margins(pyramid, refined.backward, reader, config.edges, options):
+        wider = _exactly(pyramid, phases, read, config, read.through)
+        if wider.expected_px is None or wider.expected_px > options.most_expected * max(
+            wider.backward.mean_film_pixels()
+        ):
+            continue
+        support = edge_support(pyramid, wider.backward, reader)
+        if before is None:
+            before = edge_support(pyramid, refined.backward, reader)
+        if support.min() >= max(options.least_support, before.min() - options.most_less):
+            return replace(wider, support=support), told
+    return None
 
 
 def flat_itself(

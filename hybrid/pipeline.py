@@ -14,7 +14,18 @@ from jaxtyping import Bool
 from hybrid.backward import BackwardMap, Orientation
 from hybrid.effort import Effort, RectifyConfig
 from hybrid.errors import ConfigError, FusionError, describe
-from hybrid.geometry import Clock, Report, checked, flat_itself, see, see_at, see_from_sides, shape_of, trusted
+from hybrid.geometry import (
+    Clock,
+    Report,
+    checked,
+    flat_itself,
+    see,
+    see_at,
+    see_from_sides,
+    shape_of,
+    trusted,
+    whole_sheet,
+)
 from hybrid.grid_edit import GridEdit
 from hybrid.image_io import as_photo
 from hybrid.learn.edges import edge_reader
@@ -202,6 +213,8 @@ class Rectifier:
         sides = partial(see_from_sides, self._network, seen, self.config, clock)
         phases = CellPhases.of(maps) if self.config.told_cells else None
         refinement = shape_of(pyramid, inversion.backward, phases, self._edges, sides, self.config, clock)
+        if corners is None:
+            refinement = whole_sheet(pyramid, phases, refinement, self._edges, self.config, clock)
         flat = flat_itself(pyramid, inversion.backward, phases, refinement, self.config, clock)
         refinement = flat or refinement
         clock.counts(refinement)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -103,12 +103,19 @@ def edge_strips(
     photo: Photo, film: BackwardMap, config: StripConfig
 ) -> tuple[UInt8[np.ndarray, "4 r c 3"], Bool[np.ndarray, "4 r c"]]:
     """The strips of SIDES, outermost row first, and where the photo covers them."""
+    return strips_across(photo, len(SIDES) * [film], config)
+
+
+def strips_across(
+    photo: Photo, films: Sequence[BackwardMap], config: StripConfig
+) -> tuple[UInt8[np.ndarray, "4 r c 3"], Bool[np.ndarray, "4 r c"]]:
+    """The same, each across the side of a map of its own."""
     images = np.empty((len(SIDES), config.rows, config.columns, 3), np.uint8)
     inside = np.empty(images.shape[:3], bool)
-    for k, side in enumerate(SIDES):
+    for k, (side, film) in enumerate(zip(SIDES, films, strict=True)):
         image, inside[k] = view_across(photo, film, side, config.depth, config.columns, config.fine)
         images[k] = np.rint(image)
     return images, inside
 
 
-__all__ = ["SIDES", "EdgeReader", "Side", "StripConfig", "edge_strips", "strip_copy", "view_across"]
+__all__ = ["SIDES", "EdgeReader", "Side", "StripConfig", "edge_strips", "strip_copy", "strips_across", "view_across"]
