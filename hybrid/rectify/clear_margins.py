@@ -32,6 +32,8 @@ from hybrid.strips import SIDES, EdgeReader, strip_copy, strips_across
 
 NODES = (33, 33)
 """Of a map that was made longer."""
+BESIDE_FRAME, MOST = 0.02, 0.75
+"""Of a new end most nodes must be shown so far inside the photo's frame, in parts of the film: else the frame is it."""
 
 
 @dataclass(frozen=True)
@@ -90,7 +92,8 @@ def with_margins(
             continue
         on_edges = put_on_edges(start, read_edges(pyramid, start, reader, edges), edges)
         gained = [_gained(film, on_edges, axis, end) for end in (0, 1)]
-        if max(gained) < config.least:
+        new = [end for end in (0, 1) if gained[end] >= config.least]
+        if not new or not all(_shown(on_edges, axis, end, pyramid.photo.shape) for end in new):
             continue
         read = look_across(pyramid, on_edges, reader, edges)
         support = float(read.support.min())
@@ -123,9 +126,23 @@ def _length(paths: EdgePaths, reader: EdgeReader, axis: int, end: int, config: C
     return config.reach * count / len(order)
 
 
+def _shown(film: BackwardMap, axis: int, end: int, size: tuple[int, ...]) -> bool:
+    """Whether a photo of ``size`` (height, width, ...) shows most of an end of the film along an axis, and some ground
+    beyond it."""
+    points = _end(film, axis, end)
+    beside = BESIDE_FRAME * max(film.mean_film_pixels())
+    inside = ((points > beside) & (points < np.array(size[1::-1]) - beside)).all(axis=1)
+    return bool(inside.mean() > MOST)
+
+
+def _end(film: BackwardMap, axis: int, end: int) -> Float[np.ndarray, "n 2"]:
+    """The nodes of the map's end along an axis."""
+    return film.nodes[:, -end] if axis == 0 else film.nodes[-end]
+
+
 def _gained(film: BackwardMap, longer: BackwardMap, axis: int, end: int) -> float:
     """How far an end of a longer map along an axis lies beyond the film's, in parts of the film: the median."""
-    points: Float[np.ndarray, "n 2"] = longer.nodes[:, -end] if axis == 0 else longer.nodes[-end]
+    points = _end(longer, axis, end)
     start = np.full((len(points), 2), float(end))
     start[:, 1 - axis] = np.linspace(0.0, 1.0, len(points))
     at = film.film_near(points, start, iterations=4, most_step=0.2)[:, axis]

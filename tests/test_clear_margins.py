@@ -1,0 +1,147 @@
+"""Margins that were taken for the ground: found where the sheet goes on, and nowhere else."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from test_edges import CONFIG, STEPS, sheet_photo
+
+import hybrid.geometry as geometry
+from hybrid.backward import BackwardMap
+from hybrid.coords import film_nodes
+from hybrid.effort import RectifyConfig
+from hybrid.geometry import MOST_MARGINS, Clock, whole_sheet
+from hybrid.pyramid import Pyramid
+from hybrid.rectify.clear_margins import ClearMarginsConfig, Longer, with_margins
+from hybrid.rectify.refine import Refinement
+
+MARGINS = ClearMarginsConfig()
+PHOTO, SHEET = sheet_photo()
+"""A dark sheet from 100 to 600 along both axes, on bright ground."""
+
+
+def part(low=(100, 100), high=(600, 600)) -> BackwardMap:
+    """The map of the part of the sheet between two photo points (x, y)."""
+    return BackwardMap(np.array(low) + (np.array(high) - low) * film_nodes((9, 9)))
+
+
+def found(film: BackwardMap, photo=PHOTO, config=MARGINS) -> list[BackwardMap]:
+    return [read.through for read, _ in with_margins(Pyramid(photo), film, STEPS, CONFIG, config)]
+
+
+def ends(film: BackwardMap) -> tuple[np.ndarray, np.ndarray]:
+    """Least and largest x and y of a map."""
+    return film.nodes.min(axis=(0, 1)), film.nodes.max(axis=(0, 1))
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+@pytest.mark.parametrize(("before", "after"), [(60, 60), (80, 0), (0, 50)])
+def test_the_sheet_is_found_that_goes_on_beyond_its_map(axis, before, after):
+    low, high = np.array([100, 100]), np.array([600, 600])
+    low[axis] += before
+    high[axis] -= after
+    (film,) = found(part(low, high))
+    for at, true in zip(ends(film), (100, 600), strict=True):
+        np.testing.assert_allclose(at, true, atol=4)
+
+
+def test_margins_are_told_by_their_place():
+    ((_, told),) = with_margins(Pyramid(PHOTO), part((100, 160)), STEPS, CONFIG, MARGINS)
+    assert "% at the top," in told
+    assert "bottom" not in told
+
+
+def test_a_whole_sheet_has_none():
+    assert found(SHEET) == []
+
+
+def test_lines_that_run_on_beyond_the_sheet_are_none_where_nothing_ends_them():
+    """The edges of a board below the film, as wide as it is."""
+    photo = PHOTO.copy()
+    photo[:100, 100:600] = 20
+    assert found(part(), photo) == []
+
+
+def test_one_side_that_goes_on_is_not_enough():
+    photo = PHOTO.copy()
+    photo[20:100, 100:240] = 20
+    assert found(part(), photo) == []
+
+
+def test_where_none_are_asked_for_nothing_is_read():
+    def never(images, inside):
+        raise AssertionError
+
+    reader = replace(STEPS, logs=never)
+    config = ClearMarginsConfig(reach=0.0)
+    assert not list(with_margins(Pyramid(PHOTO), part((100, 160)), reader, CONFIG, config))
+
+
+def test_a_longer_map_goes_straight_on():
+    film = part((100, 160), (600, 540))
+    low, high = ends(Longer(1, 0.25, 0.5).applied(film))
+    np.testing.assert_allclose(low, [100, 160 - 0.25 * 380])
+    np.testing.assert_allclose(high, [600, 540 + 0.5 * 380])
+
+
+# ---------------------------------------------------------------- which of them are believed
+
+
+def refined(film: BackwardMap, expected_px=0.5, support=None) -> Refinement:
+    return Refinement(film, None, (), expected_px=expected_px, stands=True, support=support)
+
+
+def sheet_of(before: Refinement, monkeypatch, expected_px=0.5) -> tuple[Refinement, list[BackwardMap], bool]:
+    """The sheet, all maps from which refinement began, which leaves them where they are, and whether the stage ran."""
+    begun: list[BackwardMap] = []
+
+    def exactly(pyramid, phases, read, config, start):
+        begun.append(start)
+        assert read.through is start
+        return refined(start, expected_px)
+
+    monkeypatch.setattr(geometry, "_exactly", exactly)
+    clock = Clock()
+    sheet = whole_sheet(Pyramid(PHOTO), None, before, STEPS, RectifyConfig(), clock)
+    (report,) = clock.reports
+    assert report.name == "margins"
+    return sheet, begun, report.ran
+
+
+def test_a_sheet_with_margins_that_is_seen_as_well_counts(monkeypatch):
+    sheet, begun, ran = sheet_of(refined(part((100, 160))), monkeypatch)
+    assert ran
+    assert len(begun) == 1
+    np.testing.assert_allclose(ends(sheet.backward), ends(SHEET), atol=4)
+    assert sheet.support.min() > MARGINS.least_support
+
+
+@pytest.mark.parametrize("expected_px", [None, 10.0])
+def test_it_does_not_where_its_refinement_expects_a_large_error_or_none(monkeypatch, expected_px):
+    before = refined(part((100, 160)))
+    sheet, begun, ran = sheet_of(before, monkeypatch, expected_px)
+    assert sheet is before
+    assert len(begun) == 1
+    assert not ran
+
+
+def test_nor_where_its_edges_show_less_than_those_before(monkeypatch):
+    before = refined(part((100, 160)), support=np.full(4, 1.5))
+    sheet, _, ran = sheet_of(before, monkeypatch)
+    assert sheet is before
+    assert not ran
+
+
+def test_margins_of_both_axes_are_found_one_after_the_other(monkeypatch):
+    """A corner of the sheet: along each axis the other edge is read once the sheet is as wide as it is."""
+    sheet, begun, _ = sheet_of(refined(part((100, 160), (600, 540))), monkeypatch)
+    assert 1 <= len(begun) <= MOST_MARGINS
+    np.testing.assert_allclose(ends(sheet.backward), ends(SHEET), atol=4)
+
+
+def test_a_whole_sheet_is_not_refined_again(monkeypatch):
+    before = refined(SHEET)
+    sheet, begun, ran = sheet_of(before, monkeypatch)
+    assert sheet is before
+    assert begun == []
+    assert not ran
