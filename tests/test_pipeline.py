@@ -65,7 +65,7 @@ def test_the_corners_of_the_example_are_where_they_are_seen(result):
 
 def test_every_stage_reports(result):
     names = [stage.name for stage in result.stages]
-    geometry = "network check edges plane spacing outline grid sheet spline reread again flat verdict"
+    geometry = "network check edges plane spacing outline grid sheet spline reread again margins flat verdict"
     assert names == f"read survey {geometry} resample upright cover light".split()
     assert all(stage.reason and stage.seconds >= 0 for stage in result.stages)
 

@@ -54,7 +54,9 @@ def in_little_light(photo: UInt8[np.ndarray, "H W 3"], rng: np.random.Generator)
 def compressed(photo: UInt8[np.ndarray, "H W 3"], quality: int) -> UInt8[np.ndarray, "H W 3"]:
     """A photo as JPEG of some quality keeps it."""
     stored = cv2.imencode(".jpg", cv2.cvtColor(photo, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
-    return cv2.cvtColor(cv2.imdecode(stored, cv2.IMREAD_COLOR), cv2.COLOR_BGR2RGB)
+    seen = cv2.imdecode(stored, cv2.IMREAD_COLOR)
+    assert seen is not None  # it was stored just now
+    return cv2.cvtColor(seen, cv2.COLOR_BGR2RGB)
 
 
 def disturbed(image: UInt8[np.ndarray, "h w 3"], rng: np.random.Generator) -> UInt8[np.ndarray, "h w 3"]:
