@@ -41,7 +41,7 @@ class PhotoOptions:
     """Write film and slices as DICOM Secondary Captures, too, into NAME_dicom: without patient, date or spacing."""
 
     effort: Effort = "default"
-    """How much work a photo is worth: fast takes three quarters of the time for about one and a half times the error,
+    """How much work a photo is worth: fast takes five sixths of the time for about one and a half times the error,
     thorough refines unsure films from four sides. It sets the options of the stages that are not named."""
 
     verbose: Annotated[bool, tyro.conf.arg(aliases=["-v"]), tyro.conf.FlagCreatePairsOff] = False
