@@ -326,9 +326,8 @@ def _with_margins(
     options, before = config.margins, refined.support
     for read, told in with_margins(pyramid, refined.backward, reader, config.edges, options):
         wider = _exactly(pyramid, phases, read, config, read.through)
-        if wider.expected_px is None or wider.expected_px > options.most_expected * max(
-            wider.backward.mean_film_pixels()
-        ):
+        most_px = options.most_expected * max(wider.backward.mean_film_pixels())
+        if wider.expected_px is None or wider.expected_px > most_px:
             continue
         support = edge_support(pyramid, wider.backward, reader)
         if before is None:

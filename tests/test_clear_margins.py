@@ -77,6 +77,10 @@ def test_where_none_are_asked_for_nothing_is_read():
     assert not list(with_margins(Pyramid(PHOTO), part((100, 160)), reader, CONFIG, config))
 
 
+def test_so_short_a_reach_that_no_column_lies_beyond_finds_nothing():
+    assert found(part((100, 160)), config=ClearMarginsConfig(reach=0.005)) == []
+
+
 def test_a_longer_map_goes_straight_on():
     film = part((100, 160), (600, 540))
     low, high = ends(Longer(1, 0.25, 0.5).applied(film))

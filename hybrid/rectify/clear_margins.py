@@ -1,4 +1,4 @@
-"""Wide margins of clear film, which look like what lies around the sheet: where the sheet goes on beyond its map.
+"""Wide margins, clear or black, that look like what lies around the sheet: where the sheet goes on beyond its map.
 
 The print is whole and straight, and where it ends is as good an edge as any, so that the looks before take it for the
 sheet. But the edges on both sides of it go on, straight through that end, to where the sheet's own end is. So strips
@@ -100,7 +100,7 @@ def with_margins(
         if support >= config.likely:
             sides = ("left", "right") if axis == 0 else ("top", "bottom")
             told = " and ".join(f"{g:.0%} at the {side}" for g, side in zip(gained, sides, strict=True) if g > 0.01)
-            yield read, f"clear margins: {told}, each edge at least {support:.0%} likely"
+            yield read, f"the sheet goes on: {told}, each edge at least {support:.0%} likely"
 
 
 def _paths_beyond(
@@ -123,7 +123,7 @@ def _length(paths: EdgePaths, reader: EdgeReader, axis: int, end: int, config: C
     aside = np.abs(paths.row[lateral] - 0.5 * (reader.strip.rows - 1)).max(axis=0)
     shown = (paths.mass[lateral].min(axis=0) > config.least_mass) & (aside < config.free + config.more * beyond)
     count = int(np.cumprod(shown[order]).sum())
-    return config.reach * count / len(order)
+    return config.reach * count / max(len(order), 1)
 
 
 def _shown(film: BackwardMap, axis: int, end: int, size: tuple[int, ...]) -> bool:
