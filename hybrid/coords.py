@@ -72,11 +72,11 @@ def film_nodes(size: tuple[int, int]) -> Float[np.ndarray, "gh gw 2"]:
     return np.stack([u, v], axis=-1)
 
 
-# ---------------------------------------------------------------- bridges to libraries
-
-
 FILM_CORNERS = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
 """Film points of a sheet's corners, once around from its top-left one."""
+
+
+# ---------------------------------------------------------------- bridges to libraries
 
 
 def opencv_from_photo(xy: np.ndarray) -> np.ndarray:

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float
 
 from hybrid.backward import BackwardMap
-from hybrid.coords import film_centres_1d, film_nodes
+from hybrid.coords import film_centres_1d, film_nodes, node_centres_1d
 from hybrid.errors import require_at_least
 from hybrid.pyramid import Pyramid
 from hybrid.rectify.edge_paths import (
@@ -28,7 +28,7 @@ from hybrid.rectify.edge_paths import (
     read_edges,
     read_paths,
 )
-from hybrid.strips import SIDES, EdgeReader, strip_copy, strips_across
+from hybrid.strips import SIDES, EdgeReader, Side, strip_copy, strips_across
 
 NODES = (33, 33)
 """Of a map that was made longer."""
@@ -86,20 +86,20 @@ def with_margins(
         return
     paths = _paths_beyond(pyramid, film, reader, edges, config)
     for axis in (0, 1):
-        before, after = (_length(paths, reader, axis, end, config) for end in (0, 1))
+        ends = [side for side in SIDES if side.axis == axis]
+        before, after = (_length(paths, reader, end, config) for end in ends)
         longer = Longer(axis, before, after)
         if max(before, after) < config.least or (start := longer.applied(film)).folds((17, 17)):
             continue
         on_edges = put_on_edges(start, read_edges(pyramid, start, reader, edges), edges)
-        gained = [_gained(film, on_edges, axis, end) for end in (0, 1)]
-        new = [end for end in (0, 1) if gained[end] >= config.least]
-        if not new or not all(_shown(on_edges, axis, end, pyramid.photo.shape) for end in new):
+        gained = [(end, _gained(film, on_edges, end)) for end in ends]
+        new = [end for end, length in gained if length >= config.least]
+        if not new or not all(_shown(on_edges, end, pyramid.photo.shape) for end in new):
             continue
         read = look_across(pyramid, on_edges, reader, edges)
         support = float(read.support.min())
         if support >= config.likely:
-            sides = ("left", "right") if axis == 0 else ("top", "bottom")
-            told = " and ".join(f"{g:.0%} at the {side}" for g, side in zip(gained, sides, strict=True) if g > 0.01)
+            told = " and ".join(f"{length:.0%} at the {end.name}" for end, length in gained if length > 0.01)
             yield read, f"the sheet goes on: {told}, each edge at least {support:.0%} likely"
 
 
@@ -112,41 +112,42 @@ def _paths_beyond(
     return read_paths(reader.logs(*strips_across(photo, along, reader.strip)), edges)
 
 
-def _length(paths: EdgePaths, reader: EdgeReader, axis: int, end: int, config: ClearMarginsConfig) -> float:
-    """How far both sides go on beyond an end along an axis, in parts of the film."""
+def _length(paths: EdgePaths, reader: EdgeReader, end: Side, config: ClearMarginsConfig) -> float:
+    """How far the sides beside one of the film's ends go on beyond it, in parts of the film."""
     columns = paths.row.shape[1]
     at = (1.0 + 2.0 * config.reach) * film_centres_1d(columns) - config.reach
-    beyond = at - 1.0 if end else -at
+    beyond = _outside(at, end)
     order = np.argsort(beyond)
     order = order[beyond[order] > 0.0]
-    lateral = [k for k, side in enumerate(SIDES) if side.axis != axis]
+    lateral = [k for k, side in enumerate(SIDES) if side.axis != end.axis]
     aside = np.abs(paths.row[lateral] - 0.5 * (reader.strip.rows - 1)).max(axis=0)
     shown = (paths.mass[lateral].min(axis=0) > config.least_mass) & (aside < config.free + config.more * beyond)
     count = int(np.cumprod(shown[order]).sum())
     return config.reach * count / max(len(order), 1)
 
 
-def _shown(film: BackwardMap, axis: int, end: int, size: tuple[int, ...]) -> bool:
-    """Whether a photo of ``size`` (height, width, ...) shows most of an end of the film along an axis, and some ground
-    beyond it."""
-    points = _end(film, axis, end)
+def _shown(film: BackwardMap, end: Side, size: tuple[int, ...]) -> bool:
+    """Whether a photo of ``size`` (height, width, ...) shows most of one of the film's ends, and ground beyond it."""
+    points = film.photo_from_film(_along(end))
     beside = BESIDE_FRAME * max(film.mean_film_pixels())
     inside = ((points > beside) & (points < np.array(size[1::-1]) - beside)).all(axis=1)
     return bool(inside.mean() > MOST)
 
 
-def _end(film: BackwardMap, axis: int, end: int) -> Float[np.ndarray, "n 2"]:
-    """The nodes of the map's end along an axis."""
-    return film.nodes[:, -end] if axis == 0 else film.nodes[-end]
+def _gained(film: BackwardMap, longer: BackwardMap, end: Side) -> float:
+    """How far an end of a longer map lies beyond the film's, in parts of the film: the median."""
+    at = film.film_near(longer.photo_from_film(_along(end)), _along(end), iterations=4, most_step=0.2)
+    return float(np.median(_outside(at[:, end.axis], end)))
 
 
-def _gained(film: BackwardMap, longer: BackwardMap, axis: int, end: int) -> float:
-    """How far an end of a longer map along an axis lies beyond the film's, in parts of the film: the median."""
-    points = _end(longer, axis, end)
-    start = np.full((len(points), 2), float(end))
-    start[:, 1 - axis] = np.linspace(0.0, 1.0, len(points))
-    at = film.film_near(points, start, iterations=4, most_step=0.2)[:, axis]
-    return float(np.median(at - 1.0 if end else -at))
+def _along(end: Side) -> Float[np.ndarray, "n 2"]:
+    """Film points along one of the film's ends."""
+    return end.film_points(node_centres_1d(NODES[0]), np.zeros(NODES[0]))
+
+
+def _outside(at: Float[np.ndarray, " n"], end: Side) -> Float[np.ndarray, " n"]:
+    """How far film coordinates across one of the film's ends lie beyond it."""
+    return end.inward * (end.edge - at)
 
 
 __all__ = ["ClearMarginsConfig", "Longer", "with_margins"]

@@ -113,12 +113,12 @@ class EndOfSheet:
     @property
     def has_rule(self) -> bool:
         """Whether a rule is printed along it."""
-        return 0.0 < self.band_px <= RULES_PX[-1]
+        return self.band_px > 0.0 and not self.has_frame
 
     @property
     def has_frame(self) -> bool:
         """Whether a wider band is: the print ends inside it."""
-        return self.band_px > RULES_PX[-1]
+        return _is_frame(self.band_px)
 
 
 def end_of_sheet(profiles: Profiles, expected: bool, frames: bool = False) -> EndOfSheet:
@@ -154,7 +154,7 @@ def banded_edge(
     some = local[:, 1::JUDGED_EVERY]
     score = np.median(_unexplained(bases[:, :, ::2], some).min(axis=2), axis=2)  # of models by width and blur
     best = score.min(axis=1)
-    best[2:] += WIDER if widths[0] == RULES_PX[0] else 0.0
+    best[2:] += 0.0 if _is_frame(widths[0]) else WIDER
     k = 1 + int(np.argmin(best[1:]))
     if best[0] - best[k] < (EXPECTED_GAIN if expected else LEAST_GAIN):
         return None
@@ -163,14 +163,14 @@ def banded_edge(
     nearest = np.rint(at).astype(np.intp)
     outer, inner, band = np.einsum("pkn,npc->kpc", inverses[model][nearest], local)
     contrast = np.linalg.norm(outer - inner, axis=-1)
-    if expected and width <= RULES_PX[-1]:
+    if expected and not _is_frame(width):
         excess, least = (band - inner).mean(axis=-1), EXPECTED_EXCESS
     else:
         excess, least = np.linalg.norm(np.maximum(band - np.maximum(outer, inner), 0.0), axis=-1), LEAST_EXCESS
     if np.median(excess - least * contrast) <= 0.0:
         return None
     place = np.interp(at, np.arange(len(PLACES)), _places(width))
-    if width > RULES_PX[-1]:  # its flanks are apart: the outer one alone tells where it is
+    if _is_frame(width):  # its flanks are apart: the outer one alone tells where it is
         place = rows[0] + _steepest(local, band - outer, np.rint(place - rows[0]).astype(np.intp))
     return place, width
 
@@ -187,9 +187,14 @@ def _steepest(
 def _places(width: float) -> Float[np.ndarray, " x"]:
     """The places that are tried of an edge along which a band of some width is printed: the path may follow either
     flank of a frame."""
-    if width <= RULES_PX[-1]:
+    if not _is_frame(width):
         return PLACES
     return np.linspace(-REACH - (width - RULES_PX[-1]), OUTSIDE, len(PLACES))
+
+
+def _is_frame(width: float) -> bool:
+    """Whether a band is wider than any rule."""
+    return width > RULES_PX[-1]
 
 
 def _rows(widths: tuple[float, ...]) -> Int[np.ndarray, " n"]:
@@ -211,7 +216,7 @@ def _models(widths: tuple[float, ...]) -> tuple[Float[np.ndarray, "w s x k n"], 
     """Of no band and each width of one, blur and place: an orthonormal basis of the profiles, and what gives their
     levels outside, inside and of the band."""
     rows = _rows(widths)
-    blurs = (*BLURS_PX, MORE_BLUR_PX) if widths[-1] > RULES_PX[-1] else BLURS_PX
+    blurs = (*BLURS_PX, MORE_BLUR_PX) if _is_frame(widths[-1]) else BLURS_PX
     shape = (1 + len(widths), len(blurs), len(PLACES), 3, len(rows))
     bases, inverses = np.zeros(shape), np.zeros(shape)
     for w, width in enumerate((0.0, *widths)):

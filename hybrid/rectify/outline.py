@@ -109,7 +109,7 @@ def find_outline(
     deepest = max(len(strip.depth) for strip in strips)
     scores = np.full((len(strips), deepest, config.profiles), _NOWHERE)
     for k, (strip, side) in enumerate(zip(strips, SIDES, strict=True)):
-        prior = _prior(strip, [s for s in read if (s.axis, s.known[0]) == (side.axis, side.edge)], side, config)
+        prior = _prior(strip, _read_of(side, read), side, config)
         searched = np.abs(strip.depth) <= half_band(strip.pixel, config) * (1 + 1e-9)
         score = edge_score(strip, config) - prior
         scores[k, : len(strip.depth)] = np.where(searched[:, None], score, _NOWHERE)
@@ -130,7 +130,6 @@ def find_outline(
 def _ends(strips: Sequence[Strip], paths: Int[np.ndarray, "b p"], read: Sequence[Sightings]) -> list[EndOfSheet]:
     """Where the sheet ends on each side. A print with a rule along one edge has mostly one along each; a frame is one
     only if two sides have it."""
-
     profiles = [profiles_along(strip.image, path) for strip, path in zip(strips, paths, strict=True)]
 
     def framed(expected: bool) -> dict[int, EndOfSheet]:
@@ -148,7 +147,7 @@ def _ends(strips: Sequence[Strip], paths: Int[np.ndarray, "b p"], read: Sequence
 
 def _where_read(end: EndOfSheet, strip: Strip, side: Side, read: Sequence[Sightings]) -> bool:
     """Whether a frame ends the sheet: the edge was read nearer to its outer flank than to the inner one."""
-    of_side = [edge for edge in read if (edge.axis, edge.known[0]) == (side.axis, side.edge)]
+    of_side = _read_of(side, read)
     if not end.has_frame or not of_side:
         return False
     along, depth, _ = _depth_read(of_side[0], side)
@@ -167,6 +166,11 @@ def _prior(strip: Strip, read: Sequence[Sightings], side: Side, config: OutlineC
         near = np.abs(strip.along[:, None] - along).min(axis=1) < config.read_near
         cost += np.where(near, 0.5 * np.square(np.maximum(off, 0.0) / config.read_prior), 0.0)
     return cost
+
+
+def _read_of(side: Side, read: Sequence[Sightings]) -> list[Sightings]:
+    """What was read of one side."""
+    return [edge for edge in read if (edge.axis, edge.known[0]) == (side.axis, side.edge)]
 
 
 def _depth_read(
