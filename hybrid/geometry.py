@@ -30,7 +30,7 @@ from hybrid.rectify.plane import flat_film
 from hybrid.rectify.refine import Refinement, refine
 from hybrid.rectify.survey import SurveyConfig, Verdict, expected_error, survey_maps, survey_print
 from hybrid.rectify.trust import film_verdict, signs_of
-from hybrid.strips import EdgeReader
+from hybrid.strips import StripReader
 
 WIDER = 1.25
 """How many times as wide as the photo the first look is that is tried if none shows a film."""
@@ -194,7 +194,7 @@ def shape_of(
     pyramid: Pyramid,
     coarse: BackwardMap,
     phases: CellPhases | None,
-    reader: EdgeReader,
+    reader: StripReader,
     sides: Callable[[], Sequence[Inversion]],
     config: RectifyConfig,
     clock: Clock,
@@ -240,7 +240,7 @@ def _exact(
     coarse: BackwardMap,
     phases: CellPhases | None,
     read: EdgesRead,
-    reader: EdgeReader,
+    reader: StripReader,
     others: Callable[[], Sequence[BackwardMap]],
     config: RectifyConfig,
     clock: Clock,
@@ -273,7 +273,7 @@ def reread(
     pyramid: Pyramid,
     phases: CellPhases | None,
     first: Refinement,
-    reader: EdgeReader,
+    reader: StripReader,
     config: RectifyConfig,
     report: Report,
 ) -> Refinement:
@@ -300,7 +300,7 @@ def whole_sheet(
     pyramid: Pyramid,
     phases: CellPhases | None,
     refined: Refinement,
-    reader: EdgeReader,
+    reader: StripReader,
     config: RectifyConfig,
     clock: Clock,
 ) -> Refinement:
@@ -320,7 +320,7 @@ def whole_sheet(
 
 
 def _with_margins(
-    pyramid: Pyramid, phases: CellPhases | None, refined: Refinement, reader: EdgeReader, config: RectifyConfig
+    pyramid: Pyramid, phases: CellPhases | None, refined: Refinement, reader: StripReader, config: RectifyConfig
 ) -> tuple[Refinement, str] | None:
     """The first refinement with such margins that is to be believed, and what they are."""
     options, before = config.margins, refined.support
@@ -354,7 +354,7 @@ def flat_itself(
 
 def trusted(
     network: FilmNet,
-    reader: EdgeReader,
+    reader: StripReader,
     pyramid: Pyramid,
     seen: LastLook,
     refinement: Refinement,

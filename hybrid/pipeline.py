@@ -28,13 +28,14 @@ from hybrid.geometry import (
 )
 from hybrid.grid_edit import GridEdit
 from hybrid.image_io import as_photo
-from hybrid.learn.edges import edge_reader
+from hybrid.learn.edges import strip_reader
 from hybrid.learn.inference import ready
 from hybrid.learn.light import level_reader
 from hybrid.learn.network import FilmNet, FilmNetConfig
 from hybrid.learn.orientation import OrientationReader, orientation_chances, upright_way
 from hybrid.learn.weights import (
     load_weights,
+    packaged_border_net,
     packaged_edge_net,
     packaged_film_net,
     packaged_light_net,
@@ -55,7 +56,6 @@ from hybrid.rectify.refine import Refinement
 from hybrid.rectify.resample import Rectified, rectify_photo
 from hybrid.rectify.survey import survey_photo
 from hybrid.rectify.trust import expected_error_px, largest_error_px
-from hybrid.strips import EdgeReader
 from hybrid.threads import one_thread
 
 
@@ -75,7 +75,7 @@ class Rectifier:
         self._network: FilmNet = ready(
             packaged_film_net() if weights is None else load_weights(weights, FilmNet, FilmNetConfig)
         )
-        self._edges: EdgeReader = edge_reader(ready(packaged_edge_net()))
+        self._edges, self._borders = (strip_reader(ready(net())) for net in (packaged_edge_net, packaged_border_net))
         self._reader = OrientationReader(ready(packaged_upright_net()), ready(packaged_slice_net()))
         self._levels: LevelReader = level_reader(ready(packaged_light_net()))
 
@@ -211,7 +211,7 @@ class Rectifier:
         maps, inversion = seen.maps, seen.inversion
         assert isinstance(inversion, Inversion)  # else there is no film
         sides = partial(see_from_sides, self._network, seen, self.config, clock)
-        phases = CellPhases.of(maps) if self.config.told_cells else None
+        phases = CellPhases.of(maps, self._borders) if self.config.told_cells else None
         refinement = shape_of(pyramid, inversion.backward, phases, self._edges, sides, self.config, clock)
         if corners is None:
             refinement = whole_sheet(pyramid, phases, refinement, self._edges, self.config, clock)

@@ -69,7 +69,7 @@ class StripConfig:
 
 
 @dataclass(frozen=True, eq=False)
-class EdgeReader:
+class StripReader:
     """What reads strips. strip: how they are cut. logs: of strips, and of where the photo covers them, the
     log-probabilities of the rows at which the edge crosses each column; the last: it is not in the strip."""
 
@@ -118,4 +118,4 @@ def strips_across(
     return images, inside
 
 
-__all__ = ["SIDES", "EdgeReader", "Side", "StripConfig", "edge_strips", "strip_copy", "strips_across", "view_across"]
+__all__ = ["SIDES", "Side", "StripConfig", "StripReader", "edge_strips", "strip_copy", "strips_across", "view_across"]

@@ -13,14 +13,14 @@ from hybrid.coords import film_nodes
 from hybrid.effort import RectifyConfig
 from hybrid.geometry import Report, reread
 from hybrid.learn.edge_data import true_rows
-from hybrid.learn.edges import EdgeNet, EdgeNetConfig, EdgeTargets, edge_losses, edge_reader
+from hybrid.learn.edges import EdgeNet, EdgeNetConfig, EdgeTargets, edge_losses, strip_reader
 from hybrid.learn.inference import ready
 from hybrid.learn.weights import packaged_edge_net, parameter_count
 from hybrid.pyramid import Pyramid
 from hybrid.rectify.edge_paths import EdgeConfig, edge_support, put_on_edges, read_edges, read_paths
 from hybrid.rectify.refine import Refinement
 from hybrid.rectify.trust import TrustConfig
-from hybrid.strips import EdgeReader, StripConfig, edge_strips, strip_copy
+from hybrid.strips import StripConfig, StripReader, edge_strips, strip_copy
 
 STRIP = StripConfig()
 CONFIG = EdgeConfig()
@@ -48,12 +48,12 @@ def step_reader(images: np.ndarray, inside: np.ndarray) -> np.ndarray:
     return logits - np.log(np.exp(logits).sum(axis=1, keepdims=True))
 
 
-STEPS = EdgeReader(STRIP, step_reader)
+STEPS = StripReader(STRIP, step_reader)
 
 
 @pytest.fixture(scope="module")
-def reader() -> EdgeReader:
-    return edge_reader(ready(packaged_edge_net()))
+def reader() -> StripReader:
+    return strip_reader(ready(packaged_edge_net()))
 
 
 # ---------------------------------------------------------------- strips
@@ -124,7 +124,7 @@ def test_corners_that_show_no_edge_do_not_count_against_a_side():
     support = edge_support(pyramid, film, STEPS)
     assert support.min() > 0.9
     for columns, share in ((ends, 1.0), (COLUMNS // 4, 0.6)):
-        reader = EdgeReader(STRIP, partial(rounded, columns=columns))
+        reader = StripReader(STRIP, partial(rounded, columns=columns))
         np.testing.assert_allclose(edge_support(pyramid, film, reader), share * support, atol=0.08 * (share < 1))
 
 

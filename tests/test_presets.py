@@ -15,7 +15,7 @@ from hybrid.learn.losses import Targets
 from hybrid.learn.network import FilmNetConfig
 from hybrid.learn.presets import PRESETS, preset, weighted_sum
 
-PAPERS = [name for name in PRESETS if name not in ("filmnet", "upright", "slices", "edges", "light")]
+PAPERS = [name for name in PRESETS if name not in ("filmnet", "upright", "slices", "edges", "borders", "light")]
 
 
 def small(name: str):

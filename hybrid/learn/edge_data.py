@@ -136,7 +136,7 @@ def true_rows(
         points = true.photo_from_film(uv)
         at = guess.film_near(points, uv, iterations=4, most_step=0.1)
         depth = side.inward * (at[:, side.axis] - side.edge)
-        visible = _film_at(mask, true.photo_from_film(side.film_points(t, np.full(len(t), JUST_INSIDE))), size)
+        visible = film_shown(mask, true.photo_from_film(side.film_points(t, np.full(len(t), JUST_INSIDE))), size)
         visible = np.minimum(visible, ((points >= 0) & (points < [size[1], size[0]])).all(axis=1))
         if corners is not None:
             visible = np.minimum(visible, ~corners.cut(uv))
@@ -148,7 +148,7 @@ def true_rows(
     return rows
 
 
-def _film_at(
+def film_shown(
     mask: Bool[np.ndarray, "h w"], points: Float[np.ndarray, "n 2"], size: tuple[int, int]
 ) -> Float[np.ndarray, " n"]:
     """Share of film around photo points, each among the mask's four nearest pixels."""

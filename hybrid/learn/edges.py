@@ -17,7 +17,7 @@ from torch.nn import functional
 
 from hybrid.learn.network import ConvNorm, Residual, local_contrast, view_coordinates
 from hybrid.learn.tensors import Tensors, image_batch
-from hybrid.strips import SIDES, EdgeReader, StripConfig
+from hybrid.strips import SIDES, StripConfig, StripReader
 
 
 @dataclass(frozen=True)
@@ -104,11 +104,11 @@ def strips_tensor(images: UInt8[np.ndarray, "b r c 3"], inside: Bool[np.ndarray,
     return torch.cat([image_batch(list(images)) * covered, covered], dim=1)
 
 
-def edge_reader(network: EdgeNet) -> EdgeReader:
+def strip_reader(network: EdgeNet) -> StripReader:
     """The network as what reads strips in ``hybrid.rectify.edge_paths``."""
 
     def logs(images: UInt8[np.ndarray, "b r c 3"], inside: Bool[np.ndarray, "b r c"]) -> Float[np.ndarray, "b r1 c2"]:
         with torch.inference_mode():
             return functional.log_softmax(network(strips_tensor(images, inside)), dim=1).numpy()
 
-    return EdgeReader(network.config.strip, logs)
+    return StripReader(network.config.strip, logs)

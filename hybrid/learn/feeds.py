@@ -15,6 +15,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from hybrid.learn.border_data import BorderAugment, border_view, open_borders
 from hybrid.learn.data import AugmentConfig, batch_of, training_view
 from hybrid.learn.edge_data import EdgeAugment, EdgePlace, edge_view, open_edges
 from hybrid.learn.edges import EdgeNetConfig, EdgeTargets, strips_tensor
@@ -246,33 +247,48 @@ def _votes_test(
     return {"test_upright": film, "test_patch": float(torch.cat(patches).mean()), "test_bits": bits}
 
 
-# ---------------------------------------------------------------- EdgeNet
+# ---------------------------------------------------------------- EdgeNet, BorderNet
 
 
 def edge_feed(config: EdgeNetConfig) -> Feed:
     """Strips across the edges of films, for a network of that configuration; four of each sample."""
-    return Feed(open_edges, partial(_edge_batch, config, EdgeAugment()), partial(_edge_test, config))
+    known, as_it_is = (partial(edge_view, augment=EdgeAugment(colours=colours)) for colours in (True, False))
+    return Feed(open_edges, partial(_strip_batch, known, config), partial(_strip_test, as_it_is, config))
 
 
-def _edge_batch(
-    config: EdgeNetConfig, augment: EdgeAugment, places: Sequence[EdgePlace], px: int,
+def border_feed(config: EdgeNetConfig) -> Feed:
+    """Strips across the borders between cells of films, for a network of that configuration; four of each sample."""
+    known, as_it_is = (partial(border_view, augment=BorderAugment(colours=colours)) for colours in (True, False))
+    return Feed(open_borders, partial(_strip_batch, known, config), partial(_strip_test, as_it_is, config))
+
+
+def _strip_batch(
+    view: Callable[..., tuple[np.ndarray, np.ndarray, np.ndarray]],
+    config: EdgeNetConfig,
+    places: Sequence[EdgePlace],
+    px: int,
     rngs: Sequence[np.random.Generator],
-) -> tuple[Tensor, EdgeTargets]:  # fmt: skip
+) -> tuple[Tensor, EdgeTargets]:
     strip, pairs = replace(config, input_px=px).strip, zip(places, rngs, strict=True)
-    images, inside, rows = zip(*(edge_view(place, strip, rng, augment) for place, rng in pairs), strict=True)
+    images, inside, rows = zip(*(view(place, strip, rng) for place, rng in pairs), strict=True)
     truth = torch.from_numpy(np.concatenate(rows)).float()
     return strips_tensor(np.concatenate(images), np.concatenate(inside)), EdgeTargets(truth)
 
 
 @torch.inference_mode()
-def _edge_test(
-    config: EdgeNetConfig, network: nn.Module, places: Sequence[Any], px: int, device: str
+def _strip_test(
+    view: Callable[..., tuple[np.ndarray, np.ndarray, np.ndarray]],
+    config: EdgeNetConfig,
+    network: nn.Module,
+    places: Sequence[Any],
+    px: int,
+    device: str,
 ) -> dict[str, float]:
-    """Of the columns that show the edge: mean of the distance of the likeliest row, in % of the film, and the share
+    """Of the columns that show the line: mean of the distance of the likeliest row, in % of the film, and the share
     that is further off than three rows; of all, the share that is rightly said to show it or not."""
     rng, off, right = np.random.default_rng(0), [], []
     for part in _test_batches(places):
-        strips, truth = _edge_batch(config, EdgeAugment(colours=False), part, px, [rng] * len(part))
+        strips, truth = _strip_batch(view, config, part, px, [rng] * len(part))
         logits = network(strips.to(device)).float().cpu()
         shown = ~truth.row.isnan()
         off.append((logits[:, :-1].argmax(dim=1) - truth.row).abs()[shown])

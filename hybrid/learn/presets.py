@@ -13,7 +13,7 @@ from hybrid.errors import ConfigError, describe
 from hybrid.learn import paper_losses
 from hybrid.learn.dewarpnet import NODES, BackwardNet, DewarpNet, DewarpNetConfig, ShapeNet, coordinate_code
 from hybrid.learn.edges import EdgeNet, EdgeNetConfig, edge_losses
-from hybrid.learn.feeds import FILM_FEED, LIGHT_FEED, Feed, edge_feed, paper_feed, print_feed, slice_feed
+from hybrid.learn.feeds import FILM_FEED, LIGHT_FEED, Feed, border_feed, edge_feed, paper_feed, print_feed, slice_feed
 from hybrid.learn.firenet import MULTI_MAP, UV_ONLY, FiReNet, FiReNetConfig
 from hybrid.learn.light import LightNet, LightNetConfig, light_losses
 from hybrid.learn.losses import LossWeights, loss_terms
@@ -163,6 +163,15 @@ PRESETS: dict[str, Preset] = {
         batch=16,
         learning_rate=2e-3,
         px_multiple=24,  # 2 columns for 3 rows, both halved three times
+    ),
+    "borders": Preset(
+        EdgeNetConfig(),
+        EdgeNet,
+        edge_losses,
+        own_feed=border_feed(EdgeNetConfig()),
+        batch=16,
+        learning_rate=2e-3,
+        px_multiple=24,
     ),
     "light": Preset(
         LightNetConfig(),

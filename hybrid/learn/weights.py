@@ -95,6 +95,11 @@ def packaged_edge_net() -> EdgeNet:
     return load_weights(packaged_path("edges"), EdgeNet, EdgeNetConfig)
 
 
+def packaged_border_net() -> EdgeNet:
+    """The EdgeNet for borders between cells, BorderNet, that the package ships."""
+    return load_weights(packaged_path("borders"), EdgeNet, EdgeNetConfig)
+
+
 def packaged_light_net() -> LightNet:
     """The LightNet that the package ships."""
     return load_weights(packaged_path("light"), LightNet, LightNetConfig)

@@ -16,6 +16,7 @@ from jaxtyping import Complex, Float
 from hybrid.backward import BackwardMap
 from hybrid.coords import film_centres_1d, node_centres_1d
 from hybrid.records import CoarseMaps
+from hybrid.strips import StripReader
 
 STEPS = 96
 """Parts into which the film is divided along an axis."""
@@ -38,15 +39,17 @@ class CellPhases:
     points: photo points. near: their film coordinates, as the network says. turns: e^(2 pi i t) where a place lies t of
     a cell from where its cell begins, across and down; shorter where that is less sure. in_grid: probability that it
     lies in a cell at all.
+    borders: reads the borders between cells (border_paths.py), once it is about known where they are.
     """
 
     points: Float[np.ndarray, "n 2"]
     near: Float[np.ndarray, "n 2"]
     turns: Complex[np.ndarray, "n 2"]
     in_grid: Float[np.ndarray, " n"]
+    borders: StripReader | None = None
 
     @staticmethod
-    def of(maps: CoarseMaps) -> CellPhases | None:
+    def of(maps: CoarseMaps, borders: StripReader | None = None) -> CellPhases | None:
         """Those of some maps; None where the network tells nothing of cells."""
         if maps.phases is None or maps.in_grid is None:
             return None
@@ -57,7 +60,7 @@ class CellPhases:
         phases = maps.phases[film].astype(np.float64)
         points, near = (values[film].astype(np.float64) for values in (maps.photo_points, maps.uv))
         turns = phases[..., 0] + 1j * phases[..., 1]
-        return CellPhases(points, near, turns, maps.in_grid[film].astype(np.float64))
+        return CellPhases(points, near, turns, maps.in_grid[film].astype(np.float64), borders)
 
     def scaled(self, scale_xy: tuple[float, float]) -> CellPhases:
         """The same of the photo scaled along x and y."""

@@ -28,7 +28,7 @@ from hybrid.rectify.edge_paths import (
     read_edges,
     read_paths,
 )
-from hybrid.strips import SIDES, EdgeReader, Side, strip_copy, strips_across
+from hybrid.strips import SIDES, Side, StripReader, strip_copy, strips_across
 
 NODES = (33, 33)
 """Of a map that was made longer."""
@@ -78,7 +78,7 @@ class Longer:
 
 
 def with_margins(
-    pyramid: Pyramid, film: BackwardMap, reader: EdgeReader, edges: EdgeConfig, config: ClearMarginsConfig
+    pyramid: Pyramid, film: BackwardMap, reader: StripReader, edges: EdgeConfig, config: ClearMarginsConfig
 ) -> Iterator[tuple[EdgesRead, str]]:
     """Maps of the film with margins that were taken for the ground, put on its edges and read across these, and what
     the margins are; mostly none."""
@@ -104,7 +104,7 @@ def with_margins(
 
 
 def _paths_beyond(
-    pyramid: Pyramid, film: BackwardMap, reader: EdgeReader, edges: EdgeConfig, config: ClearMarginsConfig
+    pyramid: Pyramid, film: BackwardMap, reader: StripReader, edges: EdgeConfig, config: ClearMarginsConfig
 ) -> EdgePaths:
     """What is read across each side, from ``reach`` before its beginning to as much beyond its end."""
     photo, on_copy = strip_copy(pyramid, film, reader.strip)
@@ -112,7 +112,7 @@ def _paths_beyond(
     return read_paths(reader.logs(*strips_across(photo, along, reader.strip)), edges)
 
 
-def _length(paths: EdgePaths, reader: EdgeReader, end: Side, config: ClearMarginsConfig) -> float:
+def _length(paths: EdgePaths, reader: StripReader, end: Side, config: ClearMarginsConfig) -> float:
     """How far the sides beside one of the film's ends go on beyond it, in parts of the film."""
     columns = paths.row.shape[1]
     at = (1.0 + 2.0 * config.reach) * film_centres_1d(columns) - config.reach

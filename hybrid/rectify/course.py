@@ -19,10 +19,11 @@ from jaxtyping import Float
 from hybrid.backward import BackwardMap, mean_move
 from hybrid.errors import require_at_least
 from hybrid.film_view import FilmView
+from hybrid.rectify.border_paths import BorderConfig, held_to, read_borders
 from hybrid.rectify.cell_phases import AxisPhases
 from hybrid.rectify.cells import CellsConfig, Reading, read_cells
 from hybrid.rectify.congeal import CongealConfig, register_cells
-from hybrid.rectify.grid import GridConfig
+from hybrid.rectify.grid import GridConfig, GridLines
 from hybrid.rectify.held_out import held_out_residuals
 from hybrid.rectify.layout import Evidence, Layout, find_layout
 from hybrid.rectify.margins import MarginsConfig, PlacedPrint, in_place, undecided, usual_margins
@@ -56,6 +57,7 @@ class RefineConfig:
     repeat: RepeatConfig = field(default_factory=RepeatConfig)
     match: MatchConfig = field(default_factory=MatchConfig)
     cells: CellsConfig = field(default_factory=CellsConfig)
+    borders: BorderConfig = field(default_factory=BorderConfig)
     margins: MarginsConfig = field(default_factory=MarginsConfig)
     congeal: CongealConfig = field(default_factory=CongealConfig)
     rim: RimConfig = field(default_factory=RimConfig)
@@ -184,14 +186,16 @@ class _Attempt:
 class Progress:
     """What is known after some rounds.
 
-    outline, attempt: as seen through the scene's map. settled: whether the last round moved nothing. sheet: that the
-    scene's map is of, if it is of one that explains the print. sheets: how many have been fitted.
+    outline, borders, attempt: as seen through the scene's map; borders are read but once through it. settled: whether
+    the last round moved nothing. sheet: that the scene's map is of, if it is of one that explains the print. sheets:
+    how many have been fitted.
     """
 
     scene: Scene
     outline: tuple[Sightings, ...]
     attempt: _Attempt
     layout: Layout = field(default_factory=Layout)
+    borders: tuple[Evidence, ...] = ()
     settled: bool = False
     sheet: FittedSheet | None = None
     sheets: int = 0
@@ -247,8 +251,11 @@ def _round(
         known = replace(known, read=read_view(view, known, phases_along(scene, near), scene.aspect, config))
     layout, lines = find_layout(view, known, looking, config.grid, config.repeat)
     found = _observe_print(view, layout, lines, matcher, outline, config)
+    borders = progress.borders or tuple(e.lifted(displacement) for e in _read_borders(scene, near, layout, config))
     watch.lap("grid")
     evidence = tuple(e.lifted(displacement) for e in found)
+    unseen = (e for e in borders if layout.combs[e.sightings.axis] is None)
+    evidence += tuple(_placed(held_to(layout, e, config.grid), outline, config) for e in unseen)
     if number == 0:
         edges = find_outline(scene.photo, near, config.outline_again, carried(scene.edges, scene.coarse, near))
         outline = tuple(displacement.lift(s) for s in edges)
@@ -263,7 +270,7 @@ def _round(
     attempt = _Attempt(fit.displacement, evidence, fit.weights, fit.stiffness)
     least = config.settled_move if progress.sheet is None else config.settled_sheet
     settled = number >= 1 and (moved < least or (progress.sheet is None and not layout.has_cells))
-    return replace(progress, outline=outline, attempt=attempt, layout=layout, settled=settled)
+    return replace(progress, outline=outline, borders=borders, attempt=attempt, layout=layout, settled=settled)
 
 
 def unstretched(progress: Progress, config: RefineConfig, watch: Stopwatch) -> Progress | None:
@@ -291,15 +298,18 @@ def unstretched(progress: Progress, config: RefineConfig, watch: Stopwatch) -> P
     if sheet.backward.folds((33, 33)):
         return None
     layout = progress.layout.adjusted(placed.evidence, sheet.constants)
+    borders: tuple[Evidence, ...] = ()
     if progress.sheet is None:
         read = carried(scene.edges, scene.coarse, sheet.backward)
         outline = find_outline(scene.photo, sheet.backward, config.outline_again, read)
     else:
         outline = carried(progress.outline, scene.coarse, sheet.backward)
+        moved = carried([e.sightings for e in progress.borders], scene.coarse, sheet.backward)
+        borders = tuple(replace(e, sightings=s) for e, s in zip(progress.borders, moved, strict=True))
     scene = replace(scene, coarse=sheet.backward, edges=())  # from now on edges are carried, not looked for
     watch.lap("sheet")
     still = _Attempt(no_displacement(config.spline))
-    begun = Progress(scene, outline, still, layout, sheet=sheet, sheets=progress.sheets + 1)
+    begun = Progress(scene, outline, still, layout, borders, sheet=sheet, sheets=progress.sheets + 1)
     after = _round(begun, max(config.line_rounds, 1), _matchers(config)[-1], config, watch)
     if after is None or progress.sheet is None:
         return after
@@ -373,24 +383,34 @@ def _observe_print(
     straight and repeats need not lie where cells meet. A grid that fills a film with rules along its edges ends there;
     with a frame, inside it.
     """
-    evidence = []
-    for comb, sightings in zip(layout.combs, lines, strict=True):
-        if comb is None or sightings is None:
-            continue
-        across = [edge for edge in outline if edge.axis == comb.axis]
-        place, pitch, *insets = sightings.shared_sigma
-        if comb.fills_film(config.grid) and not any(edge.has_frame for edge in across):
-            if any(edge.has_rule for edge in across):
-                place, pitch = config.grid.flush_sigma, config.grid.flush_sigma / comb.cells
-        elif len(across) == 2:
-            place = pitch = config.congeal.shared_sigma
-        sightings = replace(sightings, shared_sigma=np.array([place, pitch, *insets]))
-        evidence.append(Evidence(sightings, comb))
+    seen = zip(layout.combs, lines, strict=True)
+    evidence = [_placed(Evidence(s, comb), outline, config) for comb, s in seen if comb is not None and s is not None]
     columns, rows = layout.repeats
     if columns is not None and rows is not None:
         clean = without_background(view, layout, config.rim)
-        evidence += [Evidence(s, layout.repeats[s.axis]) for s in matcher(clean, columns, rows)]
-    return [in_place(e, config.margins) for e in evidence]
+        alike = (Evidence(s, layout.repeats[s.axis]) for s in matcher(clean, columns, rows))
+        evidence += [in_place(e, config.margins) for e in alike]
+    return evidence
+
+
+def _read_borders(scene: Scene, film: BackwardMap, layout: Layout, config: RefineConfig) -> list[Evidence]:
+    """Borders between cells as they are read through a map; none where nothing reads them."""
+    reader = None if scene.phases is None else scene.phases.borders
+    return [] if reader is None else read_borders(scene.photo, film, layout, reader, config.grid, config.borders)
+
+
+def _placed(e: Evidence, outline: Sequence[Sightings], config: RefineConfig) -> Evidence:
+    """Evidence of lines, with what the edges that are seen and margins tell of their place and pitch."""
+    assert isinstance(e.source, GridLines)
+    lines, across = e.source, [edge for edge in outline if edge.axis == e.source.axis]
+    place, pitch, *others = e.sightings.shared_sigma
+    if lines.fills_film(config.grid) and not any(edge.has_frame for edge in across):
+        if any(edge.has_rule for edge in across):
+            place, pitch = config.grid.flush_sigma, config.grid.flush_sigma / lines.cells
+    elif len(across) == 2:
+        place = pitch = config.congeal.shared_sigma
+    placed = replace(e, sightings=replace(e.sightings, shared_sigma=np.array([place, pitch, *others])))
+    return in_place(placed, config.margins)
 
 
 def _as_uncertain(edge: Sightings, layout: Layout, config: RefineConfig) -> Sightings:

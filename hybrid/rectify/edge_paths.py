@@ -18,7 +18,7 @@ from hybrid.pyramid import Pyramid
 from hybrid.rectify.curves import best_paths
 from hybrid.rectify.outline import edge_sightings
 from hybrid.rectify.sightings import Sightings, SplineConfig, carried, fit_displacement
-from hybrid.strips import SIDES, EdgeReader, StripConfig, edge_strips, strip_copy
+from hybrid.strips import SIDES, StripConfig, StripReader, edge_strips, strip_copy
 
 SUPPORT_ROWS = 2
 """Rows on each side of an edge within which what was read agrees with it."""
@@ -109,7 +109,7 @@ class EdgesRead:
         return carried(self.sightings, self.through, film)
 
 
-def read_edges(pyramid: Pyramid, film: BackwardMap, reader: EdgeReader, config: EdgeConfig) -> EdgesRead:
+def read_edges(pyramid: Pyramid, film: BackwardMap, reader: StripReader, config: EdgeConfig) -> EdgesRead:
     """What is read across the edges of a map; where that is far beside them, once more across those it says."""
     read = look_across(pyramid, film, reader, config)
     if read.off <= config.far:
@@ -126,7 +126,7 @@ def put_on_edges(film: BackwardMap, read: EdgesRead, config: EdgeConfig) -> Back
     return film if moved.folds((17, 17)) else moved
 
 
-def look_across(pyramid: Pyramid, film: BackwardMap, reader: EdgeReader, config: EdgeConfig) -> EdgesRead:
+def look_across(pyramid: Pyramid, film: BackwardMap, reader: StripReader, config: EdgeConfig) -> EdgesRead:
     """What is read across the edges of a map, once."""
     logs, inside = _logs_across(pyramid, film, reader)
     sightings = path_sightings(read_paths(logs, config), reader.strip, config)
@@ -134,13 +134,13 @@ def look_across(pyramid: Pyramid, film: BackwardMap, reader: EdgeReader, config:
     return EdgesRead(film, tuple(sightings), off, _support(logs, inside))
 
 
-def edge_support(pyramid: Pyramid, film: BackwardMap, reader: EdgeReader) -> Float[np.ndarray, " 4"]:
+def edge_support(pyramid: Pyramid, film: BackwardMap, reader: StripReader) -> Float[np.ndarray, " 4"]:
     """Of what is read across the edges of a map only EdgesRead.support."""
     return _support(*_logs_across(pyramid, film, reader))
 
 
 def _logs_across(
-    pyramid: Pyramid, film: BackwardMap, reader: EdgeReader
+    pyramid: Pyramid, film: BackwardMap, reader: StripReader
 ) -> tuple[Float[np.ndarray, "4 r1 c"], Bool[np.ndarray, "4 r c2"]]:
     """What the network says of the strips across a map's edges, and where the photo covers these."""
     photo, on_copy = strip_copy(pyramid, film, reader.strip)

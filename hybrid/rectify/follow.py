@@ -48,13 +48,11 @@ def follow_comb(view: FilmView, comb: Comb, config: GridConfig) -> Sightings | N
     uv = np.column_stack([along, across] if comb.axis == 1 else [across, along])
     sigma = np.full(len(across), config.sigma_px / h * np.sqrt(max(1.0, n / config.stations)))
     from_centre = inner[index] - 0.5 * comb.cells
-    if comb.fills_film(config):
-        pitch, shared_sigma = 1.0 / comb.cells, config.snug_sigma * np.array([1.0, 1.0 / comb.cells, 1.0, 1.0])
-    else:
-        pitch = comb.pitch
-        shared_sigma = np.array([config.centre_sigma[comb.axis], config.pitch_sigma, *2 * [config.inset_sigma]])
+    pitch, known = comb.before(config)
+    inset_sigma = config.snug_sigma if comb.fills_film(config) else config.inset_sigma
     first, last = inner[index] == 0, inner[index] == comb.cells
     shared = np.column_stack([np.ones(len(across)), from_centre, first, last])
+    shared_sigma = np.array([*known, inset_sigma, inset_sigma])
     return Sightings(comb.axis, uv, 0.5 + from_centre * pitch, sigma, shared, shared_sigma)
 
 

@@ -8,7 +8,7 @@ seen. Then each line is followed along its length (follow.py).
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import ClassVar, TypeVar
 
 import cv2
 import numpy as np
@@ -17,6 +17,8 @@ from jaxtyping import Float, Int
 from hybrid.coords import film_centres_1d
 from hybrid.errors import require_at_least
 from hybrid.rectify.sightings import Sightings
+
+Lines = TypeVar("Lines", bound="GridLines")
 
 MAX_CELLS = 10
 """Most slices along either side of a film."""
@@ -88,39 +90,23 @@ class GridConfig:
 
 
 @dataclass(frozen=True, eq=False)
-class Comb:
-    """Equally spaced lines across one axis of the film.
+class GridLines:
+    """Equally spaced lines across one axis of the film, between which the cells lie.
 
     axis: 0 for lines u = const, 1 for lines v = const.
     first, pitch: line i lies at ``first + i * pitch``, i = 0..cells; the outer ones may be margins' ends only.
     cells: number of cells along the axis.
-    seen: the indices i of the lines that were seen.
-    width_px, sign: width of the lines in pixels of the view, +1 for brighter and -1 for darker than beside.
-    strength: share of the film's length on which the weakest inner line is seen.
-    tracks: film coordinate of each seen line in equal strips along its length.
-    centred: whether its margins are taken to be alike on both sides.
     """
 
     axis: int
     first: float
     pitch: float
     cells: int
-    seen: Int[np.ndarray, " k"]
-    width_px: int
-    sign: int
-    strength: float
-    tracks: Float[np.ndarray, "k s"]
-    centred: bool = False
     pitch_at: ClassVar[int] = 1
-    """Which of the constants that its sightings share is the pitch's."""
+    """Which of the constants that sightings of the lines share is the pitch's; the first is the place's."""
 
-    def straight(self) -> Comb:
-        """The comb with its lines where they belong: for a view through a map that has been put right."""
-        places = np.repeat(self.lines()[self.seen][:, None], self.tracks.shape[1], axis=1)
-        return replace(self, tracks=places)
-
-    def adjusted(self, sightings: Sightings, constants: Float[np.ndarray, "4"]) -> Comb:
-        """With the place and pitch that a fit of its sightings found."""
+    def adjusted(self: Lines, sightings: Sightings, constants: Float[np.ndarray, " g"]) -> Lines:
+        """With the place and pitch that a fit of sightings of the lines found."""
         step = np.ptp(sightings.known) / max(np.ptp(sightings.shared[:, 1]), 1.0)
         pitch = float(step if step > 0 else self.pitch) + float(constants[self.pitch_at])
         return replace(self, first=0.5 + float(constants[0]) - 0.5 * self.cells * pitch, pitch=pitch)
@@ -136,6 +122,50 @@ class Comb:
     def lines(self) -> Float[np.ndarray, " n"]:
         """Film coordinates of all lines, the grid's ends included."""
         return self.first + self.pitch * np.arange(self.cells + 1)
+
+    def before(self, config: GridConfig) -> tuple[float, Float[np.ndarray, "2"]]:
+        """The pitch, and what is known of the grid's place and pitch before sightings tell: their deviations."""
+        if self.fills_film(config):
+            return 1.0 / self.cells, config.snug_sigma * np.array([1.0, 1.0 / self.cells])
+        return self.pitch, np.array([config.centre_sigma[self.axis], config.pitch_sigma])
+
+
+@dataclass(frozen=True, eq=False)
+class Comb(GridLines):
+    """Lines that were seen.
+
+    seen: the indices i of the lines that were seen.
+    width_px, sign: width of the lines in pixels of the view, +1 for brighter and -1 for darker than beside.
+    strength: share of the film's length on which the weakest inner line is seen.
+    tracks: film coordinate of each seen line in equal strips along its length.
+    centred: whether the grid's margins are taken to be alike on both sides.
+    """
+
+    seen: Int[np.ndarray, " k"]
+    width_px: int
+    sign: int
+    strength: float
+    tracks: Float[np.ndarray, "k s"]
+    centred: bool = False
+
+    def straight(self) -> Comb:
+        """The comb with its lines where they belong: for a view through a map that has been put right."""
+        places = np.repeat(self.lines()[self.seen][:, None], self.tracks.shape[1], axis=1)
+        return replace(self, tracks=places)
+
+
+@dataclass(frozen=True, eq=False)
+class Borders(GridLines):
+    """Lines between cells that were read (border_paths.py), whether anything is printed there or not.
+
+    filling: whether they are taken to go from edge to edge.
+    """
+
+    filling: bool = False
+
+    def fills_film(self, config: GridConfig) -> bool:
+        """Whether they are taken to: where print ends is read less exactly than where its lines lie."""
+        return self.filling
 
 
 @dataclass(frozen=True, eq=False)
@@ -343,4 +373,4 @@ def _match_comb(
     return _Match(anchor + pitch * int(index[0]), pitch, len(index) - 1, np.flatnonzero(met), nearest[met], strength)
 
 
-__all__ = ["Comb", "GridConfig", "find_comb", "line_response", "line_votes", "narrowed"]
+__all__ = ["Borders", "Comb", "GridConfig", "GridLines", "find_comb", "line_response", "line_votes", "narrowed"]

@@ -12,7 +12,7 @@ from hybrid.film_view import FilmView
 from hybrid.records import SliceGrid
 from hybrid.rectify.cells import SAME_PLACE, Reading
 from hybrid.rectify.follow import follow_comb
-from hybrid.rectify.grid import Comb, GridConfig, find_comb
+from hybrid.rectify.grid import Borders, Comb, GridConfig, find_comb
 from hybrid.rectify.repeat import RepeatConfig, Repeats, find_repeats
 from hybrid.rectify.sightings import Displacement, Sightings
 
@@ -22,10 +22,11 @@ GOOD_SHARE = 0.0025
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """Sightings and what they are of: a comb of lines, cells that repeat, or (None) the sheet's edge."""
+    """Sightings and what they are of: a comb of lines, borders that were read, cells that repeat, or (None) the sheet's
+    edge."""
 
     sightings: Sightings
-    source: Comb | Repeats | None = None
+    source: Comb | Borders | Repeats | None = None
 
     def lifted(self, displacement: Displacement) -> Evidence:
         """As if seen through the coarse map."""
@@ -41,6 +42,7 @@ class Layout:
     """What is known of the grid along u and along v. read: how the film was read when it was looked at first."""
 
     combs: tuple[Comb | None, Comb | None] = (None, None)
+    borders: tuple[Borders | None, Borders | None] = (None, None)
     repeats: tuple[Repeats | None, Repeats | None] = (None, None)
     read: Reading | None = None
 
@@ -50,20 +52,23 @@ class Layout:
         two that look for lines find no more."""
         return all(r is not None for r in self.repeats)
 
-    def along(self, axis: int) -> Comb | Repeats | None:
+    def along(self, axis: int) -> Comb | Borders | Repeats | None:
         """What is best known along one axis."""
-        return self.combs[axis] if self.combs[axis] is not None else self.repeats[axis]
+        return self.combs[axis] or self.borders[axis] or self.repeats[axis]
 
     def adjusted(self, evidence: Sequence[Evidence], found: Sequence[np.ndarray]) -> Layout:
         """With the places and pitches that a fit found: the constants that each of the sightings share. Lines are
         straight through the map that it gives."""
-        combs, repeats = list(self.combs), list(self.repeats)
+        combs, borders, repeats = list(self.combs), list(self.borders), list(self.repeats)
         for e, constants in zip(evidence, found, strict=True):
             if isinstance(e.source, Comb):
                 combs[e.source.axis] = e.source.adjusted(e.sightings, constants).straight()
+            elif isinstance(e.source, Borders):
+                borders[e.source.axis] = e.source.adjusted(e.sightings, constants)
             elif isinstance(e.source, Repeats):
                 repeats[e.source.axis] = e.source.adjusted(constants)
-        return replace(self, combs=(combs[0], combs[1]), repeats=(repeats[0], repeats[1]))
+        both = {"combs": combs, "borders": borders, "repeats": repeats}
+        return replace(self, **{name: (one, other) for name, (one, other) in both.items()})
 
     def reason(self, reading: Reading | None) -> str:
         """How the film was read and what was fitted, for the report."""
@@ -75,7 +80,8 @@ class Layout:
         how = []
         for name, one in (("columns", reading.columns), ("rows", reading.rows)):
             fitted = _fitted(one, self.along(one.axis))
-            by = "lines" if isinstance(fitted, Comb) else "what was read" if fitted is one else "repetition"
+            kinds = {Comb: "lines", Borders: "borders", Repeats: "repetition"}
+            by = "what was read" if fitted is one else kinds[type(fitted)]
             how.append(f"{name} by {by}")
         return f"{read}; {', '.join(how)}"
 
@@ -101,7 +107,7 @@ class Layout:
         return SliceGrid(rows.cells, columns.cells, vertices, backward.photo_from_film(vertices), trust)
 
 
-def _fitted(read: Repeats, fitted: Comb | Repeats | None) -> Comb | Repeats:
+def _fitted(read: Repeats, fitted: Comb | Borders | Repeats | None) -> Comb | Borders | Repeats:
     """The cells along one axis as they were fitted, if these are the ones that were read."""
     if fitted is None or fitted.cells != read.cells:
         return read

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
-from hybrid.rectify.grid import Comb, GridConfig
+from hybrid.rectify.grid import Borders, Comb, GridConfig
 from hybrid.rectify.layout import Evidence
 from hybrid.rectify.repeat import Repeats
 from hybrid.rectify.sheet_fit import FittedSheet
@@ -86,11 +86,11 @@ def in_place(e: Evidence, config: MarginsConfig) -> Evidence:
 # ---------------------------------------------------------------- what is tried, and what it may cost
 
 
-def _held_to_usual(source: Comb | Repeats, grid: GridConfig) -> bool:
-    return source.filling if isinstance(source, Repeats) else source.centred or source.fills_film(grid)
+def _held_to_usual(source: Comb | Borders | Repeats, grid: GridConfig) -> bool:
+    return source.centred or source.fills_film(grid) if isinstance(source, Comb) else source.filling
 
 
-def _nearly_usual(source: Comb | Repeats, config: MarginsConfig) -> bool:
+def _nearly_usual(source: Comb | Borders | Repeats, config: MarginsConfig) -> bool:
     filled = source.cells * source.pitch
     in_the_middle = isinstance(source, Comb) and abs(source.first + 0.5 * filled - 0.5) < config.off_middle
     return bool(in_the_middle or abs(1.0 - filled) <= config.filling)
@@ -150,8 +150,10 @@ def _filled(e: Evidence, config: MarginsConfig) -> Evidence:
     assert source is not None
     known = e.sightings.known + e.sightings.shared[:, source.pitch_at] * (1.0 / source.cells - source.pitch)
     moved, filled = replace(e.sightings, known=known), replace(source, first=0.0, pitch=1.0 / source.cells)
+    if not isinstance(filled, Comb):
+        filled = replace(filled, filling=True)
     if isinstance(filled, Repeats):
-        return in_place(Evidence(moved, replace(filled, filling=True)), config)
+        return in_place(Evidence(moved, filled), config)
     return _held(Evidence(moved, filled), {0: config.sigma, filled.pitch_at: config.sigma / filled.cells})
 
 

@@ -1,0 +1,131 @@
+"""Training views of BorderNet: strips across the borders between cells that a map and a grid predict, and where these
+really are."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool, Float, UInt8
+
+from hybrid.backward import BackwardMap, Orientation, orientation
+from hybrid.borders import GROUP, border_strips, inner_lines, strip_across
+from hybrid.coords import film_centres_1d
+from hybrid.learn import behind
+from hybrid.learn.colours import disturbed, taken_badly
+from hybrid.learn.data import disturbed_map, grid_along, log_uniform
+from hybrid.learn.edge_data import EdgePlace, film_shown, open_edges
+from hybrid.learn.samples import film_mask, film_of, photo_of
+from hybrid.pyramid import Pyramid
+from hybrid.strips import StripConfig, strip_copy
+
+
+@dataclass(frozen=True)
+class BorderAugment:
+    """How the map that flattens a film errs, and the grid that the film is held to.
+
+    found_share: maps that FilmNet made, where these are known. plane_error, bend_error: range of one sigma of the error
+    of the corners and of a smooth bent one, in parts of the film; FilmNet's maps have only the former added.
+    bend_nodes: numbers of nodes of the bent error. place_error: one sigma of where the ends of the grid lie, in film
+    units. colours: whether they are disturbed.
+    """
+
+    found_share: float = 0.3
+    plane_error: tuple[float, float] = (0.0005, 0.006)
+    bend_error: tuple[float, float] = (0.0006, 0.01)
+    bend_nodes: tuple[int, ...] = (4, 5, 6, 8)
+    place_error: float = 0.004
+    colours: bool = True
+
+
+def open_borders(folders: Sequence[Path]) -> list[EdgePlace]:
+    """All samples of some data sets whose grid is recorded and has borders inside of the sheet.
+
+    Raises:
+        DataError: a data set or maps that cannot be read.
+    """
+    return [one for one in open_edges(folders) if _axes_with_borders(_grid(one, Orientation(0, False)))]
+
+
+def border_view(
+    sample: EdgePlace, strip: StripConfig, rng: np.random.Generator, augment: BorderAugment
+) -> tuple[UInt8[np.ndarray, "4 r c 3"], Bool[np.ndarray, "4 r c"], Float[np.ndarray, "4 c2"]]:
+    """Strips across GROUP borders along one axis of a sample, where the photo covers them, and the true rows in each
+    pair of columns (NaN: not shown). The film is turned and mirrored anyhow."""
+    place, way = sample.place, Orientation(int(rng.integers(4)), bool(rng.random() < 0.5))
+    photo, film = photo_of(place), film_of(place)
+    if augment.colours:
+        photo = behind.behind_some(place, photo, film, rng)
+        photo = taken_badly(photo, rng)
+    true, grid = film.turned(way), _grid(sample, way)
+    if sample.found is not None and rng.random() < augment.found_share:
+        guess = BackwardMap(sample.found.astype(np.float64)).turned(orientation(film)).turned(way)
+    else:
+        guess = disturbed_map(true, int(rng.choice(augment.bend_nodes)), log_uniform(rng, augment.bend_error), rng)
+    guess = disturbed_map(guess, 2, log_uniform(rng, augment.plane_error), rng)
+    axis = int(rng.choice(_axes_with_borders(grid)))
+    first, pitch, cells = grid[axis]
+    lines, _ = inner_lines(first, pitch, round(cells))
+    lines = lines[_some(len(lines), rng)]
+    off, longer = rng.normal(0, augment.place_error, 2)
+    held, strip = lines + off + longer * (lines - 0.5), strip_across(pitch, strip)
+    copy, on_copy = strip_copy(Pyramid(photo), guess, strip)
+    images, inside = border_strips(copy, on_copy, axis, held, strip)
+    if augment.colours:
+        images = np.stack(np.split(disturbed(np.concatenate(images, axis=1), rng), len(images), axis=1))  # side by side
+    start, step, count = grid[1 - axis]
+    t = np.linspace(start, start + count * step, 65)
+    size, mask = (photo.shape[0], photo.shape[1]), film_mask(place)
+    rows = [_true_row(true, guess, size, mask, strip, axis, line, at, t) for line, at in zip(lines, held, strict=True)]
+    return images, inside, np.stack(rows)
+
+
+def _grid(sample: EdgePlace, way: Orientation) -> Float[np.ndarray, "2 3"]:
+    """As ``grid_along``, of the film read after it was moved; one cell where it is not recorded."""
+    shard, number = sample.place
+    record = shard.record(number)
+    if "grid" not in record:
+        return np.array([[0.0, 1.0, 1.0], [0.0, 1.0, 1.0]])
+    return grid_along(way.inverse.seen_from_film(np.array(record["grid"]["film"])))
+
+
+def _axes_with_borders(grid: Float[np.ndarray, "2 3"]) -> list[int]:
+    """Along which there are borders between cells, or at the ends of a grid inside of the sheet."""
+    return [axis for axis, (first, pitch, cells) in enumerate(grid) if len(inner_lines(first, pitch, round(cells))[0])]
+
+
+def _some(count: int, rng: np.random.Generator) -> list[int]:
+    """GROUP of so many, in order; some of them twice where there are not enough."""
+    if count >= GROUP:
+        return np.sort(rng.choice(count, GROUP, replace=False)).tolist()
+    return sorted(k % count for k in range(GROUP))
+
+
+def _true_row(
+    true: BackwardMap,
+    guess: BackwardMap,
+    size: tuple[int, int],
+    mask: Bool[np.ndarray, "h w"],
+    strip: StripConfig,
+    axis: int,
+    line: float,
+    held: float,
+    t: Float[np.ndarray, " n"],
+) -> Float[np.ndarray, " c2"]:
+    """Rows of the strip across ``held`` at which the true border ``line`` crosses the middles of pairs of columns; NaN
+    where that is hidden, beyond the ends of the grid, or outside of the strip. t: places along the border."""
+    uv = np.empty((len(t), 2))
+    uv[:, axis], uv[:, 1 - axis] = line, t
+    points = true.photo_from_film(uv)
+    at = guess.film_near(points, uv, iterations=4, most_step=0.1)
+    depth = at[:, axis] - held
+    visible = np.minimum(film_shown(mask, points, size), ((points >= 0) & (points < [size[1], size[0]])).all(axis=1))
+    order = np.argsort(at[:, 1 - axis])
+    place, along = at[order, 1 - axis], film_centres_1d(strip.columns // 2)
+    depth = np.interp(along, place, depth[order], left=np.nan, right=np.nan)
+    shown = (np.interp(along, place, visible[order]) > 0.5) & (np.abs(depth) < strip.reach)
+    rows = np.full(len(along), np.nan)
+    rows[shown] = strip.row_of(depth[shown])
+    return rows

@@ -1,0 +1,137 @@
+"""Borders between cells as BorderNet reads them in strips across those that a map and a grid predict.
+
+Rules and gutters show as lines, and these are found without it (grid.py) where they are clear. Where they are faint, or
+there are none, texts and scale bars on both sides still tell where one cell ends and the next begins.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from jaxtyping import Float
+
+from hybrid.backward import BackwardMap
+from hybrid.borders import GROUP, border_strips, inner_lines, strip_across
+from hybrid.coords import film_centres_1d
+from hybrid.pyramid import Photo
+from hybrid.rectify.edge_paths import EdgeConfig, read_paths
+from hybrid.rectify.grid import Borders, GridConfig
+from hybrid.rectify.layout import Evidence, Layout
+from hybrid.rectify.sightings import Sightings
+from hybrid.strips import StripConfig, StripReader
+
+
+@dataclass(frozen=True)
+class BorderConfig:
+    """Options of reading borders.
+
+    paths: how they are read in strips. soft_rows: spread of what is read of a line that is clear: what is beyond that
+    is not known of the border as a whole. sharp: least deviation of a whole border, in film units. min_columns: of all
+    borders across an axis, of the columns that show them, that count.
+    """
+
+    paths: EdgeConfig = field(default_factory=EdgeConfig)
+    soft_rows: float = 0.7
+    sharp: float = 1e-4
+    min_columns: int = 12
+
+
+def read_borders(
+    photo: Photo, film: BackwardMap, layout: Layout, reader: StripReader, grid: GridConfig, config: BorderConfig
+) -> list[Evidence]:
+    """Sightings of the borders across the axes along which no lines were seen, through the map ``film`` into ``photo``;
+    none of an axis of which nothing is known, or where too few are read."""
+    found = []
+    for axis in (0, 1):
+        borders, across = _known(layout, axis), layout.combs[1 - axis] or _known(layout, 1 - axis)
+        if borders is None or layout.combs[axis] is not None:
+            continue
+        ends = (0.0, 1.0) if across is None else (float(across.lines()[0]), float(across.lines()[-1]))
+        sightings = _sightings(photo, film, borders, ends, reader, grid, config)
+        found += [] if sightings is None else [Evidence(sightings, borders)]
+    return found
+
+
+def held_to(layout: Layout, read: Evidence, grid: GridConfig) -> Evidence:
+    """Borders that were read before, held to the grid as it is known now."""
+    borders, sightings = layout.borders[read.sightings.axis] or read.source, read.sightings
+    assert isinstance(borders, Borders)
+    pitch, before = borders.before(grid)
+    known = 0.5 + pitch * sightings.shared[:, borders.pitch_at]
+    shared_sigma = np.append(before, sightings.shared_sigma[len(before) :])
+    return Evidence(replace(sightings, known=known, shared_sigma=shared_sigma), borders)
+
+
+def _known(layout: Layout, axis: int) -> Borders | None:
+    """Where borders lie along an axis: as was read of them before, else as the whole film was read, if what repeats are
+    as many cells."""
+    borders, repeats = layout.borders[axis], layout.repeats[axis]
+    if borders is not None:
+        return borders
+    if repeats is None or layout.read is None or not layout.read.is_likely:
+        return None
+    read = (layout.read.columns, layout.read.rows)[axis]
+    return Borders(axis, read.first, read.pitch, read.cells) if read.cells == repeats.cells else None
+
+
+def _sightings(
+    photo: Photo,
+    film: BackwardMap,
+    borders: Borders,
+    ends: tuple[float, float],
+    reader: StripReader,
+    grid: GridConfig,
+    config: BorderConfig,
+) -> Sightings | None:
+    """The columns of all strips, between the ends of the grid, that show a border.
+
+    What borders share: where the grid's middle lies from the film's, by how much its pitch differs, and by how much
+    each is misread as a whole.
+    """
+    lines, number = inner_lines(borders.first, borders.pitch, borders.cells)
+    if not len(lines):
+        return None
+    strip = strip_across(borders.pitch, reader.strip)
+    row, spread, mass = _read(photo, film, borders.axis, lines, strip, reader, config)
+    depth, along = strip.depth_of(row), film_centres_1d(row.shape[1])
+    good = (mass > config.paths.min_mass) & (along > ends[0]) & (along < ends[1])
+    if good.sum() < config.min_columns:
+        return None
+    line, column = np.nonzero(good)
+    unsure = np.sqrt(np.maximum(np.square(spread) - config.soft_rows**2, 0.0))
+    sigma = strip.pitch * np.hypot(config.paths.row_sigma, unsure[good]) / np.sqrt(mass[good])
+    seen = np.empty((len(line), 2))
+    seen[:, borders.axis], seen[:, 1 - borders.axis] = lines[line] + depth[good], along[column]
+    each = np.flatnonzero(good.any(axis=1))
+    misread = [strip.pitch * np.sqrt(np.mean(np.square(unsure[k, good[k]]))) for k in each]
+    shared = np.column_stack([np.ones(len(line)), number[line], *(line == k for k in each)])
+    pitch, before = borders.before(grid)
+    known = 0.5 + pitch * number[line]
+    return Sightings(borders.axis, seen, known, sigma, shared, np.append(before, np.hypot(config.sharp, misread)))
+
+
+def _read(
+    photo: Photo,
+    film: BackwardMap,
+    axis: int,
+    lines: Float[np.ndarray, " k"],
+    strip: StripConfig,
+    reader: StripReader,
+    config: BorderConfig,
+) -> tuple[Float[np.ndarray, "k c"], Float[np.ndarray, "k c"], Float[np.ndarray, "k c"]]:
+    """Row, spread and mass (EdgePaths) of the likeliest path of each of k borders, group by group; the last group is
+    filled up with borders of which there are enough already."""
+    count = len(lines)
+    whole = -(-count // GROUP) * GROUP
+    which = [k if k < count else (k - GROUP) % count for k in range(whole)]
+    images, inside = border_strips(photo, film, axis, lines[which], strip)
+    groups = [slice(start, start + GROUP) for start in range(0, whole, GROUP)]
+    paths = [read_paths(reader.logs(images[group], inside[group]), config.paths) for group in groups]
+    row, spread, mass = (
+        np.concatenate([getattr(p, name) for p in paths])[:count] for name in ("row", "spread", "mass")
+    )
+    return row, spread, mass
+
+
+__all__ = ["BorderConfig", "read_borders"]
