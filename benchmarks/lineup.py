@@ -23,8 +23,9 @@ from hybrid.coords import opencv_from_photo
 from hybrid.errors import ConfigError, describe
 from hybrid.learn.predict import PredictConfig
 from hybrid.pipeline import RectifyConfig
+from hybrid.rectify.border_paths import BorderConfig
 from hybrid.rectify.deilluminate import DeilluminateConfig
-from hybrid.rectify.edge_paths import EdgeConfig
+from hybrid.rectify.edge_paths import EdgeConfig, PathConfig
 from hybrid.rectify.outline import OutlineConfig
 from hybrid.rectify.refine import RefineConfig
 from hybrid.rectify.repeat import RepeatConfig
@@ -44,16 +45,23 @@ EFFORTS: dict[str, tuple[str, RectifyConfig]] = {
 }
 """The pipeline at its efforts, by name: label and options. One line each; all run at every size."""
 
+UNREAD = PathConfig(min_mass=2.0)
+"""No probability reaches 2."""
+
 CONFIGURATIONS: dict[str, tuple[str, RectifyConfig]] = {
     "hybrid_two_looks": ("hybrid, two looks", RectifyConfig(predict=PredictConfig(looks=2))),
     "hybrid_no_edges": (
         "hybrid, edges by contrast alone",
         RectifyConfig(
-            edges=EdgeConfig(min_mass=2.0),  # no probability reaches 2
+            edges=EdgeConfig(paths=UNREAD),
             refine=RefineConfig(outline=OutlineConfig(band=0.05)),
         ),
     ),
     "hybrid_read_once": ("hybrid, edges not read again", RectifyConfig(edges=EdgeConfig(doubtful=0.0))),
+    "hybrid_no_borders": (
+        "hybrid, borders between cells not read",
+        RectifyConfig(refine=RefineConfig(borders=BorderConfig(paths=UNREAD))),
+    ),
     "hybrid_no_phases": ("hybrid, cells by the print alone", RectifyConfig(told_cells=False)),
     "hybrid_no_lines": ("hybrid, no rules or gutters", RectifyConfig(refine=RefineConfig(line_rounds=0))),
     "hybrid_no_repeats": (

@@ -19,7 +19,7 @@ from hybrid.rectify.cells import Reading
 from hybrid.rectify.grid import Borders, GridConfig
 from hybrid.rectify.layout import Layout
 from hybrid.rectify.repeat import Repeats
-from hybrid.rectify.sightings import fit_displacement
+from hybrid.rectify.sightings import SplineConfig, fit_displacement
 from hybrid.strips import StripConfig, StripReader
 
 STRIP = StripConfig()
@@ -108,7 +108,7 @@ def test_what_lies_beside_the_grid_is_shared_and_what_bends_is_displacement():
         lambda uv: film.photo_from_film(uv + 0.01 * np.sin(np.pi * uv[..., :1]) * np.sin(2 * np.pi * uv[..., 1:]))
     )
     found = read_borders(photo, bent, known(), BRIGHT, GRID, CONFIG)
-    fit = fit_displacement([e.sightings for e in found], CONFIG.paths.spline)
+    fit = fit_displacement([e.sightings for e in found], SplineConfig())
     points = film_nodes((7, 7))[1:-1, 1:-1]
     off = np.linalg.norm(fit.displacement.composed(bent).photo_from_film(points) - film.photo_from_film(points), axis=2)
     before = np.linalg.norm(bent.photo_from_film(points) - film.photo_from_film(points), axis=2)

@@ -135,7 +135,7 @@ def test_a_path_bridges_columns_that_say_something_else():
     logs = np.full((4, STRIP.rows + 1, COLUMNS), np.log(1e-3))
     logs[:, 40] = np.log(0.8)
     logs[:, 40, 10:13], logs[:, 80, 10:13] = np.log(1e-3), np.log(0.8)
-    paths = read_paths(logs, CONFIG)
+    paths = read_paths(logs, CONFIG.paths)
     np.testing.assert_allclose(paths.row, 40, atol=0.5)
     assert (paths.mass[:, :9] > 0.7).all()
     assert (paths.mass[:, 10:13] < 0.1).all()

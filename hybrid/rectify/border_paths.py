@@ -15,7 +15,7 @@ from hybrid.backward import BackwardMap
 from hybrid.borders import GROUP, border_strips, inner_lines, strip_across
 from hybrid.coords import film_centres_1d
 from hybrid.pyramid import Photo
-from hybrid.rectify.edge_paths import EdgeConfig, read_paths
+from hybrid.rectify.edge_paths import PathConfig, read_paths
 from hybrid.rectify.grid import Borders, GridConfig
 from hybrid.rectify.layout import Evidence, Layout
 from hybrid.rectify.sightings import Sightings
@@ -31,7 +31,7 @@ class BorderConfig:
     borders across an axis, of the columns that show them, that count.
     """
 
-    paths: EdgeConfig = field(default_factory=EdgeConfig)
+    paths: PathConfig = field(default_factory=PathConfig)
     soft_rows: float = 0.7
     sharp: float = 1e-4
     min_columns: int = 12

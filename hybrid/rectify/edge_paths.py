@@ -29,16 +29,13 @@ CORNER = 0.04
 
 
 @dataclass(frozen=True)
-class EdgeConfig:
-    """Options of reading the sheet's edges.
+class PathConfig:
+    """Options of paths through strips.
 
     floor: least log-probability of a row: no column alone leads the path away. max_step, step_cost: most rows that a
     path steps from column to column, and the log-probability that each costs. near: rows around the path that count
     for it. min_mass: least probability of these rows, in columns that count. row_sigma: stated deviation of the
-    network's likeliest place, in rows. min_columns: of a side that counts. far: parts of the film by which edges
-    lie beside those predicted where they are looked at once more. doubtful, beside, surer: refinement is done once
-    more if it puts an edge where it is read with less than this probability, and one is read this far beside it, in
-    parts of the film; that counts if it raises the probability by so much. spline: of the displacement.
+    network's likeliest place, in rows.
     """
 
     floor: float = -9.0
@@ -47,6 +44,19 @@ class EdgeConfig:
     near: int = 3
     min_mass: float = 0.35
     row_sigma: float = 0.5
+
+
+@dataclass(frozen=True)
+class EdgeConfig:
+    """Options of reading the sheet's edges.
+
+    paths: how they are read in strips. min_columns: of a side that counts. far: parts of the film by which edges
+    lie beside those predicted where they are looked at once more. doubtful, beside, surer: refinement is done once
+    more if it puts an edge where it is read with less than this probability, and one is read this far beside it, in
+    parts of the film; that counts if it raises the probability by so much. spline: of the displacement.
+    """
+
+    paths: PathConfig = field(default_factory=PathConfig)
     min_columns: int = 6
     far: float = 0.02
     doubtful: float = 0.8
@@ -65,7 +75,7 @@ class EdgePaths:
     mass: Float[np.ndarray, "4 c"]
 
 
-def read_paths(logs: Float[np.ndarray, "4 r1 c"], config: EdgeConfig) -> EdgePaths:
+def read_paths(logs: Float[np.ndarray, "4 r1 c"], config: PathConfig) -> EdgePaths:
     """The likeliest path of each side, and how likely it is where."""
     path: Int[np.ndarray, "4 c"] = best_paths(np.maximum(logs[:, :-1], config.floor), config.max_step, config.step_cost)
     near = config.near
@@ -79,14 +89,14 @@ def read_paths(logs: Float[np.ndarray, "4 r1 c"], config: EdgeConfig) -> EdgePat
     return EdgePaths(path + mean, spread, mass)
 
 
-def path_sightings(paths: EdgePaths, strip: StripConfig, config: EdgeConfig) -> list[Sightings]:
+def path_sightings(read: EdgePaths, strip: StripConfig, config: EdgeConfig) -> list[Sightings]:
     """The columns that show an edge, of the sides that have enough of them."""
-    depth = strip.depth_of(paths.row)
+    depth = strip.depth_of(read.row)
     along = film_centres_1d(depth.shape[1])
-    sigma = strip.pitch * np.hypot(config.row_sigma, paths.spread) / np.sqrt(np.maximum(paths.mass, 1e-9))
+    sigma = strip.pitch * np.hypot(config.paths.row_sigma, read.spread) / np.sqrt(np.maximum(read.mass, 1e-9))
     found = []
     for k, side in enumerate(SIDES):
-        good = paths.mass[k] > config.min_mass
+        good = read.mass[k] > config.paths.min_mass
         if good.sum() >= config.min_columns:
             found.append(edge_sightings(side, along[good], depth[k, good], sigma[k, good]))
     return found
@@ -129,7 +139,7 @@ def put_on_edges(film: BackwardMap, read: EdgesRead, config: EdgeConfig) -> Back
 def look_across(pyramid: Pyramid, film: BackwardMap, reader: StripReader, config: EdgeConfig) -> EdgesRead:
     """What is read across the edges of a map, once."""
     logs, inside = _logs_across(pyramid, film, reader)
-    sightings = path_sightings(read_paths(logs, config), reader.strip, config)
+    sightings = path_sightings(read_paths(logs, config.paths), reader.strip, config)
     off = max((float(np.median(np.abs(s.offsets()))) for s in sightings), default=0.0)
     return EdgesRead(film, tuple(sightings), off, _support(logs, inside))
 
@@ -163,6 +173,7 @@ __all__ = [
     "EdgeConfig",
     "EdgePaths",
     "EdgesRead",
+    "PathConfig",
     "edge_support",
     "look_across",
     "put_on_edges",
