@@ -1,4 +1,4 @@
-"""What FilmNet makes of the photos of a data set, for EdgeNet to learn from: ``python -m data_gen.film_maps DATA``."""
+"""What FilmNet makes of a data set's photos, for EdgeNet and BorderNet: ``python -m data_gen.film_maps DATA``."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ FAR = 0.2
 
 @dataclass(frozen=True)
 class FilmMapsConfig:
-    """Write FilmNet's maps of a data set's photos beside its shards, where the training of EdgeNet finds them."""
+    """Write FilmNet's maps of a data set's photos beside its shards, where trainings of edges and borders find them."""
 
     data: Annotated[Path, tyro.conf.Positional]
     """Folder of the data set."""

@@ -9,10 +9,10 @@ from jaxtyping import Bool, Float, UInt8
 
 from hybrid.backward import BackwardMap
 from hybrid.pyramid import Photo
-from hybrid.strips import Side, StripConfig, view_across
+from hybrid.strips import SIDES, Side, StripConfig, view_across
 
-GROUP = 4
-"""Borders that are read together, all across one axis."""
+GROUP = len(SIDES)
+"""Borders that are read together, all across one axis: as many as the sheet's edges, as it is one network."""
 REACH = 0.4
 """Parts of a cell to which a strip reaches on both sides of a border, but no farther than strips across edges do."""
 INSIDE = 0.02

@@ -3,6 +3,9 @@
 FilmNet sees a film some 110 pixels wide; strips along its edges show them four times as finely. Near an edge lie other
 straight lines: rules of the print, other films, bars of the light box. Which of them ends the sheet is told by what is
 on both sides, over the whole length, and by what the sheet's other edges look like; and that can be learnt.
+
+BorderNet is the same network, taught strips across the borders between cells (border_data.py): four borders of one axis
+are read together, as a film's four edges are.
 """
 
 from __future__ import annotations
@@ -105,7 +108,7 @@ def strips_tensor(images: UInt8[np.ndarray, "b r c 3"], inside: Bool[np.ndarray,
 
 
 def strip_reader(network: EdgeNet) -> StripReader:
-    """The network as what reads strips in ``hybrid.rectify.edge_paths``."""
+    """The network as what reads strips in ``hybrid.rectify.edge_paths`` and ``hybrid.rectify.border_paths``."""
 
     def logs(images: UInt8[np.ndarray, "b r c 3"], inside: Bool[np.ndarray, "b r c"]) -> Float[np.ndarray, "b r1 c2"]:
         with torch.inference_mode():

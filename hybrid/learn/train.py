@@ -46,7 +46,7 @@ class TrainConfig:
     out: Path
     """Folder for checkpoint, curves and weights."""
     preset: str = "filmnet"
-    """Which network: filmnet, upright, slices, edges, light, or one of the paper's (docs/training.md lists all)."""
+    """Which network: filmnet, upright, slices, edges, borders, light, or one of the paper's (docs/training.md)."""
     width: float | None = None
     """Factor on the channels of the paper's networks."""
     input_px: int | None = None
