@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from simple_samples import simple_dataset
 from synthetic_film import FilmDrawing, make_photo
+from test_foreshortening import edges_of, even_grid, told_of
 
 from hybrid.backward import BackwardMap
 from hybrid.borders import GROUP, INSIDE, REACH, border_strips, inner_lines, strip_across
@@ -14,16 +15,18 @@ from hybrid.learn.border_data import BorderAugment, border_view, open_borders
 from hybrid.learn.edges import strip_reader
 from hybrid.learn.inference import ready
 from hybrid.learn.weights import packaged_border_net
-from hybrid.rectify.border_paths import BorderConfig, read_borders
+from hybrid.rectify import course
+from hybrid.rectify.border_paths import BorderConfig, held_to, read_borders
 from hybrid.rectify.cells import Reading
-from hybrid.rectify.grid import Borders, GridConfig
+from hybrid.rectify.grid import Borders, Comb, GridConfig
 from hybrid.rectify.layout import Layout
+from hybrid.rectify.refine import RefineConfig, refine
 from hybrid.rectify.repeat import Repeats
 from hybrid.rectify.sightings import SplineConfig, fit_displacement
 from hybrid.strips import StripConfig, StripReader
 
 STRIP = StripConfig()
-CONFIG, GRID = BorderConfig(), GridConfig()
+CONFIG, GRID, CONFIGURED = BorderConfig(), GridConfig(), RefineConfig()
 COLUMNS = STRIP.columns // 2
 PLACED = BorderAugment(found_share=0.0, plane_error=(1e-9, 1e-8), bend_error=(1e-9, 1e-8), place_error=0.0)
 
@@ -147,6 +150,64 @@ def test_borders_are_read_in_groups_of_four(columns, groups):
     (found,) = read_borders(photo, film, layout, StripReader(STRIP, counted), GRID, CONFIG)
     assert sizes == [GROUP] * groups
     assert len(np.unique(np.round(columns * found.sightings.seen[:, 0]))) == columns - 1
+
+
+def test_borders_that_were_read_are_held_to_the_grid_as_it_is_known_now():
+    photo, film = ruled_photo()
+    (read, _) = read_borders(photo, film, known(), BRIGHT, GRID, CONFIG)
+    wider = replace(known(), borders=(Borders(0, -0.02, 0.26, 4), None))
+    held = held_to(wider, read, GRID)
+    assert held.source is wider.borders[0]
+    number = np.round(4 * read.sightings.seen[:, 0]) - 2
+    np.testing.assert_allclose(held.sightings.known, 0.5 + 0.26 * number)
+    np.testing.assert_array_equal(held.sightings.seen, read.sightings.seen)
+    np.testing.assert_array_equal(held.sightings.shared_sigma[2:], read.sightings.shared_sigma[2:])
+    same = held_to(known(), read, GRID)  # nothing was fitted to them yet
+    assert same.source is read.source
+
+
+def test_borders_end_with_the_film_only_if_that_was_tried():
+    assert not Borders(0, 0.0, 0.25, 4).fills_film(GRID)
+    assert Borders(0, 0.0, 0.25, 4, filling=True).fills_film(GRID)
+
+
+def test_borders_are_not_read_where_lines_are_followed():
+    photo, film = ruled_photo()
+    comb = Comb(0, 0.0, 0.25, 4, np.arange(1, 4), 2, 1, 1.0, np.zeros((3, 4)))
+    (found,) = read_borders(photo, film, replace(known(), combs=(comb, None)), BRIGHT, GRID, CONFIG)
+    assert found.sightings.axis == 1
+
+
+def test_borders_count_between_the_ends_of_the_grid_only():
+    photo, film = ruled_photo()
+    narrow = known()
+    short = Repeats(1, 0.2, 0.2, 3)
+    narrow = replace(narrow, repeats=(narrow.repeats[0], short), read=Reading(known().read.columns, short, 0.99))
+    columns, _ = read_borders(photo, film, narrow, BRIGHT, GRID, CONFIG)
+    along = columns.sightings.seen[:, 1]
+    assert 0.2 < along.min() < 0.24
+    assert 0.76 < along.max() < 0.8
+
+
+def test_borders_are_read_from_the_start_and_from_the_first_sheet_only(monkeypatch):
+    photo, true = make_photo(FilmDrawing(5, 4, rules=False), np.random.default_rng(3))
+    phases = told_of(true, even_grid(5, 4), np.random.default_rng(0))
+    read = []
+
+    def counted(*args: object) -> list:
+        read.append(args)
+        return read_borders(*args)
+
+    monkeypatch.setattr(course, "read_borders", counted)
+    edges = edges_of(true, true)
+    refined = refine(
+        photo, true, replace(phases, borders=strip_reader(ready(packaged_border_net()))), CONFIGURED, edges
+    )
+    assert len(read) == 2
+    assert refined.grid is not None
+    read.clear()
+    refine(photo, true, phases, CONFIGURED, edges)
+    assert not read
 
 
 # ---------------------------------------------------------------- what is learnt

@@ -8,7 +8,7 @@ import pytest
 
 from hybrid.backward import BackwardMap, end_point_error
 from hybrid.coords import film_nodes
-from hybrid.rectify.grid import Comb, GridConfig
+from hybrid.rectify.grid import Borders, Comb, GridConfig
 from hybrid.rectify.layout import Evidence
 from hybrid.rectify.margins import MarginsConfig, PlacedPrint, undecided, usual_margins
 from hybrid.rectify.repeat import Repeats
@@ -314,7 +314,8 @@ def test_lines_lie_in_the_middle_where_what_is_seen_allows_it(off, expected):
 
 
 @pytest.mark.parametrize(("margin", "expected"), [(0.0, True), (0.01, False)])
-def test_cells_reach_from_edge_to_edge_where_what_is_seen_allows_it(margin, expected):
+@pytest.mark.parametrize("kind", [Repeats, Borders])
+def test_cells_reach_from_edge_to_edge_where_what_is_seen_allows_it(kind, margin, expected):
     true = cylinder(1.2, 0, 10)
     coarse = larger(true)
     pitch = (1 - 2 * margin) / 4
@@ -322,12 +323,12 @@ def test_cells_reach_from_edge_to_edge_where_what_is_seen_allows_it(margin, expe
     seen = edges_seen(true, coarse, np.random.default_rng(0), 0.3) + lines
     found = fit_sheet(coarse, coarse, PHOTO, seen, CONFIG)
     assert found is not None
-    repeats = Repeats(0, 0.5 - 2 * 1.07 * pitch, 1.07 * pitch, 4)
-    placed = usual_margins(placed_print(found, seen, repeats), fitting(coarse), GridConfig(), MarginsConfig())
-    source = placed.evidence[-1].source
-    assert isinstance(source, Repeats)
+    cells = kind(0, 0.5 - 2 * 1.07 * pitch, 1.07 * pitch, 4)
+    placed = usual_margins(placed_print(found, seen, cells), fitting(coarse), GridConfig(), MarginsConfig())
+    source, constants = placed.evidence[-1].source, placed.sheet.constants[-1]
+    assert isinstance(source, kind)
     assert source.filling == expected
-    assert source.adjusted(placed.sheet.constants[-1]).pitch == pytest.approx(pitch, abs=2e-3)
+    assert source.pitch + constants[source.pitch_at] == pytest.approx(pitch, abs=2e-3)
     assert error_px(placed.sheet.backward, true) < 1.05 * error_px(found.backward, true)
 
 
@@ -367,7 +368,7 @@ def test_margins_are_undecided_where_lines_may_lie_in_the_middle_and_are_not_hel
     assert undecided([Evidence(seen, comb)], GridConfig(), MarginsConfig()) == expected
 
 
-def placed_print(sheet: FittedSheet, seen: list[Sightings], source: Comb | Repeats) -> PlacedPrint:
+def placed_print(sheet: FittedSheet, seen: list[Sightings], source: Comb | Borders | Repeats) -> PlacedPrint:
     """Four edges and what is printed."""
     evidence = (*(Evidence(edge) for edge in seen[:4]), Evidence(seen[4], source))
     return PlacedPrint(sheet, evidence, evidence)
