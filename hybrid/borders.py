@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float, UInt8
 
 from hybrid.backward import BackwardMap
 from hybrid.pyramid import Photo
-from hybrid.strips import SIDES, Side, StripConfig, view_across
+from hybrid.strips import SIDES, Side, StripConfig, strips_across
 
 GROUP = len(SIDES)
 """Borders that are read together, all across one axis: as many as the sheet's edges, as it is one network."""
@@ -40,13 +40,7 @@ def border_strips(
 
     strip: as ``strip_across`` has it.
     """
-    images = np.empty((len(lines), strip.rows, strip.columns, 3), np.uint8)
-    inside = np.empty(images.shape[:3], bool)
-    for k, line in enumerate(lines.tolist()):
-        side = Side("border", axis, line, 1.0)
-        image, inside[k] = view_across(photo, film, side, strip.depth, strip.columns, strip.fine)
-        images[k] = np.rint(image)
-    return images, inside
+    return strips_across(photo, [(Side("border", axis, line, 1.0), film) for line in lines.tolist()], strip)
 
 
 __all__ = ["GROUP", "border_strips", "inner_lines", "strip_across"]

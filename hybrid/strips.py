@@ -103,16 +103,16 @@ def edge_strips(
     photo: Photo, film: BackwardMap, config: StripConfig
 ) -> tuple[UInt8[np.ndarray, "4 r c 3"], Bool[np.ndarray, "4 r c"]]:
     """The strips of SIDES, outermost row first, and where the photo covers them."""
-    return strips_across(photo, len(SIDES) * [film], config)
+    return strips_across(photo, [(side, film) for side in SIDES], config)
 
 
 def strips_across(
-    photo: Photo, films: Sequence[BackwardMap], config: StripConfig
-) -> tuple[UInt8[np.ndarray, "4 r c 3"], Bool[np.ndarray, "4 r c"]]:
-    """The same, each across the side of a map of its own."""
-    images = np.empty((len(SIDES), config.rows, config.columns, 3), np.uint8)
+    photo: Photo, lines: Sequence[tuple[Side, BackwardMap]], config: StripConfig
+) -> tuple[UInt8[np.ndarray, "k r c 3"], Bool[np.ndarray, "k r c"]]:
+    """Strips across lines, each as a map of its own predicts it, and where the photo covers them."""
+    images = np.empty((len(lines), config.rows, config.columns, 3), np.uint8)
     inside = np.empty(images.shape[:3], bool)
-    for k, (side, film) in enumerate(zip(SIDES, films, strict=True)):
+    for k, (side, film) in enumerate(lines):
         image, inside[k] = view_across(photo, film, side, config.depth, config.columns, config.fine)
         images[k] = np.rint(image)
     return images, inside

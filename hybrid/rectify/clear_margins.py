@@ -108,7 +108,7 @@ def _paths_beyond(
 ) -> EdgePaths:
     """What is read across each side, from ``reach`` before its beginning to as much beyond its end."""
     photo, on_copy = strip_copy(pyramid, film, reader.strip)
-    along = [Longer(1 - side.axis, config.reach, config.reach).applied(on_copy) for side in SIDES]
+    along = [(side, Longer(1 - side.axis, config.reach, config.reach).applied(on_copy)) for side in SIDES]
     return read_paths(reader.logs(*strips_across(photo, along, reader.strip)), edges.paths)
 
 
