@@ -30,7 +30,7 @@ from hybrid.pipeline import Rectifier
 from hybrid.rectify.trust import TrustConfig, chance_right, expected_error_px, film_verdict
 from hybrid.workers import shared_out
 
-BINS = (0.0, 0.5, 0.8, 0.9, 0.94, 0.97, np.nextafter(1.0, 2.0))
+BINS = (0.0, 0.5, 0.8, 0.9, 0.95, 0.97, np.nextafter(1.0, 2.0))
 """Bounds of the probabilities of which films are counted together."""
 
 

@@ -218,7 +218,7 @@ class RectifyResult:
     expected_error_px: mean distance, in pixels of the photo, by which film points are expected to be off; the true one
         is as often larger as smaller.
     limit_px: largest distance, in pixels of the photo, that a film whose status is OK may be off in truth. That it is
-        off by less must be 94 % probable (``TrustConfig.least_chance``), and nothing else may speak against it
+        off by less must be 95 % probable (``TrustConfig.least_chance``), and nothing else may speak against it
         (``status.doubts``).
     signs: what speaks for the map and against it, of which both are told (``rectify/trust.py``).
     photo_size: height and width of the photo in pixels.

@@ -94,7 +94,7 @@ class TrustConfig:
     """Largest error of a film that is called flattened, in pixels of a photo of 1080; at least one of its own."""
     safety: float = 0.4
     """The expected error must be below this part of the limit."""
-    least_chance: float = 0.94
+    least_chance: float = 0.95
     """Least probability that the error is below the limit."""
     chance: ChanceConfig = ChanceConfig()
     """How that is told."""
