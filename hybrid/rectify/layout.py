@@ -39,7 +39,8 @@ class Evidence:
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """What is known of the grid along u and along v. read: how the film was read when it was looked at first."""
+    """What is known of the grid along u and along v: lines that were seen, borders that were read where there are none,
+    cells that repeat. read: how the film was read when it was looked at first."""
 
     combs: tuple[Comb | None, Comb | None] = (None, None)
     borders: tuple[Borders | None, Borders | None] = (None, None)
