@@ -33,14 +33,16 @@ def strip_across(pitch: float, config: StripConfig) -> StripConfig:
     return replace(config, reach=min(config.reach, REACH * pitch))
 
 
+def border_side(axis: int, line: float) -> Side:
+    """A line of one coordinate as strips are cut across it: the first row lies at the least coordinate."""
+    return Side("border", axis, line, 1.0)
+
+
 def border_strips(
     photo: Photo, film: BackwardMap, axis: int, lines: Float[np.ndarray, " k"], strip: StripConfig
 ) -> tuple[UInt8[np.ndarray, "k r c 3"], Bool[np.ndarray, "k r c"]]:
-    """Strips across lines of one coordinate, and where the photo covers them. The first row lies at the least one.
-
-    strip: as ``strip_across`` has it.
-    """
-    return strips_across(photo, [(Side("border", axis, line, 1.0), film) for line in lines.tolist()], strip)
+    """Strips across lines of one coordinate, and where the photo covers them. strip: as ``strip_across`` has it."""
+    return strips_across(photo, [(border_side(axis, line), film) for line in lines.tolist()], strip)
 
 
-__all__ = ["GROUP", "border_strips", "inner_lines", "strip_across"]
+__all__ = ["GROUP", "border_side", "border_strips", "inner_lines", "strip_across"]

@@ -9,7 +9,7 @@ import pytest
 from hybrid.backward import BackwardMap, end_point_error
 from hybrid.coords import film_nodes
 from hybrid.rectify.grid import Borders, Comb, GridConfig
-from hybrid.rectify.layout import Evidence
+from hybrid.rectify.layout import Evidence, Source
 from hybrid.rectify.margins import MarginsConfig, PlacedPrint, undecided, usual_margins
 from hybrid.rectify.repeat import Repeats
 from hybrid.rectify.sheet import CAMERA, NODES, Frame, Sheet, SheetConfig, flat_sheet, project, relief_reversed, surface
@@ -368,7 +368,7 @@ def test_margins_are_undecided_where_lines_may_lie_in_the_middle_and_are_not_hel
     assert undecided([Evidence(seen, comb)], GridConfig(), MarginsConfig()) == expected
 
 
-def placed_print(sheet: FittedSheet, seen: list[Sightings], source: Comb | Borders | Repeats) -> PlacedPrint:
+def placed_print(sheet: FittedSheet, seen: list[Sightings], source: Source) -> PlacedPrint:
     """Four edges and what is printed."""
     evidence = (*(Evidence(edge) for edge in seen[:4]), Evidence(seen[4], source))
     return PlacedPrint(sheet, evidence, evidence)

@@ -11,13 +11,12 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
 from hybrid.backward import BackwardMap, Orientation, orientation
-from hybrid.borders import GROUP, border_strips, inner_lines, strip_across
-from hybrid.coords import film_centres_1d
+from hybrid.borders import GROUP, border_side, border_strips, inner_lines, strip_across
 from hybrid.learn import behind
-from hybrid.learn.colours import disturbed, taken_badly
-from hybrid.learn.data import disturbed_map, grid_along, log_uniform
-from hybrid.learn.edge_data import EdgePlace, film_shown, open_edges
-from hybrid.learn.samples import film_mask, film_of, photo_of
+from hybrid.learn.colours import taken_badly
+from hybrid.learn.data import UNKNOWN_GRID, disturbed_map, grid_along, log_uniform
+from hybrid.learn.edge_data import EdgePlace, disturbed_alike, film_shown, open_edges, row_of_line
+from hybrid.learn.samples import film_mask, film_of, photo_of, vertices_of
 from hybrid.pyramid import Pyramid
 from hybrid.strips import StripConfig, strip_copy
 
@@ -53,7 +52,8 @@ def border_view(
     sample: EdgePlace, strip: StripConfig, rng: np.random.Generator, augment: BorderAugment
 ) -> tuple[UInt8[np.ndarray, "4 r c 3"], Bool[np.ndarray, "4 r c"], Float[np.ndarray, "4 c2"]]:
     """Strips across GROUP borders along one axis of a sample, where the photo covers them, and the true rows in each
-    pair of columns (NaN: not shown). The film is turned and mirrored anyhow."""
+    pair of columns (NaN: hidden, beyond the ends of the grid, or outside of the strip). The film is turned and mirrored
+    anyhow."""
     place, way = sample.place, Orientation(int(rng.integers(4)), bool(rng.random() < 0.5))
     photo, film = photo_of(place), film_of(place)
     if augment.colours:
@@ -74,21 +74,21 @@ def border_view(
     copy, on_copy = strip_copy(Pyramid(photo), guess, strip)
     images, inside = border_strips(copy, on_copy, axis, held, strip)
     if augment.colours:
-        images = np.stack(np.split(disturbed(np.concatenate(images, axis=1), rng), len(images), axis=1))  # side by side
+        images = disturbed_alike(images, rng)
     start, step, count = grid[1 - axis]
     t = np.linspace(start, start + count * step, 65)
-    size, mask = (photo.shape[0], photo.shape[1]), film_mask(place)
-    rows = [_true_row(true, guess, size, mask, strip, axis, line, at, t) for line, at in zip(lines, held, strict=True)]
+    size, mask, rows = (photo.shape[0], photo.shape[1]), film_mask(place), []
+    for line, at in zip(lines.tolist(), held.tolist(), strict=True):
+        uv = border_side(axis, line).film_points(t, np.zeros(len(t)))
+        visible = film_shown(mask, true.photo_from_film(uv), size)
+        rows.append(row_of_line(true, guess, border_side(axis, at), uv, visible, size, strip))
     return images, inside, np.stack(rows)
 
 
 def _grid(sample: EdgePlace, way: Orientation) -> Float[np.ndarray, "2 3"]:
     """As ``grid_along``, of the film read after it was moved; one cell where it is not recorded."""
-    shard, number = sample.place
-    record = shard.record(number)
-    if "grid" not in record:
-        return np.array([[0.0, 1.0, 1.0], [0.0, 1.0, 1.0]])
-    return grid_along(way.inverse.seen_from_film(np.array(record["grid"]["film"])))
+    vertices = vertices_of(sample.place)
+    return UNKNOWN_GRID if vertices is None else grid_along(way.inverse.seen_from_film(vertices))
 
 
 def _axes_with_borders(grid: Float[np.ndarray, "2 3"]) -> list[int]:
@@ -101,31 +101,3 @@ def _some(count: int, rng: np.random.Generator) -> list[int]:
     if count >= GROUP:
         return np.sort(rng.choice(count, GROUP, replace=False)).tolist()
     return sorted(k % count for k in range(GROUP))
-
-
-def _true_row(
-    true: BackwardMap,
-    guess: BackwardMap,
-    size: tuple[int, int],
-    mask: Bool[np.ndarray, "h w"],
-    strip: StripConfig,
-    axis: int,
-    line: float,
-    held: float,
-    t: Float[np.ndarray, " n"],
-) -> Float[np.ndarray, " c2"]:
-    """Rows of the strip across ``held`` at which the true border ``line`` crosses the middles of pairs of columns; NaN
-    where that is hidden, beyond the ends of the grid, or outside of the strip. t: places along the border."""
-    uv = np.empty((len(t), 2))
-    uv[:, axis], uv[:, 1 - axis] = line, t
-    points = true.photo_from_film(uv)
-    at = guess.film_near(points, uv, iterations=4, most_step=0.1)
-    depth = at[:, axis] - held
-    visible = np.minimum(film_shown(mask, points, size), ((points >= 0) & (points < [size[1], size[0]])).all(axis=1))
-    order = np.argsort(at[:, 1 - axis])
-    place, along = at[order, 1 - axis], film_centres_1d(strip.columns // 2)
-    depth = np.interp(along, place, depth[order], left=np.nan, right=np.nan)
-    shown = (np.interp(along, place, visible[order]) > 0.5) & (np.abs(depth) < strip.reach)
-    rows = np.full(len(along), np.nan)
-    rows[shown] = strip.row_of(depth[shown])
-    return rows

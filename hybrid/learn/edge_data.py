@@ -23,7 +23,7 @@ from hybrid.learn.samples import Place, film_mask, film_of, open_places, photo_o
 from hybrid.learn.views import plane_of
 from hybrid.pyramid import Pyramid
 from hybrid.round_corners import RoundCorners
-from hybrid.strips import SIDES, StripConfig, edge_strips, strip_copy
+from hybrid.strips import SIDES, Side, StripConfig, edge_strips, strip_copy
 
 FILM_MAPS = "film_maps.npy"
 """File beside a data set's shards: FilmNet's maps of its samples, (samples, n, m, 2) nodes; NaN where it saw none."""
@@ -109,7 +109,7 @@ def edge_view(
     copy, on_copy = strip_copy(Pyramid(photo), guess, strip)
     images, inside = edge_strips(copy, on_copy, strip)
     if augment.colours:
-        images = np.stack(np.split(disturbed(np.concatenate(images, axis=1), rng), len(images), axis=1))  # side by side
+        images = disturbed_alike(images, rng)
     size = (photo.shape[0], photo.shape[1])
     return images, inside, true_rows(true, guess, size, film_mask(place), strip, corners)
 
@@ -129,23 +129,45 @@ def true_rows(
     size: (height, width) of the photo. mask: where it shows film, at any resolution.
     """
     t = np.linspace(0, 1, 65)
-    along = film_centres_1d(strip.columns // 2)
-    rows = np.full((len(SIDES), len(along)), np.nan)
-    for k, side in enumerate(SIDES):
+    rows = []
+    for side in SIDES:
         uv = side.film_points(t, np.zeros(len(t)))
-        points = true.photo_from_film(uv)
-        at = guess.film_near(points, uv, iterations=4, most_step=0.1)
-        depth = side.inward * (at[:, side.axis] - side.edge)
         visible = film_shown(mask, true.photo_from_film(side.film_points(t, np.full(len(t), JUST_INSIDE))), size)
-        visible = np.minimum(visible, ((points >= 0) & (points < [size[1], size[0]])).all(axis=1))
         if corners is not None:
             visible = np.minimum(visible, ~corners.cut(uv))
-        order = np.argsort(at[:, 1 - side.axis])
-        place = at[order, 1 - side.axis]
-        depth = np.interp(along, place, depth[order], left=np.nan, right=np.nan)
-        shown = (np.interp(along, place, visible[order]) > 0.5) & (np.abs(depth) < strip.reach)
-        rows[k, shown] = strip.row_of(depth[shown])
-    return rows
+        rows.append(row_of_line(true, guess, side, uv, visible, size, strip))
+    return np.stack(rows)
+
+
+def row_of_line(
+    true: BackwardMap,
+    guess: BackwardMap,
+    side: Side,
+    uv: Float[np.ndarray, "n 2"],
+    visible: Float[np.ndarray, " n"],
+    size: tuple[int, int],
+    strip: StripConfig,
+) -> Float[np.ndarray, " c2"]:
+    """Rows of the strip of ``guess`` across a side at which a line crosses the middles of pairs of columns; NaN where
+    less than half of it is visible, it lies outside of the photo or of the strip, or has ended.
+
+    uv: points along the line, by ``true``. visible: how far each is seen, in [0, 1]. size: (height, width) of the
+    photo.
+    """
+    points = true.photo_from_film(uv)
+    at = guess.film_near(points, uv, iterations=4, most_step=0.1)
+    depth = side.inward * (at[:, side.axis] - side.edge)
+    visible = np.minimum(visible, ((points >= 0) & (points < [size[1], size[0]])).all(axis=1))
+    order = np.argsort(at[:, 1 - side.axis])
+    place, along = at[order, 1 - side.axis], film_centres_1d(strip.columns // 2)
+    depth = np.interp(along, place, depth[order], left=np.nan, right=np.nan)
+    shown = (np.interp(along, place, visible[order]) > 0.5) & (np.abs(depth) < strip.reach)
+    return np.where(shown, strip.row_of(depth), np.nan)
+
+
+def disturbed_alike(images: UInt8[np.ndarray, "k r c 3"], rng: np.random.Generator) -> UInt8[np.ndarray, "k r c 3"]:
+    """Strips of one photo with their colours disturbed in the same way: side by side, as one picture."""
+    return np.stack(np.split(disturbed(np.concatenate(images, axis=1), rng), len(images), axis=1))
 
 
 def film_shown(

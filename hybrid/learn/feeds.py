@@ -284,8 +284,9 @@ def _strip_test(
     px: int,
     device: str,
 ) -> dict[str, float]:
-    """Of the columns that show the line: mean of the distance of the likeliest row, in % of the film, and the share
-    that is further off than three rows; of all, the share that is rightly said to show it or not."""
+    """Of the columns that show the line: mean of the distance of the likeliest row, in % of the film if strips reach as
+    far as those across edges do, and the share that is further off than three rows; of all, the share that is rightly
+    said to show it or not."""
     rng, off, right = np.random.default_rng(0), [], []
     for part in _test_batches(places):
         strips, truth = _strip_batch(view, config, part, px, [rng] * len(part))

@@ -101,6 +101,15 @@ class Preset:
         return replace(self, config=replace(self.config, input_px=px))
 
 
+_EDGES = Preset(
+    EdgeNetConfig(),
+    EdgeNet,
+    edge_losses,
+    own_feed=edge_feed(EdgeNetConfig()),
+    batch=16,
+    learning_rate=2e-3,
+    px_multiple=24,  # 2 columns for 3 rows, both halved three times
+)
 _FIRENET = Preset(
     FiReNetConfig(),
     FiReNet,
@@ -155,24 +164,8 @@ PRESETS: dict[str, Preset] = {
         px_multiple=16,
         one_size=True,
     ),
-    "edges": Preset(
-        EdgeNetConfig(),
-        EdgeNet,
-        edge_losses,
-        own_feed=edge_feed(EdgeNetConfig()),
-        batch=16,
-        learning_rate=2e-3,
-        px_multiple=24,  # 2 columns for 3 rows, both halved three times
-    ),
-    "borders": Preset(
-        EdgeNetConfig(),
-        EdgeNet,
-        edge_losses,
-        own_feed=border_feed(EdgeNetConfig()),
-        batch=16,
-        learning_rate=2e-3,
-        px_multiple=24,
-    ),
+    "edges": _EDGES,
+    "borders": replace(_EDGES, own_feed=border_feed(EdgeNetConfig())),
     "light": Preset(
         LightNetConfig(),
         LightNet,

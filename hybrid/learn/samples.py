@@ -97,6 +97,13 @@ def _round_corners(record: dict) -> RoundCorners | None:
     return None if radii is None else RoundCorners(*radii)
 
 
+def vertices_of(place: Place) -> Float[np.ndarray, "r c 2"] | None:
+    """Film coordinates of the corners of a sample's cells; None where these are not known."""
+    shard, index = place
+    record = shard.record(index)
+    return np.array(record["grid"]["film"]) if "grid" in record else None
+
+
 def truth_at(place: Place, points: Float[np.ndarray, "h w 2"], photo_size: tuple[int, int]) -> Truth:
     """The maps of a sample at photo points: bilinear, of film pixels only; the normal of the nearest one.
 
@@ -141,7 +148,7 @@ def truth_at(place: Place, points: Float[np.ndarray, "h w 2"], photo_size: tuple
         _covered(place, at, photo_size, _round_corners(record)) & ~seen,
         has_shape,
         has_print="albedo" in maps,
-        vertices=np.array(record["grid"]["film"]) if "grid" in record else None,
+        vertices=vertices_of(place),
     )
 
 

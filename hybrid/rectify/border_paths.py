@@ -48,19 +48,24 @@ def read_borders(
         if borders is None or layout.combs[axis] is not None:
             continue
         ends = (0.0, 1.0) if across is None else (float(across.lines()[0]), float(across.lines()[-1]))
-        sightings = _sightings(photo, film, borders, ends, reader, grid, config)
-        found += [] if sightings is None else [Evidence(sightings, borders)]
+        sightings = _sightings(photo, film, borders, ends, reader, config)
+        found += [] if sightings is None else [_held(sightings, borders, grid)]
     return found
 
 
 def held_to(layout: Layout, read: Evidence, grid: GridConfig) -> Evidence:
     """Borders that were read before, held to the grid as it is known now."""
-    borders, sightings = layout.borders[read.sightings.axis] or read.source, read.sightings
+    borders = layout.borders[read.sightings.axis] or read.source
     assert isinstance(borders, Borders)
+    return _held(read.sightings, borders, grid)
+
+
+def _held(read: Sightings, borders: Borders, grid: GridConfig) -> Evidence:
+    """What was read of borders, with their coordinates, and what is known beforehand of their place and pitch."""
     pitch, before = borders.before(grid)
-    known = 0.5 + pitch * sightings.shared[:, borders.pitch_at]
-    shared_sigma = np.append(before, sightings.shared_sigma[len(before) :])
-    return Evidence(replace(sightings, known=known, shared_sigma=shared_sigma), borders)
+    known = 0.5 + pitch * read.shared[:, borders.pitch_at]
+    shared_sigma = np.append(before, read.shared_sigma[len(before) :])
+    return Evidence(replace(read, known=known, shared_sigma=shared_sigma), borders)
 
 
 def _known(layout: Layout, axis: int) -> Borders | None:
@@ -81,10 +86,9 @@ def _sightings(
     borders: Borders,
     ends: tuple[float, float],
     reader: StripReader,
-    grid: GridConfig,
     config: BorderConfig,
 ) -> Sightings | None:
-    """The columns of all strips, between the ends of the grid, that show a border.
+    """The columns of all strips, between the ends of the grid, that show a border, not yet held to any grid.
 
     What borders share: where the grid's middle lies from the film's, by how much its pitch differs, and by how much
     each is misread as a whole.
@@ -106,9 +110,8 @@ def _sightings(
     each = np.flatnonzero(good.any(axis=1))
     misread = [strip.pitch * np.sqrt(np.mean(np.square(unsure[k, good[k]]))) for k in each]
     shared = np.column_stack([np.ones(len(line)), number[line], *(line == k for k in each)])
-    pitch, before = borders.before(grid)
-    known = 0.5 + pitch * number[line]
-    return Sightings(borders.axis, seen, known, sigma, shared, np.append(before, np.hypot(config.sharp, misread)))
+    shared_sigma = np.append([np.inf, np.inf], np.hypot(config.sharp, misread))
+    return Sightings(borders.axis, seen, np.full(len(line), np.nan), sigma, shared, shared_sigma)
 
 
 def _read(

@@ -20,13 +20,17 @@ GOOD_SHARE = 0.0025
 """Expected error of the map, in parts of the film, from which on a grid is trusted less: about 2 px of a photo."""
 
 
+Source = Comb | Borders | Repeats
+"""What sightings of print are of: it tells where cells lie along an axis."""
+
+
 @dataclass(frozen=True, eq=False)
 class Evidence:
     """Sightings and what they are of: a comb of lines, borders that were read, cells that repeat, or (None) the sheet's
     edge."""
 
     sightings: Sightings
-    source: Comb | Borders | Repeats | None = None
+    source: Source | None = None
 
     def lifted(self, displacement: Displacement) -> Evidence:
         """As if seen through the coarse map."""
@@ -53,7 +57,7 @@ class Layout:
         two that look for lines find no more."""
         return all(r is not None for r in self.repeats)
 
-    def along(self, axis: int) -> Comb | Borders | Repeats | None:
+    def along(self, axis: int) -> Source | None:
         """What is best known along one axis."""
         return self.combs[axis] or self.borders[axis] or self.repeats[axis]
 
@@ -78,10 +82,9 @@ class Layout:
         read = f"{reading.rows.cells} x {reading.columns.cells} cells are {reading.probability:.0%} probable"
         if not reading.is_likely:
             return f"no grid is likely: {read} at best"
-        how = []
+        how, kinds = [], {Comb: "lines", Borders: "borders", Repeats: "repetition"}
         for name, one in (("columns", reading.columns), ("rows", reading.rows)):
             fitted = _fitted(one, self.along(one.axis))
-            kinds = {Comb: "lines", Borders: "borders", Repeats: "repetition"}
             by = "what was read" if fitted is one else kinds[type(fitted)]
             how.append(f"{name} by {by}")
         return f"{read}; {', '.join(how)}"
@@ -108,7 +111,7 @@ class Layout:
         return SliceGrid(rows.cells, columns.cells, vertices, backward.photo_from_film(vertices), trust)
 
 
-def _fitted(read: Repeats, fitted: Comb | Borders | Repeats | None) -> Comb | Borders | Repeats:
+def _fitted(read: Repeats, fitted: Source | None) -> Source:
     """The cells along one axis as they were fitted, if these are the ones that were read."""
     if fitted is None or fitted.cells != read.cells:
         return read
@@ -175,4 +178,4 @@ def beside_cells(comb: Comb, cells: Repeats) -> float:
     return float(np.abs(seen[:, None] - cells.lines()).min(axis=1).mean() / cells.pitch)
 
 
-__all__ = ["Evidence", "Layout", "find_layout"]
+__all__ = ["Evidence", "Layout", "Source", "find_layout"]

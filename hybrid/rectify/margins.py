@@ -10,8 +10,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
-from hybrid.rectify.grid import Borders, Comb, GridConfig
-from hybrid.rectify.layout import Evidence
+from hybrid.rectify.grid import Comb, GridConfig
+from hybrid.rectify.layout import Evidence, Source
 from hybrid.rectify.repeat import Repeats
 from hybrid.rectify.sheet_fit import FittedSheet
 from hybrid.rectify.sightings import Sightings
@@ -86,11 +86,11 @@ def in_place(e: Evidence, config: MarginsConfig) -> Evidence:
 # ---------------------------------------------------------------- what is tried, and what it may cost
 
 
-def _held_to_usual(source: Comb | Borders | Repeats, grid: GridConfig) -> bool:
+def _held_to_usual(source: Source, grid: GridConfig) -> bool:
     return source.centred or source.fills_film(grid) if isinstance(source, Comb) else source.filling
 
 
-def _nearly_usual(source: Comb | Borders | Repeats, config: MarginsConfig) -> bool:
+def _nearly_usual(source: Source, config: MarginsConfig) -> bool:
     filled = source.cells * source.pitch
     in_the_middle = isinstance(source, Comb) and abs(source.first + 0.5 * filled - 0.5) < config.off_middle
     return bool(in_the_middle or abs(1.0 - filled) <= config.filling)
