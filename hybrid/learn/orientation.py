@@ -1,4 +1,5 @@
-"""Which way a flat film reads right: what its slices and its writing say together, and what was to be expected."""
+"""Which way a flat film reads right: what its writing, its slices and their order say together, and what was to be
+expected."""
 
 from __future__ import annotations
 
@@ -15,6 +16,7 @@ from torch.nn import functional
 
 from hybrid.backward import Orientation
 from hybrid.errors import ConfigError, describe, require_at_least, require_at_most
+from hybrid.learn.slice_order import order_chances
 from hybrid.learn.slices import SliceNet, least_side, turn_logits
 from hybrid.learn.upright import WAYS, PatchVotes, UprightNet, joined
 from hybrid.learn.upright_patches import text_patches
@@ -47,7 +49,7 @@ class UprightConfig:
 
     turned: float = 0.1
     mirrored: float = 0.02
-    min_probability: float = 0.95
+    min_probability: float = 0.9
     enough: float = 0.995
     min_film_px: int = 400
     min_slice_px: int = 24
@@ -101,9 +103,14 @@ def _readings(
     reader: OrientationReader, grey: UInt8[np.ndarray, "h w"], vertices: Float[np.ndarray, "r c 2"] | None,
     written: bool,
 ) -> Iterator[tuple[Float[Tensor, " 8"], str]]:  # fmt: skip
-    """Logits of the eight ways by ever more of the film, and what that is: the patches that are most written on, which
-    mostly are enough; the slices, where there is a grid; then the other patches, a few at a time."""
+    """Logits of the eight ways by ever more of the film, and what that is: where there is a grid, the order of its
+    slices; the patches that are most written on, which mostly are enough; what slices show; then the other patches, a
+    few at a time."""
     by_writing, by_slices = torch.zeros(8), torch.zeros(8)
+    in_order = ""
+    if vertices is not None:
+        by_slices = torch.from_numpy(order_chances(grey, vertices)).log().float()
+        in_order = ", order of slices"
     parts: Sequence[Tensor] = ()
     if written:
         patches = torch.from_numpy(text_patches(grey, reader.writing.config.cut))
@@ -111,9 +118,9 @@ def _readings(
     votes: list[PatchVotes] = []
     for part in parts[:1]:
         by_writing = _by_writing(reader.writing, part, votes)
-        yield by_writing, "writing"
+        yield by_writing + by_slices, f"writing{in_order}"
     if vertices is not None:
-        by_slices = turn_logits(reader.slices, grey, vertices)[list(TURNS_OF_WAYS)]
+        by_slices = by_slices + turn_logits(reader.slices, grey, vertices)[list(TURNS_OF_WAYS)]
         yield by_writing + by_slices, "writing, slices" if written else "slices"
     for part in parts[1:]:
         by_writing = _by_writing(reader.writing, part, votes)

@@ -76,7 +76,7 @@ def slice_pictures(
 
     vertices: film uv of the grid's corners.
     """
-    pictures = np.stack([_inner(film, *square, config.input_px) for square in cell_squares(vertices, film.shape)])
+    pictures = np.stack([cell_picture(film, *square, config.input_px) for square in cell_squares(vertices, film.shape)])
     shown = standardised(pictures)
     shown = shown[shown.any(axis=(1, 2))]
     return shown[np.linspace(0, len(shown) - 1, min(len(shown), config.count)).round().astype(int)]
@@ -96,7 +96,7 @@ def least_side(vertices: Float[np.ndarray, "r c 2"], shape: Sequence[int]) -> fl
     return min(side for _, side in cell_squares(vertices, shape))
 
 
-def _inner(
+def cell_picture(
     film: UInt8[np.ndarray, "h w"], middle: Float[np.ndarray, " 2"], side: float, px: int
 ) -> UInt8[np.ndarray, "p p"]:
     """The square, brought to ``px`` pixels."""
