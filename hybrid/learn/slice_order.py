@@ -1,9 +1,9 @@
 """In what order slices stand on a flat film, and so which way it reads.
 
-Films are filled row by row, and what is left empty is left at the end. Anatomy changes little from slice to slice: read
-in the right order, cells that follow each other are alike, also across the end of a row. A mirrored film, heads on which
-look as others do, breaks that order, as does one turned by a quarter; one turned by a half keeps it, but for its empty
-cells. Small pictures are enough, where writing can no longer be read.
+Films are filled row by row, and what is left empty is left at the end. Anatomy changes little from slice to slice:
+read in the right order, cells that follow each other are alike, also across the end of a row. A mirrored film, heads on
+which look as others do, breaks that order, as does one turned by a quarter; one turned by a half keeps it, but for its
+empty cells. Small pictures are enough, where writing can no longer be read.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ REACH = 2.0
 JITTER = 0.05
 """Adds to how unlike two cells are, in parts of the median of all pairs: some are the same slice twice."""
 BY_LIKENESS, BY_EMPTY = 0.88, 2.0
-"""Weights of both signs (``order_signs``), and ..."""
+"""Weights of both signs (``order_signs``), fitted as the next to the films of 882 simulated photos of training scans."""
 UNORDERED = 0.11
-"""... the share of films whose order tells nothing, fitted to the films of 936 simulated photos of training scans."""
+"""Share of films whose order tells nothing."""
 
 
 def order_chances(film: UInt8[np.ndarray, "h w"], vertices: Float[np.ndarray, "r c 2"]) -> Float64[np.ndarray, " 8"]:
