@@ -25,7 +25,7 @@ REACH = 2.0
 JITTER = 0.05
 """Adds to how unlike two cells are, in parts of the median of all pairs: some are the same slice twice."""
 BY_LIKENESS, BY_EMPTY = 0.88, 2.0
-"""Weights of both signs (``order_signs``); as the next fitted to the films of 882 simulated photos of training scans."""
+"""Weights of both signs (``order_signs``), fitted, as the next, to films of 882 simulated photos of training scans."""
 UNORDERED = 0.11
 """Share of films whose order tells nothing."""
 
