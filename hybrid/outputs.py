@@ -149,7 +149,7 @@ TELL_LOST = 0.03
 """From this share of the film on it is told what is lost to glare, or hidden."""
 SURE_UPRIGHT = 0.95
 """A film that reads right as it is given with less than this probability is one to look at: of 84 photos turned or
-mirrored, with small writing, 7 were not put upright, all of them with less; of 12 that lay right none had less."""
+mirrored, with small writing, 2 were not put upright, both of them with less; of 12 that lay right none had less."""
 
 
 def warnings_of(result: RectifyResult) -> list[str]:
