@@ -50,6 +50,15 @@ def test_too_few_slices_or_mostly_empty_cells_tell_nothing():
     assert not signs_of(series(1, (1, 1))).any()
 
 
+def test_a_grid_of_very_many_cells_tells_a_finite_chance():
+    side = 30
+    film = np.tile(np.arange(side * PX, dtype=np.float64), (side * PX, 1)) % PX * np.linspace(1, 15, side * PX)[:, None]
+    chances = order_chances(film.astype(np.uint8), film_nodes((side + 1, side + 1)))
+    assert np.isfinite(chances).all()
+    assert chances.sum() == pytest.approx(1)
+    assert chances.min() < 1.01 * UNORDERED / 8  # of so many cells the order of most ways is out of the question
+
+
 def test_one_row_reads_alike_from_either_end_and_mirrored_upside_down():
     likeness = signs_of(series(6, (1, 6)))[:, 0]
     np.testing.assert_allclose(likeness, likeness[0])

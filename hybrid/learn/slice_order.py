@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 from jaxtyping import Bool, Float, Float64, UInt8
+from scipy.special import softmax
 
 from hybrid.learn.slices import cell_picture, cell_squares, standardised
 from hybrid.learn.upright import WAYS
@@ -35,8 +36,8 @@ def order_chances(film: UInt8[np.ndarray, "h w"], vertices: Float[np.ndarray, "r
     read right. vertices: film uv of the grid's corners."""
     pictures = np.stack([cell_picture(film, *square, PICTURE_PX) for square in cell_squares(vertices, film.shape)])
     signs = order_signs(pictures, (vertices.shape[0] - 1, vertices.shape[1] - 1))
-    odds = np.exp(signs @ [BY_LIKENESS, BY_EMPTY])
-    return (1 - UNORDERED) * odds / odds.sum() + UNORDERED / len(WAYS)
+    chances = softmax(signs @ [BY_LIKENESS, BY_EMPTY])
+    return (1 - UNORDERED) * chances + UNORDERED / len(WAYS)
 
 
 def order_signs(pictures: UInt8[np.ndarray, "n p p"], shape: tuple[int, int]) -> Float64[np.ndarray, "8 2"]:
