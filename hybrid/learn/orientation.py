@@ -106,11 +106,9 @@ def _readings(
     """Logits of the eight ways by ever more of the film, and what that is: where there is a grid, the order of its
     slices; the patches that are most written on, which mostly are enough; what slices show; then the other patches, a
     few at a time."""
-    by_writing, by_slices = torch.zeros(8), torch.zeros(8)
-    in_order = ""
+    by_writing, by_cells, first_read = torch.zeros(8), torch.zeros(8), "writing"
     if vertices is not None:
-        by_slices = torch.from_numpy(order_chances(grey, vertices)).log().float()
-        in_order = ", order of slices"
+        by_cells, first_read = torch.from_numpy(order_chances(grey, vertices)).log().float(), "writing, order of slices"
     parts: Sequence[Tensor] = ()
     if written:
         patches = torch.from_numpy(text_patches(grey, reader.writing.config.cut))
@@ -118,13 +116,13 @@ def _readings(
     votes: list[PatchVotes] = []
     for part in parts[:1]:
         by_writing = _by_writing(reader.writing, part, votes)
-        yield by_writing + by_slices, f"writing{in_order}"
+        yield by_writing + by_cells, first_read
     if vertices is not None:
-        by_slices = by_slices + turn_logits(reader.slices, grey, vertices)[list(TURNS_OF_WAYS)]
-        yield by_writing + by_slices, "writing, slices" if written else "slices"
+        by_cells = by_cells + turn_logits(reader.slices, grey, vertices)[list(TURNS_OF_WAYS)]
+        yield by_writing + by_cells, "writing, slices" if written else "slices"
     for part in parts[1:]:
         by_writing = _by_writing(reader.writing, part, votes)
-        yield by_writing + by_slices, "writing" if vertices is None else "writing, slices"
+        yield by_writing + by_cells, "writing" if vertices is None else "writing, slices"
 
 
 @torch.inference_mode()
