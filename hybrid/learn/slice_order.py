@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Float64, UInt8
 from scipy.special import softmax
 
-from hybrid.learn.slices import cell_picture, cell_squares, standardised
+from hybrid.learn.slices import cell_pictures, standardised
 from hybrid.learn.upright import WAYS
 
 PICTURE_PX = 16
@@ -34,8 +34,8 @@ UNORDERED = 0.11
 def order_chances(film: UInt8[np.ndarray, "h w"], vertices: Float[np.ndarray, "r c 2"]) -> Float64[np.ndarray, " 8"]:
     """Probability, by the order of its slices alone, that a flat film (sRGB grey) has to be moved in each of WAYS to
     read right. vertices: film uv of the grid's corners."""
-    pictures = np.stack([cell_picture(film, *square, PICTURE_PX) for square in cell_squares(vertices, film.shape)])
-    signs = order_signs(pictures, (vertices.shape[0] - 1, vertices.shape[1] - 1))
+    shape = (vertices.shape[0] - 1, vertices.shape[1] - 1)
+    signs = order_signs(cell_pictures(film, vertices, PICTURE_PX), shape)
     chances = softmax(signs @ [BY_LIKENESS, BY_EMPTY])
     return (1 - UNORDERED) * chances + UNORDERED / len(WAYS)
 

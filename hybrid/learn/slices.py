@@ -76,10 +76,16 @@ def slice_pictures(
 
     vertices: film uv of the grid's corners.
     """
-    pictures = np.stack([cell_picture(film, *square, config.input_px) for square in cell_squares(vertices, film.shape)])
-    shown = standardised(pictures)
+    shown = standardised(cell_pictures(film, vertices, config.input_px))
     shown = shown[shown.any(axis=(1, 2))]
     return shown[np.linspace(0, len(shown) - 1, min(len(shown), config.count)).round().astype(int)]
+
+
+def cell_pictures(
+    film: UInt8[np.ndarray, "h w"], vertices: Float[np.ndarray, "r c 2"], px: int
+) -> UInt8[np.ndarray, "n p p"]:
+    """The squares of ``cell_squares``, row by row, each brought to ``px`` pixels."""
+    return np.stack([_inner(film, *square, px) for square in cell_squares(vertices, film.shape)])
 
 
 def cell_squares(
@@ -96,7 +102,7 @@ def least_side(vertices: Float[np.ndarray, "r c 2"], shape: Sequence[int]) -> fl
     return min(side for _, side in cell_squares(vertices, shape))
 
 
-def cell_picture(
+def _inner(
     film: UInt8[np.ndarray, "h w"], middle: Float[np.ndarray, " 2"], side: float, px: int
 ) -> UInt8[np.ndarray, "p p"]:
     """The square, brought to ``px`` pixels."""
@@ -140,6 +146,7 @@ def turn_logits(network: SliceNet, film: UInt8[np.ndarray, "h w"], vertices: Flo
 __all__ = [
     "SliceNet",
     "SliceNetConfig",
+    "cell_pictures",
     "cell_squares",
     "disc",
     "least_side",

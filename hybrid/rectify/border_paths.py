@@ -137,4 +137,4 @@ def _read(
     return row, spread, mass
 
 
-__all__ = ["BorderConfig", "read_borders"]
+__all__ = ["BorderConfig", "held_to", "read_borders"]
