@@ -14,7 +14,7 @@ from hybrid.rectify.trust import (
     ErrorConfig,
     TrustConfig,
     chance_features,
-    error_features,
+    features,
     largest_error_px,
 )
 
@@ -61,8 +61,8 @@ def fit_chance(films: Sequence[Judged], trust: TrustConfig) -> ChanceConfig:
         weight = np.maximum(chance * (1.0 - chance), 1e-9)
         return weight, scores + (right - chance) / weight
 
-    features = [chance_features(one.signs, limit) for one, limit in cases]
-    return ChanceConfig(**_fitted(features, reweighted, ("constant", "limit"), len(LIMITS) * RIDGE))
+    table = [chance_features(one.signs, limit) for one, limit in cases]
+    return ChanceConfig(**_fitted(table, reweighted, ("constant", "limit"), len(LIMITS) * RIDGE))
 
 
 def fit_error(films: Sequence[Judged]) -> ErrorConfig:
@@ -73,7 +73,7 @@ def fit_error(films: Sequence[Judged]) -> ErrorConfig:
     def reweighted(scores: Scores) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
         return 1.0 / np.maximum(np.abs(logs - scores), LEAST_DEVIATION), logs
 
-    return ErrorConfig(**_fitted([error_features(one.signs) for one in films], reweighted, ("constant",), RIDGE))
+    return ErrorConfig(**_fitted([features(one.signs) for one in films], reweighted, ("constant",), RIDGE))
 
 
 def trust_of_others(films: Sequence[Judged], trust: TrustConfig) -> list[TrustConfig]:

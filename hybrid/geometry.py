@@ -18,11 +18,12 @@ from hybrid.learn.predict import look, look_from_sides
 from hybrid.learn.views import film_view, plane_of, whole_view
 from hybrid.pyramid import Photo, Pyramid
 from hybrid.records import CoarseMaps, Signs, StageReport, StatusCode
+from hybrid.rectify.border_paths import borders_shown
 from hybrid.rectify.cell_phases import CellPhases
 from hybrid.rectify.clear_margins import with_margins
 from hybrid.rectify.consensus import geometric_median
 from hybrid.rectify.corners import put_on_corners
-from hybrid.rectify.edge_paths import EdgesRead, edge_support, look_across, put_on_edges, read_edges
+from hybrid.rectify.edge_paths import EdgesRead, look_across, put_on_edges, read_edges
 from hybrid.rectify.flat import already_flat
 from hybrid.rectify.foreshortening import even
 from hybrid.rectify.invert import Inversion, NotInverted, agreed, change, fit_backward
@@ -282,18 +283,18 @@ def reread(
     options = config.edges
     read = look_across(pyramid, first.backward, reader, options)
     least = float(read.support.min())
-    first = replace(first, support=read.support)
+    first = replace(first, across=read)
     report.ran = first.believed and least < options.doubtful and read.off > options.beside
     report.reason = f"an edge reads as one to {least:.0%} at least, up to {read.off:.2%} of the film beside"
     if not report.ran:
         return first
     second = _exactly(pyramid, phases, read, config, put_on_edges(first.backward, read, options))
-    support = edge_support(pyramid, second.backward, reader)
-    report.reason += f"; {float(support.min()):.0%} once refined from there"
-    surer = second.stands and support.min() > least + options.surer
+    again = look_across(pyramid, second.backward, reader, options)
+    report.reason += f"; {float(again.support.min()):.0%} once refined from there"
+    surer = second.stands and again.support.min() > least + options.surer
     report.reason += ", which counts" if surer else ", which is not surer"
     left = second.expected_px if second.believed else first.expected_px  # not believed, it starts from the first's map
-    return replace(second, support=support, expected_px=left) if surer else first
+    return replace(second, across=again, expected_px=left) if surer else first
 
 
 def whole_sheet(
@@ -323,17 +324,15 @@ def _with_margins(
     pyramid: Pyramid, phases: CellPhases | None, refined: Refinement, reader: StripReader, config: RectifyConfig
 ) -> tuple[Refinement, str] | None:
     """The first refinement with such margins that is to be believed, and what they are."""
-    options, before = config.margins, refined.support
-    for read, told in with_margins(pyramid, refined.backward, reader, config.edges, options):
-        wider = _exactly(pyramid, phases, read, config, read.through)
+    options = config.margins
+    for longer in with_margins(pyramid, refined.backward, reader, config.edges, options):
+        wider = _exactly(pyramid, phases, longer.read, config, longer.read.through)
         most_px = options.most_expected * max(wider.backward.mean_film_pixels())
         if wider.expected_px is None or wider.expected_px > most_px:
             continue
-        support = edge_support(pyramid, wider.backward, reader)
-        if before is None:
-            before = edge_support(pyramid, refined.backward, reader)
-        if support.min() >= max(options.least_support, before.min() - options.most_less):
-            return replace(wider, support=support), told
+        across = look_across(pyramid, wider.backward, reader, config.edges)
+        if longer.chance(across) >= options.sure and across.support.min() >= options.least_support:
+            return replace(wider, across=across), str(longer)
     return None
 
 
@@ -354,7 +353,8 @@ def flat_itself(
 
 def trusted(
     network: FilmNet,
-    reader: StripReader,
+    edges: StripReader,
+    borders: StripReader,
     pyramid: Pyramid,
     seen: LastLook,
     refinement: Refinement,
@@ -371,10 +371,11 @@ def trusted(
     with clock.stage("verdict") as report:
         plane = plane_of(refinement.backward.cropped((0.0, 0.0), (1 / seen.factor, 1 / seen.factor)))
         (again,) = look(network, seen.photo, [film_view(plane, config.predict.margin)])
-        support = refinement.support
-        if support is None:
-            support = edge_support(pyramid, refinement.backward, reader)
-        signs = signs_of(pyramid, seen.maps, coarse.backward, refinement, again.enlarged(seen.factor), support, flat)
+        across = refinement.across or look_across(pyramid, refinement.backward, edges, config.edges)
+        film, grid = refinement.backward, refinement.grid
+        shown = 0.0 if grid is None else borders_shown(pyramid, film, grid, borders, config.refine.borders)
+        look_again = again.enlarged(seen.factor)
+        signs = signs_of(pyramid, seen.maps, coarse.backward, refinement, look_again, across, shown, flat)
         verdict = film_verdict(signs, config.trust)
         report.reason = verdict.reason
     return verdict, signs
@@ -443,4 +444,4 @@ def middle(refinements: Sequence[Refinement]) -> Refinement:
     backward, grid = BackwardMap(between), nearest.grid
     if grid is not None:
         grid = replace(grid, vertices_photo=backward.photo_from_film(grid.vertices))
-    return replace(nearest, backward=backward, grid=grid, support=None)
+    return replace(nearest, backward=backward, grid=grid, across=None)

@@ -218,8 +218,9 @@ class Rectifier:
         flat = flat_itself(pyramid, inversion.backward, phases, refinement, self.config, clock)
         refinement = flat or refinement
         clock.counts(refinement)
+        readers = self._edges, self._borders
         verdict, signs = trusted(
-            self._network, self._edges, pyramid, seen, refinement, flat is not None, self.config, clock
+            self._network, *readers, pyramid, seen, refinement, flat is not None, self.config, clock
         )
         if verdict.code is StatusCode.NO_FILM:
             if corners is None:

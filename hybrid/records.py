@@ -78,6 +78,12 @@ class SliceGrid:
         if not 0.0 <= self.confidence <= 1.0:
             raise ValueError(f"SliceGrid.confidence: got {self.confidence}; allowed: [0, 1]")
 
+    def along(self, axis: int) -> tuple[float, float, int]:
+        """Film coordinate at which the first cell begins, pitch, and number of cells, across (0) or down (1)."""
+        lines = self.vertices[0, :, 0] if axis == 0 else self.vertices[:, 0, 1]
+        cells = len(lines) - 1
+        return float(lines[0]), float(lines[-1] - lines[0]) / cells, cells
+
     def turned(self, way: Orientation) -> SliceGrid:
         """The grid of the film read after it was moved as ``way`` says; see ``BackwardMap.turned``."""
         vertices, photo = (way.moved(points) for points in (way.film_from_seen(self.vertices), self.vertices_photo))
@@ -159,44 +165,43 @@ class Signs:
 
     overlap_before: intersection over union of the network's mask with the sheet's outline before refinement.
     overlap_after: the same of the mask seen in one more look, with the outline of the finished map.
-    shift: mean displacement between the finished map and what that look sees, in parts of the film's size.
-    seen_beside: root mean square over the film of that displacement, smoothed to a quadratic function of film points.
-    held_out: residual of sightings that the correction was not fitted to, in stated deviations.
     alike: share of the detail that the cells have in common beyond what chance gives, 0 without a grid.
-    oblong: absolute logarithm of the ratio of a cell's sides.
     grid: whether the grid is known along both axes. corrected: whether the correction was believed.
     edges: number of the sheet's edges that were seen.
     film_px, photo_px: side of a square of the film's area in the photo, and the photo's longer side.
-    flat: whether the photo was found to be the flat film itself; nothing else counts then.
-    stated: the error that refinement itself expects, in parts of the film's size.
     levels: number of grey levels, of 255, that the photo makes use of.
     support: least mean probability, over the sides, that the sheet's edge lies where the finished map puts it.
     in_step: agreement of the grid with what the last look tells of the cells, along the worse axis; 0 without a grid.
-    cells_beside: how far the grid lies beside these cells, in film units, both axes together.
-    confidence: of the grid, 0 without one. mean_support: as support, but the mean.
+    seen_beside: root mean square over the film of the displacement between the finished map and what that look sees,
+        smoothed to a quadratic function of film points, in parts of the film's size.
+    stated: the error that refinement itself expects, in parts of the film's size.
+    edges_beside: how far beside the finished map's edges that one is read which is read farthest, at the median along
+        it, in film units.
+    borders_shown: mean probability that borders between cells show where the grid has them.
+    lopsided: how unlike the margins around the grid are on both sides of the film, along the worse axis, in film units.
+    sheet: whether a bent sheet explains what was seen.
+    flat: whether the photo was found to be the flat film itself; nothing else counts then.
     ends_apart: how far apart refinements from several starts end, the median over their pairs, in parts of the film's
         size; None where there was one.
     """
 
     overlap_before: float
     overlap_after: float
-    shift: float
-    held_out: float
     alike: float
-    oblong: float
     grid: bool
     corrected: bool
     edges: int
     film_px: float
     photo_px: int
-    stated: float
     levels: float
     support: float
     in_step: float
     seen_beside: float
-    cells_beside: float
-    confidence: float
-    mean_support: float
+    stated: float
+    edges_beside: float
+    borders_shown: float
+    lopsided: float
+    sheet: bool
     flat: bool = False
     ends_apart: float | None = None
 

@@ -16,20 +16,20 @@ from benchmarks.verdict_fit import FOLDS, Judged, fit_chance, fit_error, trust_o
 from hybrid.effort import RectifyConfig
 from hybrid.pipeline import Rectifier
 from hybrid.records import RectifyResult, Signs, Status, StatusCode
-from hybrid.rectify.trust import TrustConfig, chance_features, error_features
+from hybrid.rectify.trust import TrustConfig, chance_features, features
 
 TRUST = TrustConfig()
 
 
 def drawn_signs(rng: np.random.Generator) -> Signs:
     """Signs as spread as those of photos, each for itself."""
-    beside, cells, stated = np.exp(rng.normal(np.log([0.006, 0.01, 0.002]), 0.7)).tolist()
+    beside, stated, edges = np.exp(rng.normal(np.log([0.006, 0.002, 0.001]), 0.7)).tolist()
     return Signs(
-        overlap_before=rng.uniform(0.8, 1), overlap_after=rng.uniform(0.9, 1), shift=np.exp(rng.normal(-6, 1)),
-        held_out=rng.uniform(0.5, 4), alike=rng.uniform(), oblong=rng.uniform(0, 0.5), grid=True, corrected=True,
-        edges=4, film_px=rng.uniform(300, 900), photo_px=1080, stated=stated, levels=200.0, support=rng.uniform(0.5, 1),
-        in_step=rng.uniform(0.8, 1), seen_beside=beside, cells_beside=cells, confidence=rng.uniform(),
-        mean_support=rng.uniform(0.6, 1),
+        overlap_before=rng.uniform(0.8, 1), overlap_after=rng.uniform(0.9, 1), alike=rng.uniform(), grid=True,
+        corrected=True, edges=4, film_px=rng.uniform(300, 900), photo_px=1080, levels=200.0,
+        support=rng.uniform(0.5, 1), in_step=rng.uniform(0.8, 1), seen_beside=beside, stated=stated,
+        edges_beside=edges, borders_shown=rng.uniform(0.5, 1), lopsided=rng.uniform(0, 0.05),
+        sheet=bool(rng.random() < 0.7),
     )  # fmt: skip
 
 
@@ -46,7 +46,7 @@ def drawn_films(count: int, seed: int) -> list[Judged]:
 
 def test_the_weights_that_errors_were_drawn_with_are_found() -> None:
     found, true = asdict(fit_chance(drawn_films(4000, 0), TRUST)), asdict(TRUST.chance)
-    for name in ("limit", "seen_beside", "cells_beside", "stated", "unsupported"):
+    for name in ("limit", "seen_beside", "stated", "edges_beside", "lopsided"):
         assert found[name] == pytest.approx(true[name], abs=0.15 + 0.15 * abs(true[name])), name
 
 
@@ -54,12 +54,12 @@ def test_the_weights_of_the_expected_error_are_found_whatever_a_tenth_of_the_fil
     rng, true, films = np.random.default_rng(1), asdict(TRUST.error), []
     for k in range(2000):
         signs = drawn_signs(rng)
-        log = sum(true[name] * value for name, value in error_features(signs).items()) + rng.laplace(0, 0.2)
+        log = sum(true[name] * value for name, value in features(signs).items()) + rng.laplace(0, 0.2)
         films.append(Judged("sheet", k, float(np.exp(log + 4.0 * (k % 10 == 0))) * signs.film_px, signs))
     found = asdict(fit_error(films))
     for name, weight in true.items():
         if name != "constant":  # which takes up what a tenth of the films adds
-            assert found[name] == pytest.approx(weight, abs=0.12), name
+            assert found[name] == pytest.approx(weight, abs=0.12, rel=0.1), name
 
 
 def test_photos_that_are_the_flat_film_themselves_do_not_count_for_the_weights() -> None:

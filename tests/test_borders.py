@@ -15,8 +15,10 @@ from hybrid.learn.border_data import BorderAugment, border_view, open_borders
 from hybrid.learn.edges import strip_reader
 from hybrid.learn.inference import ready
 from hybrid.learn.weights import packaged_border_net
+from hybrid.pyramid import Pyramid
+from hybrid.records import SliceGrid
 from hybrid.rectify import course
-from hybrid.rectify.border_paths import BorderConfig, held_to, read_borders
+from hybrid.rectify.border_paths import BorderConfig, borders_shown, held_to, read_borders
 from hybrid.rectify.cells import Reading
 from hybrid.rectify.grid import Borders, Comb, GridConfig
 from hybrid.rectify.layout import Layout
@@ -103,6 +105,22 @@ def test_borders_that_are_read_are_sighted_where_they_are(off):
         np.testing.assert_allclose(s.seen[:, s.axis], true, atol=0.0025)
         np.testing.assert_allclose(s.known, true, atol=1e-9)  # of a grid in the film's middle
         assert len(s) > 0.9 * (n - 1) * COLUMNS
+
+
+def shown(rows: int, columns: int, photo: np.ndarray, film: BackwardMap, margin: float = 0.0) -> float:
+    """How probable it is that borders of an even grid on the film show."""
+    vertices = margin + (1.0 - 2.0 * margin) * film_nodes((rows + 1, columns + 1))
+    grid = SliceGrid(rows, columns, vertices, film.photo_from_film(vertices), 1.0)
+    return borders_shown(Pyramid(photo), film, grid, BRIGHT, CONFIG)
+
+
+def test_borders_show_where_the_grid_is_right_and_the_photo_is_not_blank():
+    photo, film = ruled_photo()
+    assert shown(5, 4, photo, film) > 0.95
+    assert shown(5, 1, photo, film) > 0.95  # along one axis there are none
+    assert shown(5, 4, np.full_like(photo, 20), film) < 0.1
+    assert shown(5, 4, photo, film, margin=0.1) < 0.6  # what lies farther from a border than its strip reaches
+    assert shown(1, 1, photo, film) == 0.0
 
 
 def test_what_lies_beside_the_grid_is_shared_and_what_bends_is_displacement():

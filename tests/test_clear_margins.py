@@ -26,7 +26,7 @@ def part(low=(100, 100), high=(600, 600)) -> BackwardMap:
 
 
 def found(film: BackwardMap, photo=PHOTO, config=MARGINS) -> list[BackwardMap]:
-    return [read.through for read, _ in with_margins(Pyramid(photo), film, STEPS, CONFIG, config)]
+    return [one.read.through for one in with_margins(Pyramid(photo), film, STEPS, CONFIG, config)]
 
 
 def ends(film: BackwardMap) -> tuple[np.ndarray, np.ndarray]:
@@ -46,7 +46,8 @@ def test_the_sheet_is_found_that_goes_on_beyond_its_map(axis, before, after):
 
 
 def test_margins_are_told_by_their_place():
-    ((_, told),) = with_margins(Pyramid(PHOTO), part((100, 160)), STEPS, CONFIG, MARGINS)
+    (longer,) = with_margins(Pyramid(PHOTO), part((100, 160)), STEPS, CONFIG, MARGINS)
+    told = str(longer)
     assert "% at the top," in told
     assert "bottom" not in told
 
@@ -73,12 +74,21 @@ def test_where_none_are_asked_for_nothing_is_read():
         raise AssertionError
 
     reader = replace(STEPS, logs=never)
-    config = ClearMarginsConfig(reach=0.0)
+    config = ClearMarginsConfig(beyond=0.0)
     assert not list(with_margins(Pyramid(PHOTO), part((100, 160)), reader, CONFIG, config))
 
 
-def test_so_short_a_reach_that_no_column_lies_beyond_finds_nothing():
-    assert found(part((100, 160)), config=ClearMarginsConfig(reach=0.005)) == []
+def test_margins_narrower_than_the_least_are_left():
+    assert found(part((100, 160)), config=ClearMarginsConfig(least=0.2)) == []
+
+
+def test_an_end_that_nothing_bears_out_does_not_hide_the_other():
+    """A dark strip as wide as the film lies beyond one end, beside which nothing goes on."""
+    photo = PHOTO.copy()
+    photo[20:25, 100:600] = 20
+    (film,) = found(part((100, 100), (600, 540)), photo)
+    for at, true in zip(ends(film), (100, 600), strict=True):
+        np.testing.assert_allclose(at, true, atol=4)
 
 
 def test_a_longer_map_goes_straight_on():
@@ -91,11 +101,13 @@ def test_a_longer_map_goes_straight_on():
 # ---------------------------------------------------------------- which of them are believed
 
 
-def refined(film: BackwardMap, expected_px=0.5, support=None) -> Refinement:
-    return Refinement(film, None, (), expected_px=expected_px, stands=True, support=support)
+def refined(film: BackwardMap, expected_px=0.5) -> Refinement:
+    return Refinement(film, None, (), expected_px=expected_px, stands=True)
 
 
-def sheet_of(before: Refinement, monkeypatch, expected_px=0.5) -> tuple[Refinement, list[BackwardMap], bool]:
+def sheet_of(
+    before: Refinement, monkeypatch, expected_px=0.5, margins=MARGINS
+) -> tuple[Refinement, list[BackwardMap], bool]:
     """The sheet, all maps from which refinement began, which leaves them where they are, and whether the stage ran."""
     begun: list[BackwardMap] = []
 
@@ -106,7 +118,7 @@ def sheet_of(before: Refinement, monkeypatch, expected_px=0.5) -> tuple[Refineme
 
     monkeypatch.setattr(geometry, "_exactly", exactly)
     clock = Clock()
-    sheet = whole_sheet(Pyramid(PHOTO), None, before, STEPS, RectifyConfig(), clock)
+    sheet = whole_sheet(Pyramid(PHOTO), None, before, STEPS, replace(RectifyConfig(), margins=margins), clock)
     (report,) = clock.reports
     assert report.name == "margins"
     return sheet, begun, report.ran
@@ -117,7 +129,7 @@ def test_a_sheet_with_margins_that_is_seen_as_well_counts(monkeypatch):
     assert ran
     assert len(begun) == 1
     np.testing.assert_allclose(ends(sheet.backward), ends(SHEET), atol=4)
-    assert sheet.support.min() > MARGINS.least_support
+    assert sheet.across.support.min() > MARGINS.least_support
 
 
 @pytest.mark.parametrize("expected_px", [None, 10.0])
@@ -129,10 +141,12 @@ def test_it_does_not_where_its_refinement_expects_a_large_error_or_none(monkeypa
     assert not ran
 
 
-def test_nor_where_its_edges_show_less_than_those_before(monkeypatch):
-    before = refined(part((100, 160)), support=np.full(4, 1.5))
-    sheet, _, ran = sheet_of(before, monkeypatch)
+@pytest.mark.parametrize("name", ["sure", "least_support"])
+def test_nor_where_its_edges_are_not_sure_then(monkeypatch, name):
+    before, never = refined(part((100, 160))), replace(MARGINS, **{name: 1.01})
+    sheet, begun, ran = sheet_of(before, monkeypatch, margins=never)
     assert sheet is before
+    assert len(begun) == 1
     assert not ran
 
 

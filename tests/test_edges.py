@@ -17,7 +17,7 @@ from hybrid.learn.edges import EdgeNet, EdgeNetConfig, EdgeTargets, edge_losses,
 from hybrid.learn.inference import ready
 from hybrid.learn.weights import packaged_edge_net, parameter_count
 from hybrid.pyramid import Pyramid
-from hybrid.rectify.edge_paths import EdgeConfig, edge_support, put_on_edges, read_edges, read_paths
+from hybrid.rectify.edge_paths import EdgeConfig, look_across, put_on_edges, read_edges, read_paths
 from hybrid.rectify.refine import Refinement
 from hybrid.rectify.trust import TrustConfig
 from hybrid.strips import StripConfig, StripReader, edge_strips, strip_copy
@@ -49,6 +49,11 @@ def step_reader(images: np.ndarray, inside: np.ndarray) -> np.ndarray:
 
 
 STEPS = StripReader(STRIP, step_reader)
+
+
+def support_of(pyramid: Pyramid, film: BackwardMap, reader: StripReader = STEPS) -> np.ndarray:
+    """How probable the edges of a map are."""
+    return look_across(pyramid, film, reader, CONFIG).support
 
 
 @pytest.fixture(scope="module")
@@ -121,11 +126,11 @@ def test_corners_that_show_no_edge_do_not_count_against_a_side():
         return logs
 
     pyramid, ends = Pyramid(photo), int(0.04 * COLUMNS)
-    support = edge_support(pyramid, film, STEPS)
+    support = support_of(pyramid, film)
     assert support.min() > 0.9
     for columns, share in ((ends, 1.0), (COLUMNS // 4, 0.6)):
         reader = StripReader(STRIP, partial(rounded, columns=columns))
-        np.testing.assert_allclose(edge_support(pyramid, film, reader), share * support, atol=0.08 * (share < 1))
+        np.testing.assert_allclose(support_of(pyramid, film, reader), share * support, atol=0.08 * (share < 1))
 
 
 # ---------------------------------------------------------------- paths
@@ -170,8 +175,8 @@ def test_a_map_stays_where_no_edge_is_read():
 def test_support_tells_edges_that_are_right_from_others():
     photo, film = sheet_photo()
     pyramid = Pyramid(photo)
-    assert (edge_support(pyramid, film, STEPS) > 0.8).all()
-    assert (edge_support(pyramid, moved_edges(film, 0.02), STEPS) < 0.1).all()
+    assert (support_of(pyramid, film) > 0.8).all()
+    assert (support_of(pyramid, moved_edges(film, 0.02)) < 0.1).all()
 
 
 def test_edges_far_beside_are_read_once_more_from_where_they_were_found():
@@ -195,8 +200,8 @@ def test_a_refinement_with_a_wrong_edge_starts_once_more_from_where_edges_are_re
         found = reread(Pyramid(photo), None, first, STEPS, RectifyConfig(), report)
         off = np.linalg.norm(found.backward.photo_from_film(film_nodes((9, 9))) - film.nodes, axis=2)
         assert off.max() < 1.5
-        assert found.support is not None
-        assert (found.support > 0.8).all()
+        assert found.across is not None
+        assert (found.across.support > 0.8).all()
         reports.append(report)
     assert [report.ran for report in reports] == [True, False]
 
@@ -205,7 +210,7 @@ def test_an_edge_that_the_photo_does_not_show_is_no_doubt():
     """The sheet leaves the photo on one side: of that edge nothing is read, so nothing speaks against it."""
     photo, film = sheet_photo()
     cut = round(float(film.nodes[:, -1, 0].min())) - 40
-    support = edge_support(Pyramid(photo[:, :cut].copy()), film, STEPS)
+    support = support_of(Pyramid(photo[:, :cut].copy()), film)
     assert (support > 0.8).all()
 
 

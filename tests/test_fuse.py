@@ -167,7 +167,7 @@ def unsure(shown: tuple[np.ndarray, RectifyResult]) -> tuple[np.ndarray, Rectify
 
 def test_an_unsure_map_does_not_move_a_sure_one():
     sure, other = seen(SPOTS[0], 0, error_px=0.5), unsure(seen(SPOTS[1], 1, error_px=8.0))
-    signs = Signs(*[0.5] * 6, True, True, 4, 400.0, 600, 0.001, *[0.9] * 7)
+    signs = Signs(*[0.9] * 3, True, True, 4, 400.0, 600, *[0.9] * 3, *[0.001] * 3, 0.9, 0.001, True)
     sure = sure[0], replace(sure[1], expected_error_px=0.5, signs=signs)
     for shown in ((sure, other), (other, sure)):
         result = fused(*shown)

@@ -17,7 +17,7 @@ from hybrid.rectify.refine import Refinement
 from hybrid.rectify.trust import (
     FLAT_ERROR,
     TrustConfig,
-    _oblong,
+    _lopsided,
     _seen_beside,
     cells_alike,
     chance_right,
@@ -29,14 +29,14 @@ from hybrid.rectify.trust import (
 TOO_FAR = f"px of error expected, {TrustConfig().safety * TrustConfig().limit_px:.1f} allowed"
 
 SURE = Signs(
-    overlap_before=0.99, overlap_after=0.995, shift=0.001, held_out=0.9, alike=0.7, oblong=0.02, grid=True,
-    corrected=True, edges=4, film_px=700.0, photo_px=1080, stated=0.0008, levels=255.0, support=0.97, in_step=0.98,
-    seen_beside=0.003, cells_beside=0.005, confidence=0.95, mean_support=0.98,
+    overlap_before=0.99, overlap_after=0.995, alike=0.7, grid=True, corrected=True, edges=4, film_px=700.0,
+    photo_px=1080, levels=255.0, support=0.97, in_step=0.98, seen_beside=0.003, stated=0.0008, edges_beside=0.0003,
+    borders_shown=0.98, lopsided=0.001, sheet=True,
 )  # fmt: skip
 
 
 def test_ends_that_agree_speak_for_a_film_but_not_against_a_must() -> None:
-    doubtful = replace(SURE, mean_support=0.8, confidence=0.6, seen_beside=0.008, stated=0.004)
+    doubtful = replace(SURE, borders_shown=0.8, edges_beside=0.001, seen_beside=0.006, stated=0.002)
     assert not film_verdict(doubtful).ok
     assert not film_verdict(replace(doubtful, ends_apart=0.003)).ok
     agreed = replace(doubtful, ends_apart=0.0006)
@@ -65,13 +65,13 @@ def test_a_film_that_all_signs_speak_for_is_flattened() -> None:
         ({"alike": 0.05}, "cells are not alike"),
         ({"in_step": 0.3}, "the network sees other cells"),
         ({"overlap_after": 0.6}, "overlaps the sheet by only 60%"),
-        ({"held_out": 6.0, "alike": 0.15, "stated": 0.01}, TOO_FAR),
-        ({"shift": float("inf"), "overlap_before": 0.6, "oblong": 0.6}, TOO_FAR),
-        ({"stated": 0.05, "held_out": 3.0}, TOO_FAR),
+        ({"edges_beside": 0.02, "stated": 0.01}, TOO_FAR),
+        ({"seen_beside": float("inf")}, TOO_FAR),
+        ({"borders_shown": 0.0, "lopsided": 0.05, "stated": 0.005}, TOO_FAR),
         ({"seen_beside": float("inf")}, "sure to be right to 5.0 px"),
         ({"seen_beside": 0.02}, "sure to be right to 5.0 px"),
-        ({"cells_beside": 0.04, "stated": 0.004}, "sure to be right to 5.0 px"),
-        ({"mean_support": 0.6, "confidence": 0.3}, "sure to be right to 5.0 px"),
+        ({"lopsided": 0.05, "stated": 0.004}, "sure to be right to 5.0 px"),
+        ({"borders_shown": 0.3, "sheet": False, "edges_beside": 0.002}, "sure to be right to 5.0 px"),
     ],
 )
 def test_each_doubt_is_told(change: dict, text: str) -> None:
@@ -91,17 +91,16 @@ def test_what_has_neither_edges_nor_cells_nor_anything_that_fits_is_no_film() ->
 
 @pytest.mark.parametrize(
     ("name", "worse"),
-    [("overlap_before", 0.9), ("overlap_after", 0.9), ("shift", 0.01), ("held_out", 3.0), ("alike", 0.2),
-     ("oblong", 0.6), ("stated", 0.1), ("support", 0.6), ("in_step", 0.8)],
-)  # fmt: skip
+    [("seen_beside", 0.01), ("stated", 0.01), ("edges_beside", 0.002), ("borders_shown", 0.6), ("lopsided", 0.02)],
+)
 def test_every_worse_sign_raises_the_expected_error(name: str, worse: float) -> None:
     assert expected_error_px(replace(SURE, **{name: worse})) > expected_error_px(SURE)
 
 
 @pytest.mark.parametrize(
     ("name", "worse"),
-    [("seen_beside", 0.01), ("cells_beside", 0.02), ("stated", 0.01), ("confidence", 0.3), ("mean_support", 0.7),
-     ("film_px", 1000.0)],
+    [("seen_beside", 0.01), ("stated", 0.01), ("edges_beside", 0.002), ("borders_shown", 0.6), ("lopsided", 0.02),
+     ("sheet", False), ("film_px", 1000.0)],
 )  # fmt: skip
 def test_every_worse_sign_makes_a_right_map_less_probable(name: str, worse: float) -> None:
     assert chance_right(replace(SURE, **{name: worse})) < chance_right(SURE)
@@ -163,30 +162,25 @@ def test_a_flat_picture_is_expected_to_be_off_in_proportion_to_its_size() -> Non
     assert two == pytest.approx(2 * one)
 
 
-@pytest.mark.parametrize(("cells", "oblong"), [((1, 2), 0.0), ((2, 4), 0.0), ((1, 1), np.log(2)), ((1, 4), np.log(2))])
-def test_cells_are_as_oblong_as_their_sides_differ(cells: tuple[int, int], oblong: float) -> None:
-    """Of a sheet twice as wide as high, in the photo or as it is known to be."""
-    rows, cols = cells
-    vertices = film_nodes((rows + 1, cols + 1))
-    for width, height, aspect in ((200, 100, None), (100, 100, 0.5)):
-        film = BackwardMap.from_function(lambda uv, size=(width, height): uv * size)
-        grid = SliceGrid(rows, cols, vertices, film.photo_from_film(vertices), 1.0)
-        assert _oblong(film, grid, aspect) == pytest.approx(oblong)
+def test_margins_are_as_lopsided_as_they_differ_along_the_worse_axis() -> None:
+    film = BackwardMap.from_function(lambda uv: 100.0 + uv * 400.0)
+    vertices = np.array([0.02, 0.05]) + np.array([0.96, 0.88]) * film_nodes((3, 4))
+    grid = SliceGrid(2, 3, vertices, film.photo_from_film(vertices), 1.0)
+    assert _lopsided(grid) == pytest.approx(0.02)
 
 
-def test_a_shift_and_a_bend_beside_what_is_seen_are_told_apart() -> None:
+def test_what_is_seen_beside_a_map_counts_as_far_as_it_is_smooth() -> None:
     film = BackwardMap.from_function(lambda uv: 100.0 + uv * 400.0)
     uv = film_centres((20, 20)).astype(np.float32)
     whole, zeros = np.ones((20, 20), np.float32), np.zeros((20, 20, 3), np.float32)
 
-    def beside(off: np.ndarray) -> tuple[float, float]:
+    def beside(off: np.ndarray) -> float:
         seen = (film.photo_from_film(uv.astype(np.float64)) + off).astype(np.float32)
         return _seen_beside(CoarseMaps(whole, uv, zeros, whole, seen), film)
 
-    assert beside(np.array([3.0, 4.0])) == pytest.approx((5.0, 5.0), rel=1e-3)
-    shift, bend = beside(np.stack([10.0 * (uv[..., 1] - 0.5), 0 * uv[..., 0]], axis=-1))
-    assert shift == pytest.approx(0.0, abs=1e-3)
-    assert bend == pytest.approx(10 / np.sqrt(12), rel=0.02)
+    assert beside(np.array([3.0, 4.0])) == pytest.approx(5.0, rel=1e-3)
+    assert beside(np.stack([10.0 * (uv[..., 1] - 0.5), 0 * uv[..., 0]], axis=-1)) == pytest.approx(2.89, rel=0.02)
+    assert beside(np.random.default_rng(0).normal(0, 5, (20, 20, 2))) < 1.5
 
 
 def test_no_photo_is_asked_for_less_than_a_pixel_of_its_own() -> None:

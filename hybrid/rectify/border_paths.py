@@ -14,12 +14,13 @@ from jaxtyping import Float
 from hybrid.backward import BackwardMap
 from hybrid.borders import GROUP, border_strips, inner_lines, strip_across
 from hybrid.coords import film_centres_1d
-from hybrid.pyramid import Photo
+from hybrid.pyramid import Photo, Pyramid
+from hybrid.records import SliceGrid
 from hybrid.rectify.edge_paths import PathConfig, read_paths
 from hybrid.rectify.grid import Borders, GridConfig
 from hybrid.rectify.layout import Evidence, Layout
 from hybrid.rectify.sightings import Sightings
-from hybrid.strips import StripConfig, StripReader
+from hybrid.strips import StripConfig, StripReader, strip_copy
 
 
 @dataclass(frozen=True)
@@ -51,6 +52,27 @@ def read_borders(
         sightings = _sightings(photo, film, borders, ends, reader, config)
         found += [] if sightings is None else [_held(sightings, borders, grid)]
     return found
+
+
+def borders_shown(
+    pyramid: Pyramid, film: BackwardMap, grid: SliceGrid, reader: StripReader, config: BorderConfig
+) -> float:
+    """Mean probability, over their columns, that borders between cells show near where a grid on the film has them: the
+    first and the last of those inside of the sheet, along both axes, read together; 0 where there are none."""
+    images, inside = [], []
+    for axis in (0, 1):
+        first, pitch, cells = grid.along(axis)
+        lines, _ = inner_lines(first, pitch, cells)
+        if len(lines):
+            strip = strip_across(pitch, reader.strip)
+            copy, on_copy = strip_copy(pyramid, film, strip)
+            strips = border_strips(copy, on_copy, axis, lines[[0, -1]], strip)
+            images, inside = [*images, strips[0]], [*inside, strips[1]]
+    if not images:
+        return 0.0
+    group = [0, 1] if len(images) > 1 else [0, 0]
+    logs = reader.logs(np.concatenate([images[k] for k in group]), np.concatenate([inside[k] for k in group]))
+    return float(read_paths(logs, config.paths).mass.mean())
 
 
 def held_to(layout: Layout, read: Evidence, grid: GridConfig) -> Evidence:
@@ -137,4 +159,4 @@ def _read(
     return row, spread, mass
 
 
-__all__ = ["BorderConfig", "held_to", "read_borders"]
+__all__ = ["BorderConfig", "borders_shown", "held_to", "read_borders"]

@@ -24,8 +24,6 @@ MIDDLES = film_centres_1d(STEPS)
 """Their middles, in film units."""
 SPREAD = (2, 5)
 """Of every 5 pixels one is used, each row's two columns on from the last's: neighbours tell the same."""
-PARTS = 4
-"""Parts along either axis in which places are compared with a grid."""
 SLACK = 0.01
 """Places this far beyond the film's edges count as on it, in film units."""
 LEAST_CHANCE = 0.02
@@ -91,19 +89,6 @@ class PlacedPhases:
     def in_step(self, first: Float[np.ndarray, "2"], pitch: Float[np.ndarray, "2"]) -> Float[np.ndarray, "2"]:
         """How well a grid agrees with what is told of places in cells, along u and along v: 1 at most, 0 by chance."""
         return self.in_grid @ np.real(self._turned(first, pitch)) / np.maximum(self.in_grid @ np.abs(self.turns), 1e-9)
-
-    def beside(self, first: Float[np.ndarray, "2"], pitch: Float[np.ndarray, "2"]) -> Float[np.ndarray, "2"]:
-        """How far places lie beside where a grid has them, along u and along v, in film units: root mean square over
-        PARTS x PARTS parts of the film, in each of which what single places tell is averaged."""
-        turned = self._turned(first, pitch) * self.in_grid[:, None]
-        part = np.clip((self.uv * PARTS).astype(np.intp), 0, PARTS - 1) @ [PARTS, 1]
-        off = []
-        for turns, length in zip(turned.T, pitch, strict=True):
-            total = np.bincount(part, turns.real) + 1j * np.bincount(part, turns.imag)
-            told = np.bincount(part, np.abs(turns))
-            moved = np.angle(total) / (2 * np.pi) * length
-            off.append(np.sqrt(told @ moved**2 / max(float(told.sum()), 1e-9)))
-        return np.array(off)
 
     def _turned(self, first: Float[np.ndarray, "2"], pitch: Float[np.ndarray, "2"]) -> Complex[np.ndarray, "n 2"]:
         """The phases, turned back by those of a grid: real where both agree."""

@@ -1,16 +1,16 @@
 """Wide margins, clear or black, that look like what lies around the sheet: where the sheet goes on beyond its map.
 
 The print is whole and straight, and where it ends is as good an edge as any, so that the looks before take it for the
-sheet. But the edges on both sides of it go on, straight through that end, to where the sheet's own end is. So strips
-across these edges are read further on than the map goes; where both sides of the film go on beyond one of its ends, the
-map is made longer by as much and put on the edges that are read across it. Another sheet or the line of a table may run
-on like that, too, but then nothing lies across where they stop: the new end must read as an edge like the others.
+sheet. But beyond it lies the sheet's own end, and the edges on both sides go on straight to there. So strips beyond
+each end of the map are read; where one shows an edge, the map is made longer to there and put on the edges that are
+read across it. Other sheets and tables end beyond the film, too, but there the sides do not go on: both the new end and
+what the sides gain must read as edges.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -20,8 +20,8 @@ from hybrid.coords import film_centres_1d, film_nodes, node_centres_1d
 from hybrid.errors import require_at_least
 from hybrid.pyramid import Pyramid
 from hybrid.rectify.edge_paths import (
+    CORNER,
     EdgeConfig,
-    EdgePaths,
     EdgesRead,
     look_across,
     put_on_edges,
@@ -40,22 +40,19 @@ BESIDE_FRAME, MOST = 0.02, 0.75
 class ClearMarginsConfig:
     """Options of the search for margins that were taken for the ground. Lengths in parts of the film along the axis.
 
-    reach: how far beyond the map's ends strips are read; 0 to look for none. least_mass: least probability, of both
-    sides, that an edge lies in a column of their strips. free, more: rows by which it may lie beside where the map goes
-    on, and by how much more for each part of the film. least: narrowest margin, and how far the new end must lie beyond
-    the old one. likely, least_support: least mean probability, over any side, that an edge lies where the longer map
-    has it: for it to be refined, and then. most_less: by how much that may be less than it was. most_expected: largest
-    error to be expected then, in parts of the film's longer side.
+    beyond: middle of the strips that are read beyond the map's ends; 0 to read none. noticed: least mean probability,
+    over its columns, of an edge there that is looked at. least: narrowest margin. likely, sure: least probability of
+    margins (``LongerSheet.chance``) for them to be refined with, and then. least_support: least mean probability, over
+    any side, that an edge lies where the longer map has it, then. most_expected: largest error to be expected then, in
+    parts of the film's longer side.
     """
 
-    reach: float = 0.3
-    least_mass: float = 0.45
-    free: float = 4.0
-    more: float = 40.0
+    beyond: float = 0.12
+    noticed: float = 0.4
     least: float = 0.05
-    likely: float = 0.6
-    least_support: float = 0.65
-    most_less: float = 0.15
+    likely: float = 0.35
+    sure: float = 0.54
+    least_support: float = 0.5
     most_expected: float = 0.006
 
     def __post_init__(self) -> None:
@@ -77,53 +74,77 @@ class Longer:
         return BackwardMap(film.photo_from_film(uv))
 
 
+@dataclass(frozen=True, eq=False)
+class LongerSheet:
+    """A sheet with margins that were taken for the ground. read: its edges, across those of its map. gained: by how
+    much it is longer at which ends, both across one axis, in parts of the film before."""
+
+    read: EdgesRead
+    gained: Mapping[Side, float]
+
+    def chance(self, across: EdgesRead) -> float:
+        """How probable the margins are by the edges read across a map that has them: how probable a new end is, times
+        what both sides gain there, of the end where that is least."""
+        return min(float(across.support[SIDES.index(end)]) * self._sides(across, end) for end in self.gained)
+
+    def _sides(self, across: EdgesRead, end: Side) -> float:
+        """Mean probability of the edges on both sides of what the sheet gains at one of its ends."""
+        chances = across.chances[[side.axis != end.axis for side in SIDES]]
+        depth = -_outside(film_centres_1d(chances.shape[1]), end)  # inside of the new end
+        part = (depth < self.gained[end] / (1.0 + sum(self.gained.values()))) & (depth > CORNER)
+        return float(np.nan_to_num(chances[:, part]).mean()) if part.any() else 0.0
+
+    def __str__(self) -> str:
+        told = " and ".join(f"{length:.0%} at the {end.name}" for end, length in self.gained.items())
+        return f"the sheet goes on: {told}, each edge at least {float(self.read.support.min()):.0%} likely"
+
+
 def with_margins(
     pyramid: Pyramid, film: BackwardMap, reader: StripReader, edges: EdgeConfig, config: ClearMarginsConfig
-) -> Iterator[tuple[EdgesRead, str]]:
-    """Maps of the film with margins that were taken for the ground, put on its edges and read across these, and what
-    the margins are; mostly none."""
-    if config.reach <= 0.0:
+) -> Iterator[LongerSheet]:
+    """The sheet with margins that were taken for the ground, its map put on its edges; mostly none."""
+    if config.beyond <= 0.0:
         return
-    paths = _paths_beyond(pyramid, film, reader, edges, config)
+    noticed = _edges_beyond(pyramid, film, reader, edges, config)
     for axis in (0, 1):
-        ends = [side for side in SIDES if side.axis == axis]
-        before, after = (_length(paths, reader, end, config) for end in ends)
-        longer = Longer(axis, before, after)
-        if max(before, after) < config.least or (start := longer.applied(film)).folds((17, 17)):
-            continue
-        on_edges = put_on_edges(start, read_edges(pyramid, start, reader, edges), edges)
-        gained = [(end, _gained(film, on_edges, end)) for end in ends]
-        new = [end for end, length in gained if length >= config.least]
-        if not new or not all(_shown(on_edges, end, pyramid.photo.shape) for end in new):
-            continue
-        read = look_across(pyramid, on_edges, reader, edges)
-        support = float(read.support.min())
-        if support >= config.likely:
-            told = " and ".join(f"{length:.0%} at the {end.name}" for end, length in gained if length > 0.01)
-            yield read, f"the sheet goes on: {told}, each edge at least {support:.0%} likely"
+        new = [end for end in noticed if end.axis == axis]
+        while new:
+            longer = [noticed[side] if side in new else 0.0 for side in SIDES if side.axis == axis]
+            if (start := Longer(axis, *longer).applied(film)).folds((17, 17)):
+                break
+            on_edges = put_on_edges(start, read_edges(pyramid, start, reader, edges), edges)
+            moved = {side: _gained(film, on_edges, side) for side in SIDES}
+            if any(abs(moved[side]) >= config.least for side in SIDES if side not in new):
+                break  # another edge was read as that of a side that was right
+            read = look_across(pyramid, on_edges, reader, edges)
+            borne_out = [
+                end
+                for end in new
+                if moved[end] >= config.least
+                and _shown(on_edges, end, pyramid.photo.shape)
+                and LongerSheet(read, {end: moved[end]}).chance(read) >= config.likely
+            ]
+            if borne_out == new:
+                yield LongerSheet(read, {end: moved[end] for end in new})
+                break
+            new = borne_out
 
 
-def _paths_beyond(
+def _edges_beyond(
     pyramid: Pyramid, film: BackwardMap, reader: StripReader, edges: EdgeConfig, config: ClearMarginsConfig
-) -> EdgePaths:
-    """What is read across each side, from ``reach`` before its beginning to as much beyond its end."""
+) -> dict[Side, float]:
+    """The film's ends beyond which something reads as the sheet's edge, and how far beyond."""
     photo, on_copy = strip_copy(pyramid, film, reader.strip)
-    along = [(side, Longer(1 - side.axis, config.reach, config.reach).applied(on_copy)) for side in SIDES]
-    return read_paths(reader.logs(*strips_across(photo, along, reader.strip)), edges.paths)
-
-
-def _length(paths: EdgePaths, reader: StripReader, end: Side, config: ClearMarginsConfig) -> float:
-    """How far the sides beside one of the film's ends go on beyond it, in parts of the film."""
-    columns = paths.row.shape[1]
-    at = (1.0 + 2.0 * config.reach) * film_centres_1d(columns) - config.reach
-    beyond = _outside(at, end)
-    order = np.argsort(beyond)
-    order = order[beyond[order] > 0.0]
-    lateral = [k for k, side in enumerate(SIDES) if side.axis != end.axis]
-    aside = np.abs(paths.row[lateral] - 0.5 * (reader.strip.rows - 1)).max(axis=0)
-    shown = (paths.mass[lateral].min(axis=0) > config.least_mass) & (aside < config.free + config.more * beyond)
-    count = int(np.cumprod(shown[order]).sum())
-    return config.reach * count / max(len(order), 1)
+    beyond = [(replace(side, edge=side.edge - side.inward * config.beyond), on_copy) for side in SIDES]
+    paths = read_paths(reader.logs(*strips_across(photo, beyond, reader.strip)), edges.paths)
+    off = config.beyond - reader.strip.depth_of(paths.row)
+    core = np.abs(film_centres_1d(off.shape[1]) - 0.5) < 0.5 - CORNER
+    found: dict[Side, float] = {}
+    for k, side in enumerate(SIDES):
+        counts = core & (off[k] > config.least)
+        if (paths.mass[k] * counts).sum() > config.noticed * core.sum():
+            found[side] = float(np.median(off[k, counts]))
+    return found
 
 
 def _shown(film: BackwardMap, end: Side, size: tuple[int, ...]) -> bool:

@@ -8,6 +8,7 @@ that is changed: what lies between the edges is for refinement to see.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -106,13 +107,22 @@ def path_sightings(read: EdgePaths, strip: StripConfig, config: EdgeConfig) -> l
 class EdgesRead:
     """The sheet's edges as they were read. through: the map across whose edges was looked. sightings: through it, one
     record for each side that was seen. off: how far beside the edges of the map asked for the farthest of them lies, in
-    parts of the film. support: for SIDES, the mean probability that the sheet's edge lies within SUPPORT_ROWS of where
-    that map puts it, corners aside; 1 for a side that the photo hardly shows."""
+    parts of the film. chances: for SIDES, in columns along them, the probability that the sheet's edge lies within
+    SUPPORT_ROWS of where that map puts it; NaN where the photo does not show that."""
 
     through: BackwardMap
     sightings: tuple[Sightings, ...]
     off: float
-    support: Float[np.ndarray, " 4"]
+    chances: Float[np.ndarray, "4 c"]
+
+    @cached_property
+    def support(self) -> Float[np.ndarray, " 4"]:
+        """For SIDES, the mean of these probabilities, corners aside; 1 for a side that the photo hardly shows."""
+        along = film_centres_1d(self.chances.shape[1])
+        shown = np.isfinite(self.chances) & (np.abs(along - 0.5) < 0.5 - CORNER)
+        seen = shown.mean(axis=1) > LEAST_SHOWN
+        sums = np.where(shown, self.chances, 0.0).sum(axis=1)
+        return np.where(seen, sums / np.maximum(shown.sum(axis=1), 1), 1.0)
 
     def seen_through(self, film: BackwardMap) -> tuple[Sightings, ...]:
         """The sightings as if they had been made through a map that is near."""
@@ -138,35 +148,21 @@ def put_on_edges(film: BackwardMap, read: EdgesRead, config: EdgeConfig) -> Back
 
 def look_across(pyramid: Pyramid, film: BackwardMap, reader: StripReader, config: EdgeConfig) -> EdgesRead:
     """What is read across the edges of a map, once."""
-    logs, inside = _logs_across(pyramid, film, reader)
-    sightings = path_sightings(read_paths(logs, config.paths), reader.strip, config)
-    off = max((float(np.median(np.abs(s.offsets()))) for s in sightings), default=0.0)
-    return EdgesRead(film, tuple(sightings), off, _support(logs, inside))
-
-
-def edge_support(pyramid: Pyramid, film: BackwardMap, reader: StripReader) -> Float[np.ndarray, " 4"]:
-    """Of what is read across the edges of a map only EdgesRead.support."""
-    return _support(*_logs_across(pyramid, film, reader))
-
-
-def _logs_across(
-    pyramid: Pyramid, film: BackwardMap, reader: StripReader
-) -> tuple[Float[np.ndarray, "4 r1 c"], Bool[np.ndarray, "4 r c2"]]:
-    """What the network says of the strips across a map's edges, and where the photo covers these."""
     photo, on_copy = strip_copy(pyramid, film, reader.strip)
     images, inside = edge_strips(photo, on_copy, reader.strip)
-    return reader.logs(images, inside), inside
+    logs = reader.logs(images, inside)
+    sightings = path_sightings(read_paths(logs, config.paths), reader.strip, config)
+    off = max((float(np.median(np.abs(s.offsets()))) for s in sightings), default=0.0)
+    return EdgesRead(film, tuple(sightings), off, _chances(logs, inside))
 
 
-def _support(logs: Float[np.ndarray, "4 r1 c"], inside: Bool[np.ndarray, "4 r c2"]) -> Float[np.ndarray, " 4"]:
-    """As EdgesRead.support: the network's columns may each stand for several of the strip's."""
+def _chances(logs: Float[np.ndarray, "4 r1 c"], inside: Bool[np.ndarray, "4 r c2"]) -> Float[np.ndarray, "4 c"]:
+    """As EdgesRead.chances: the network's columns may each stand for several of the strip's."""
     middle = inside.shape[1] // 2
     near = slice(middle - SUPPORT_ROWS, middle + SUPPORT_ROWS)
     chances = np.exp(logs)[:, near].sum(axis=1)
-    along = film_centres_1d(chances.shape[1])
-    shown = inside[:, near].all(axis=1).reshape(*chances.shape, -1).all(axis=2) & (np.abs(along - 0.5) < 0.5 - CORNER)
-    seen = shown.mean(axis=1) > LEAST_SHOWN
-    return np.where(seen, (chances * shown).sum(axis=1) / np.maximum(shown.sum(axis=1), 1), 1.0)
+    shown = inside[:, near].all(axis=1).reshape(*chances.shape, -1).all(axis=2)
+    return np.where(shown, chances, np.nan)
 
 
 __all__ = [
@@ -174,7 +170,6 @@ __all__ = [
     "EdgePaths",
     "EdgesRead",
     "PathConfig",
-    "edge_support",
     "look_across",
     "put_on_edges",
     "read_edges",

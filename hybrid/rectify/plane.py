@@ -84,8 +84,7 @@ def flat_film(
         return Refinement(coarse, None, (report,))
     flat = glance(photo, found, phases, EXPECTED_ERROR, refine)
     left = EXPECTED_ERROR * max(found.mean_film_pixels())
-    residual = float(np.mean([line.residual for line in lines]))
-    return replace(flat, stages=(report, *flat.stages), expected_px=left, edges=len(lines), held_out=residual)
+    return replace(flat, stages=(report, *flat.stages), expected_px=left, edges=len(lines))
 
 
 def plane_by_edges(

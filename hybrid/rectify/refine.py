@@ -29,6 +29,7 @@ from hybrid.rectify.course import (
     read_view,
     unstretched,
 )
+from hybrid.rectify.edge_paths import EdgesRead
 from hybrid.rectify.outline import find_outline
 from hybrid.rectify.scene import phases_along, scene_of
 from hybrid.rectify.sheet_fit import FittedSheet
@@ -67,11 +68,9 @@ class Refinement:
     expected_px: mean end-point error that is left, in pixels of the photo, as such evidence goes (EXPECTED); None where
         the coarse map was kept.
     edges: number of the sheet's edges that were seen.
-    held_out: residual of sightings that the correction was not fitted to, in stated deviations; None without any.
     aspect: height over width of the unstretched sheet that explains what is seen; None where none does.
     stands: whether what was seen bears the map out, also one that was kept as no other explains that better.
-    support: for SIDES (strips.py), the probability that an edge lies where the map puts it (edge_paths.py); None where
-        that was not looked at.
+    across: the sheet's edges as they were read across the map's (edge_paths.py); None where that was not looked at.
     ends_apart: how far apart refinements from several starts end, in parts of the film's size; None for a single one.
     """
 
@@ -80,10 +79,9 @@ class Refinement:
     stages: tuple[StageReport, ...]
     expected_px: float | None = None
     edges: int = 0
-    held_out: float | None = None
     aspect: float | None = None
     stands: bool = False
-    support: Float[np.ndarray, " 4"] | None = None
+    across: EdgesRead | None = None
     ends_apart: float | None = None
 
     @property
@@ -143,7 +141,6 @@ def refine(
         stages,
         expected_px=share * max(backward.mean_film_pixels()) if changed else None,
         edges=course.edges,
-        held_out=course.after,
         aspect=aspect if changed else None,
         stands=course.believed,
     )

@@ -1,10 +1,10 @@
 """How far a flattened film can be trusted: what speaks for its map and against it, and the error to be expected.
 
-The networks look once more, at the finished map: what FilmNet sees as film, flattened as a plane sheet would be, must
-fill the sheet, and its cells must lie where the grid has them; across the map's edges EdgeNet must read edges. Cells
-must be alike, about as wide as they are high, and what was seen of edges and print must agree. Regressions over photos
-with truth turn these signs into an error and into a probability that it is small.
-Eight signs are musts: without them, photos exist on which all the others speak for a map that is wrong.
+All is looked at once more, through the finished map: across its edges EdgeNet must read edges where they are, across
+the borders that its grid predicts BorderNet should, and what FilmNet sees must lie where the map has it. How far the
+two ends of refinement lie apart, whether a bent sheet explains what was seen, and whether margins are alike on both
+sides tell the rest. Two regressions over photos with truth turn these signs into an error and into a probability that
+it is small. Others are musts: without them, photos exist on which all these speak for a map that is wrong.
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from jaxtyping import Float
 
 from hybrid.backward import BackwardMap
 from hybrid.coords import film_centres_1d
@@ -23,9 +22,11 @@ from hybrid.film_view import view_film
 from hybrid.pyramid import Pyramid
 from hybrid.records import CoarseMaps, Signs, SliceGrid, StatusCode
 from hybrid.rectify.cell_phases import CellPhases
+from hybrid.rectify.edge_paths import EdgesRead
 from hybrid.rectify.refine import Refinement
 from hybrid.rectify.repeat import Repeats, cell_agreement
 from hybrid.rectify.survey import Verdict, grey_spread, mask_overlap
+from hybrid.strips import SIDES
 
 REFERENCE_PX = 1080
 """Longer side of the photos that limits in pixels are stated for."""
@@ -33,54 +34,46 @@ REFERENCE_PX = 1080
 FLAT_ERROR = 0.0005
 """Error of a photo that is the flat film itself, in parts of the film's size: cells that agree pin it so closely."""
 
-NO_GRID_OBLONG = 0.7
-"""Stands for the cells' shape where no cells were found: as a factor of two in their sides."""
-
-UNKNOWN_HELD_OUT = 3.0
-"""Stands for the residual of held-out sightings where there were none, in stated deviations: as of a contradiction."""
-
 UNKNOWN_STATED = 0.01
 """Stands for the error that refinement expects where it left the map as it was: the network's, in parts of the film."""
 
-UNKNOWN_BESIDE = 0.04
-"""Stands for how far cells lie beside those that the network sees where there is no grid, in film units."""
+UNKNOWN_EDGES = 0.02
+"""Stands for how far beside the map an edge is read where not all are, in film units."""
+
+UNKNOWN_LOPSIDED = 0.05
+"""Stands for how unlike opposite margins are where there is no grid, in film units."""
 
 
 @dataclass(frozen=True)
 class ChanceConfig(FittedWeights):
-    """How probable it is that a map is right to a limit: a logistic regression over 934 maps of simulated photos of the
-    training scans, with limits of 4, 5 and 6 pixels of a photo of 1080.
+    """How probable it is that a map is right to a limit: a logistic regression over the maps of 1,920 simulated photos
+    of the training scans, with limits of 4, 5 and 6 pixels of a photo of 1080.
 
-    Each sign counts by its logarithm (``chance_features``). limit: of the error, in parts of the film.
-    seen_beside, cells_beside, stated: as they are. unsure: what the grid's confidence lacks to 1. unsupported: what the
-    mean over the sides of the probability that an edge is there lacks to 1.
+    limit: of the error, in parts of the film, by its logarithm. no_sheet: where no bent sheet explains what was seen.
+    The others: as in ``features``.
     """
 
-    constant: float = -12.215
-    limit: float = 0.633
-    seen_beside: float = -1.648
-    cells_beside: float = -0.929
-    stated: float = -0.330
-    unsure: float = -0.368
-    unsupported: float = -0.964
+    constant: float = -9.038
+    limit: float = 1.853
+    seen_beside: float = -1.699
+    stated: float = -0.973
+    edges_beside: float = -0.72
+    unshown: float = -0.576
+    lopsided: float = -17.126
+    no_sheet: float = -0.536
 
 
 @dataclass(frozen=True)
 class ErrorConfig(FittedWeights):
-    """Which error is to be expected: the logarithm of the error, in parts of the film, as a linear function of the
-    signs (``error_features``), fitted by absolute deviations to photos of training scans with truth, as they are and
-    damaged."""
+    """Which error is to be expected: its logarithm, in parts of the film, as a linear function of the same
+    ``features``, fitted by absolute deviations to the same maps."""
 
-    constant: float = 0.28
-    overlap_before: float = 0.18
-    overlap_after: float = 0.10
-    shift: float = 0.16
-    held_out: float = 0.23
-    unlike: float = 0.23
-    oblong: float = 0.37
-    stated: float = 0.57
-    unsupported: float = 0.34
-    out_of_step: float = 0.12
+    constant: float = 2.875
+    seen_beside: float = 0.379
+    stated: float = 0.618
+    edges_beside: float = 0.394
+    unshown: float = 0.269
+    lopsided: float = 4.152
 
 
 @dataclass(frozen=True)
@@ -135,40 +128,37 @@ def signs_of(
     coarse: BackwardMap,
     refinement: Refinement,
     again: CoarseMaps,
-    support: Float[np.ndarray, " 4"],
+    across: EdgesRead,
+    shown: float,
     flat: bool = False,
 ) -> Signs:
     """What speaks for a refined map.
 
     seen, coarse: what the network saw last before refinement, and the map made of it. again: what it sees of the film
-    as the refined map flattens it (as a plane sheet). support: of each edge by what is read in strips across it.
+    as the refined map flattens it (as a plane sheet). across: the edges as they are read across the refined map's.
+    shown: how probable it is that borders between cells show where its grid has them (``borders_shown``).
     """
     backward, grid = refinement.backward, refinement.grid
-    held_out = UNKNOWN_HELD_OUT if refinement.held_out is None else refinement.held_out
-    film_px = float(np.sqrt(np.prod(backward.mean_film_pixels())))
-    shift, beside = (apart / max(film_px, 1e-9) for apart in _seen_beside(again, backward))
-    in_step, cells_beside = (0.0, UNKNOWN_BESIDE) if grid is None else _cells_seen(again, backward, grid)
+    film_px = max(float(np.sqrt(np.prod(backward.mean_film_pixels()))), 1e-9)
     return Signs(
         overlap_before=mask_overlap(seen, coarse),
         overlap_after=mask_overlap(again, backward),
-        shift=shift,
-        held_out=held_out,
         alike=0.0 if grid is None else cells_alike(pyramid, backward, grid),
-        oblong=NO_GRID_OBLONG if grid is None else _oblong(backward, grid, refinement.aspect),
         grid=grid is not None,
         corrected=refinement.believed,
         edges=refinement.edges,
         film_px=film_px,
         photo_px=max(pyramid.photo.shape[:2]),
-        flat=flat,
-        stated=UNKNOWN_STATED if refinement.expected_px is None else refinement.expected_px / max(film_px, 1e-9),
         levels=grey_spread(pyramid.photo),
-        support=float(support.min()),
-        in_step=in_step,
-        seen_beside=beside,
-        cells_beside=cells_beside,
-        confidence=0.0 if grid is None else grid.confidence,
-        mean_support=float(support.mean()),
+        support=float(across.support.min()),
+        in_step=0.0 if grid is None else _in_step(again, backward, grid),
+        seen_beside=_seen_beside(again, backward) / film_px,
+        stated=UNKNOWN_STATED if refinement.expected_px is None else refinement.expected_px / film_px,
+        edges_beside=across.off if len(across.sightings) == len(SIDES) else UNKNOWN_EDGES,
+        borders_shown=shown,
+        lopsided=UNKNOWN_LOPSIDED if grid is None else _lopsided(grid),
+        sheet=refinement.aspect is not None,
+        flat=flat,
         ends_apart=refinement.ends_apart,
     )
 
@@ -179,22 +169,18 @@ def expected_error_px(signs: Signs, config: TrustConfig | None = None) -> float:
     if signs.flat:
         return FLAT_ERROR * signs.film_px
     fewer = config.agreed_error if _ends_agree(signs, config) else 1.0
-    return fewer * float(np.exp(_weighted(error_features(signs), config.error))) * signs.film_px
+    return fewer * float(np.exp(_weighted(features(signs), config.error))) * signs.film_px
 
 
-def error_features(signs: Signs) -> dict[str, float]:
-    """What the weights of ErrorConfig are of."""
+def features(signs: Signs) -> dict[str, float]:
+    """What the weights of ErrorConfig are of, and most of those of ChanceConfig."""
     return {
         "constant": 1.0,
-        "overlap_before": _miss(signs.overlap_before),
-        "overlap_after": _miss(signs.overlap_after),
-        "shift": float(np.log(min(signs.shift, 1.0) + 1e-4)),
-        "held_out": float(np.log(np.clip(signs.held_out, 0.5, 8.0))),
-        "unlike": 1.0 - signs.alike,
-        "oblong": signs.oblong,
-        "stated": _log_stated(signs),
-        "unsupported": float(np.log(1.03 - min(signs.support, 1.0))),
-        "out_of_step": float(np.log(1.01 - min(signs.in_step, 1.0))),
+        "seen_beside": float(np.log(min(signs.seen_beside, 1.0) + 1e-3)),
+        "stated": float(np.log(np.clip(signs.stated, 3e-4, 0.05))),
+        "edges_beside": float(np.log(signs.edges_beside + 2e-4)),
+        "unshown": float(np.log(1.03 - min(signs.borders_shown, 1.0))),
+        "lopsided": min(signs.lopsided, UNKNOWN_LOPSIDED),
     }
 
 
@@ -210,15 +196,8 @@ def chance_right(signs: Signs, config: TrustConfig | None = None) -> float:
 
 def chance_features(signs: Signs, limit_px: float) -> dict[str, float]:
     """What the weights of ChanceConfig are of. limit_px: of the error, in pixels of the photo."""
-    return {
-        "constant": 1.0,
-        "limit": float(np.log(limit_px / max(signs.film_px, 1e-9))),
-        "seen_beside": float(np.log(min(signs.seen_beside, 1.0) + 1e-3)),
-        "cells_beside": float(np.log(signs.cells_beside + 1e-3)),
-        "stated": _log_stated(signs),
-        "unsure": float(np.log(1.001 - signs.confidence)),
-        "unsupported": float(np.log(1.03 - min(signs.mean_support, 1.0))),
-    }
+    limit = float(np.log(limit_px / max(signs.film_px, 1e-9)))
+    return {**features(signs), "no_sheet": float(not signs.sheet), "limit": limit}
 
 
 def largest_error_px(photo_px: int, config: TrustConfig) -> float:
@@ -283,23 +262,25 @@ def cells_alike(pyramid: Pyramid, backward: BackwardMap, grid: SliceGrid, side_p
     return float(np.clip((share - 1 / cells) / (1 - 1 / cells), 0.0, 1.0))
 
 
-def _cells_seen(again: CoarseMaps, backward: BackwardMap, grid: SliceGrid) -> tuple[float, float]:
-    """Agreement of a grid with the phases that the network tells, along the worse axis, and how far it lies beside them
-    in film units; 0 and UNKNOWN_BESIDE where it tells none."""
+def _in_step(again: CoarseMaps, backward: BackwardMap, grid: SliceGrid) -> float:
+    """Agreement of a grid with the phases that the network tells, along the worse axis; 0 where it tells none."""
     phases = CellPhases.of(again)
     if phases is None:
-        return 0.0, UNKNOWN_BESIDE
+        return 0.0
     columns, rows = (_repeats(grid, axis) for axis in (0, 1))
     cells = np.array([columns.first, rows.first]), np.array([columns.pitch, rows.pitch])
-    placed = phases.inside(backward)
-    return float(placed.in_step(*cells).min()), float(np.hypot(*placed.beside(*cells)))
+    return float(phases.inside(backward).in_step(*cells).min())
 
 
 def _repeats(grid: SliceGrid, axis: int) -> Repeats:
     """The grid along one axis as cells that repeat."""
-    lines = grid.vertices[0, :, 0] if axis == 0 else grid.vertices[:, 0, 1]
-    cells = len(lines) - 1
-    return Repeats(axis, float(lines[0]), float(lines[-1] - lines[0]) / cells, cells)
+    return Repeats(axis, *grid.along(axis))
+
+
+def _lopsided(grid: SliceGrid) -> float:
+    """As Signs.lopsided."""
+    low, high = grid.vertices[0, 0], 1.0 - grid.vertices[-1, -1]
+    return float(np.abs(low - high).max())
 
 
 def _ends_agree(signs: Signs, config: TrustConfig) -> bool:
@@ -312,41 +293,23 @@ def _weighted(features: Mapping[str, float], weights: ChanceConfig | ErrorConfig
     return sum(getattr(weights, name) * value for name, value in features.items())
 
 
-def _log_stated(signs: Signs) -> float:
-    return float(np.log(np.clip(signs.stated, 3e-4, 0.05)))
-
-
-def _miss(overlap: float) -> float:
-    """Logarithm of what is missing to full overlap, with what the network's resolution always leaves missing."""
-    return float(np.log(1.003 - min(overlap, 1.0)))
-
-
-def _seen_beside(again: CoarseMaps, backward: BackwardMap) -> tuple[float, float]:
-    """Length of the mean displacement between a map and what the network sees, and the root mean square of the smooth
-    displacement between them, in pixels of the photo."""
+def _seen_beside(again: CoarseMaps, backward: BackwardMap) -> float:
+    """Root mean square of the displacement between a map and what the network sees, smoothed to a quadratic function of
+    film points, in pixels of the photo."""
     film = again.film
     if not film.any():
-        return float("inf"), float("inf")
+        return float("inf")
     uv = np.asarray(again.uv[film], dtype=np.float64)
     apart = backward.photo_from_film(uv) - again.photo_points[film]
     u, v = uv.T
     smooth = np.column_stack([np.ones(len(uv)), u, v, u * u, u * v, v * v])
     fitted = smooth @ np.linalg.lstsq(smooth, apart, rcond=None)[0]
-    return float(np.linalg.norm(apart.mean(axis=0))), float(np.sqrt(np.square(fitted).sum() / len(uv)))
+    return float(np.sqrt(np.square(fitted).sum() / len(uv)))
 
 
 def _floored(chance: float) -> str:
     """A probability in whole percent, none of which it falls short of."""
     return f"{int(100 * chance + 1e-9)}%"
-
-
-def _oblong(backward: BackwardMap, grid: SliceGrid, aspect: float | None) -> float:
-    """How far the cells are from being as wide as high: on the sheet where its shape is known, else in the photo."""
-    down, across = backward.mean_film_pixels() if aspect is None else (aspect, 1.0)
-    pitch_u, pitch_v = (grid.vertices[-1, -1] - grid.vertices[0, 0]) / (grid.cols, grid.rows)
-    if min(pitch_u, pitch_v) <= 0:
-        return NO_GRID_OBLONG
-    return float(abs(np.log((across * pitch_u) / (down * pitch_v))))
 
 
 __all__ = [
@@ -356,8 +319,8 @@ __all__ = [
     "cells_alike",
     "chance_features",
     "chance_right",
-    "error_features",
     "expected_error_px",
+    "features",
     "film_verdict",
     "largest_error_px",
     "signs_of",
