@@ -43,4 +43,4 @@ def _without_shared(sightings: Sightings) -> Float[np.ndarray, " n"]:
     return sightings.offsets() - sightings.shared @ best
 
 
-__all__ = ["MOST_RESIDUAL", "held_out_residuals"]
+__all__ = ["held_out_residuals"]

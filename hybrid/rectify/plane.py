@@ -14,7 +14,6 @@ from hybrid.coords import film_nodes
 from hybrid.records import StageReport
 from hybrid.rectify.cell_phases import CellPhases
 from hybrid.rectify.glance import glance
-from hybrid.rectify.held_out import MOST_RESIDUAL
 from hybrid.rectify.invert import apply_homography, fit_homography
 from hybrid.rectify.outline import find_outline
 from hybrid.rectify.refine import RefineConfig, Refinement
@@ -48,15 +47,13 @@ class PlaneConfig:
 class EdgeLine:
     """An edge as a line, ``across = at + slope * along`` in film coordinates.
 
-    bend: largest distance of a part of the edge from it. parts: of PARTS, how many are seen. residual: mean distance of
-    what was seen from it, in stated deviations.
+    bend: largest distance of a part of the edge from it. parts: of PARTS, how many are seen.
     """
 
     at: float
     slope: float
     bend: float
     parts: int
-    residual: float
 
 
 def flat_film(
@@ -122,8 +119,7 @@ def edge_line(side: Sightings) -> EdgeLine:
         weight = np.sqrt(tukey_weights(residual / scale))
     part = np.clip((along * PARTS).astype(int), 0, PARTS - 1)
     middles = [abs(float(np.median(residual[part == k]))) for k in range(PARTS) if np.count_nonzero(part == k) >= 3]
-    off = float(np.minimum(np.abs(residual) / side.sigma, MOST_RESIDUAL).mean())
-    return EdgeLine(float(fit[0]), float(fit[1]), max(middles, default=np.inf), len(middles), off)
+    return EdgeLine(float(fit[0]), float(fit[1]), max(middles, default=np.inf), len(middles))
 
 
 def film_corners(lines: Sequence[EdgeLine]) -> Float[np.ndarray, "4 2"]:
