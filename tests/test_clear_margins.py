@@ -74,7 +74,7 @@ def test_where_none_are_asked_for_nothing_is_read():
         raise AssertionError
 
     reader = replace(STEPS, logs=never)
-    config = ClearMarginsConfig(beyond=0.0)
+    config = ClearMarginsConfig(beyond=())
     assert not list(with_margins(Pyramid(PHOTO), part((100, 160)), reader, CONFIG, config))
 
 

@@ -40,18 +40,18 @@ BESIDE_FRAME, MOST = 0.02, 0.75
 class ClearMarginsConfig:
     """Options of the search for margins that were taken for the ground. Lengths in parts of the film along the axis.
 
-    beyond: middle of the strips that are read beyond the map's ends; 0 to read none. noticed: least mean probability,
-    over its columns, of an edge there that is looked at. least: narrowest margin. likely, sure: least probability of
-    margins (``LongerSheet.chance``) for them to be refined with, and then. least_support: least mean probability, over
-    any side, that an edge lies where the longer map has it, then. most_expected: largest error to be expected then, in
-    parts of the film's longer side.
+    beyond: middles of the strips that are read beyond the map's ends; none to look for no margins. noticed: least
+    mean probability, over its columns, of an edge there that is looked at. least: narrowest margin. likely, sure:
+    least probability of margins (``LongerSheet.chance``) for them to be refined with, and then. least_support:
+    least mean probability, over any side, that an edge lies where the longer map has it, then. most_expected:
+    largest error to be expected then, in parts of the film's longer side.
     """
 
-    beyond: float = 0.12
+    beyond: tuple[float, ...] = (0.12, 0.28)
     noticed: float = 0.4
     least: float = 0.05
     likely: float = 0.35
-    sure: float = 0.54
+    sure: float = 0.6
     least_support: float = 0.5
     most_expected: float = 0.006
 
@@ -103,8 +103,6 @@ def with_margins(
     pyramid: Pyramid, film: BackwardMap, reader: StripReader, edges: EdgeConfig, config: ClearMarginsConfig
 ) -> Iterator[LongerSheet]:
     """The sheet with margins that were taken for the ground, its map put on its edges; mostly none."""
-    if config.beyond <= 0.0:
-        return
     noticed = _edges_beyond(pyramid, film, reader, edges, config)
     for axis in (0, 1):
         new = [end for end in noticed if end.axis == axis]
@@ -135,16 +133,18 @@ def _edges_beyond(
 ) -> dict[Side, float]:
     """The film's ends beyond which something reads as the sheet's edge, and how far beyond."""
     photo, on_copy = strip_copy(pyramid, film, reader.strip)
-    beyond = [(replace(side, edge=side.edge - side.inward * config.beyond), on_copy) for side in SIDES]
-    paths = read_paths(reader.logs(*strips_across(photo, beyond, reader.strip)), edges.paths)
-    off = config.beyond - reader.strip.depth_of(paths.row)
-    core = np.abs(film_centres_1d(off.shape[1]) - 0.5) < 0.5 - CORNER
-    found: dict[Side, float] = {}
-    for k, side in enumerate(SIDES):
-        counts = core & (off[k] > config.least)
-        if (paths.mass[k] * counts).sum() > config.noticed * core.sum():
-            found[side] = float(np.median(off[k, counts]))
-    return found
+    found: dict[Side, tuple[float, float]] = {}
+    for middle in config.beyond:
+        beyond = [(replace(side, edge=side.edge - side.inward * middle), on_copy) for side in SIDES]
+        paths = read_paths(reader.logs(*strips_across(photo, beyond, reader.strip)), edges.paths)
+        off = middle - reader.strip.depth_of(paths.row)
+        core = np.abs(film_centres_1d(off.shape[1]) - 0.5) < 0.5 - CORNER
+        for k, side in enumerate(SIDES):
+            counts = core & (off[k] > config.least)
+            mass = float((paths.mass[k] * counts).sum() / core.sum())
+            if mass > max(config.noticed, found.get(side, (0.0, 0.0))[0]):
+                found[side] = mass, float(np.median(off[k, counts]))
+    return {side: off for side, (_, off) in found.items()}
 
 
 def _shown(film: BackwardMap, end: Side, size: tuple[int, ...]) -> bool:
