@@ -76,7 +76,7 @@ class RectifyConfig:
                     matched=False, sheet_rounds=1, sheet=SheetConfig(doubtful=float("inf"), coarse=float("inf"))
                 ),
                 resample=ResampleConfig(cubic_below=0.0),
-                trust=TrustConfig(error=ErrorConfig(constant=3.135)),  # 1.3 times the error is left
+                trust=TrustConfig(error=ErrorConfig(constant=ErrorConfig.constant + 0.26)),  # 1.3 times as much
             ),
             "default": RectifyConfig(),
             "thorough": RectifyConfig(again_above=0.0013),
