@@ -330,6 +330,8 @@ def _with_margins(
         most_px = options.most_expected * max(wider.backward.mean_film_pixels())
         if wider.expected_px is None or wider.expected_px > most_px:
             continue
+        if wider.grid is not None and wider.grid.lopsided > options.most_lopsided:
+            continue
         across = look_across(pyramid, wider.backward, reader, config.edges)
         if longer.chance(across) >= options.sure and across.support.min() >= options.least_support:
             return replace(wider, across=across), str(longer)

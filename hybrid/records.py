@@ -84,6 +84,11 @@ class SliceGrid:
         cells = len(lines) - 1
         return float(lines[0]), float(lines[-1] - lines[0]) / cells, cells
 
+    @property
+    def lopsided(self) -> float:
+        """How unlike the margins around it are on both sides of the film, along the worse axis, in film units."""
+        return float(np.abs(self.vertices[0, 0] - (1.0 - self.vertices[-1, -1])).max())
+
     def turned(self, way: Orientation) -> SliceGrid:
         """The grid of the film read after it was moved as ``way`` says; see ``BackwardMap.turned``."""
         vertices, photo = (way.moved(points) for points in (way.film_from_seen(self.vertices), self.vertices_photo))
@@ -178,7 +183,7 @@ class Signs:
     edges_beside: how far beside the finished map's edges that one is read which is read farthest, at the median along
         it, in film units.
     borders_shown: mean probability that borders between cells show where the grid has them.
-    lopsided: how unlike the margins around the grid are on both sides of the film, along the worse axis, in film units.
+    lopsided: of the grid (``SliceGrid.lopsided``).
     sheet: whether a bent sheet explains what was seen.
     flat: whether the photo was found to be the flat film itself; nothing else counts then.
     ends_apart: how far apart refinements from several starts end, the median over their pairs, in parts of the film's

@@ -12,6 +12,7 @@ from hybrid.coords import film_nodes
 from hybrid.effort import RectifyConfig
 from hybrid.geometry import MOST_MARGINS, Clock, whole_sheet
 from hybrid.pyramid import Pyramid
+from hybrid.records import SliceGrid
 from hybrid.rectify.clear_margins import ClearMarginsConfig, Longer, with_margins
 from hybrid.rectify.refine import Refinement
 
@@ -106,7 +107,7 @@ def refined(film: BackwardMap, expected_px=0.5) -> Refinement:
 
 
 def sheet_of(
-    before: Refinement, monkeypatch, expected_px=0.5, margins=MARGINS
+    before: Refinement, monkeypatch, expected_px=0.5, margins=MARGINS, grid=None
 ) -> tuple[Refinement, list[BackwardMap], bool]:
     """The sheet, all maps from which refinement began, which leaves them where they are, and whether the stage ran."""
     begun: list[BackwardMap] = []
@@ -114,7 +115,7 @@ def sheet_of(
     def exactly(pyramid, phases, read, config, start):
         begun.append(start)
         assert read.through is start
-        return refined(start, expected_px)
+        return replace(refined(start, expected_px), grid=grid)
 
     monkeypatch.setattr(geometry, "_exactly", exactly)
     clock = Clock()
@@ -129,6 +130,7 @@ def test_a_sheet_with_margins_that_is_seen_as_well_counts(monkeypatch):
     assert ran
     assert len(begun) == 1
     np.testing.assert_allclose(ends(sheet.backward), ends(SHEET), atol=4)
+    assert sheet.across is not None
     assert sheet.across.support.min() > MARGINS.least_support
 
 
@@ -139,6 +141,16 @@ def test_it_does_not_where_its_refinement_expects_a_large_error_or_none(monkeypa
     assert sheet is before
     assert len(begun) == 1
     assert not ran
+
+
+def test_nor_where_its_print_is_far_from_the_middle(monkeypatch):
+    """The sheet goes on at one end by a seventh, and the grid ends where the map did."""
+    before = refined(part((100, 160)))
+    for low, counts in ((0.136, False), (0.03, True)):
+        vertices = np.array([0.0, low]) + np.array([1.0, 1.0 - low]) * film_nodes((4, 4))
+        sheet, _, ran = sheet_of(before, monkeypatch, grid=SliceGrid(3, 3, vertices, vertices, 1.0))
+        assert ran is counts
+        assert (sheet is before) is not counts
 
 
 @pytest.mark.parametrize("name", ["sure", "least_support"])

@@ -17,7 +17,6 @@ from hybrid.rectify.refine import Refinement
 from hybrid.rectify.trust import (
     FLAT_ERROR,
     TrustConfig,
-    _lopsided,
     _seen_beside,
     cells_alike,
     chance_right,
@@ -166,7 +165,7 @@ def test_margins_are_as_lopsided_as_they_differ_along_the_worse_axis() -> None:
     film = BackwardMap.from_function(lambda uv: 100.0 + uv * 400.0)
     vertices = np.array([0.02, 0.05]) + np.array([0.96, 0.88]) * film_nodes((3, 4))
     grid = SliceGrid(2, 3, vertices, film.photo_from_film(vertices), 1.0)
-    assert _lopsided(grid) == pytest.approx(0.02)
+    assert grid.lopsided == pytest.approx(0.02)
 
 
 def test_what_is_seen_beside_a_map_counts_as_far_as_it_is_smooth() -> None:

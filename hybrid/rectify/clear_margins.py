@@ -42,16 +42,18 @@ class ClearMarginsConfig:
 
     beyond: middles of the strips that are read beyond the map's ends; none to look for no margins. noticed: least
     mean probability, over its columns, of an edge there that is looked at. least: narrowest margin. likely, sure:
-    least probability of margins (``LongerSheet.chance``) for them to be refined with, and then. least_support:
-    least mean probability, over any side, that an edge lies where the longer map has it, then. most_expected:
-    largest error to be expected then, in parts of the film's longer side.
+    least probability of margins (``LongerSheet.chance``) for them to be refined with, and then. most_lopsided: most
+    by which margins may differ on both sides of the film then, as most prints are in the sheet's middle
+    (``SliceGrid.lopsided``). least_support: least mean probability, over any side, that an edge lies where the
+    longer map has it, then. most_expected: largest error to be expected then, in parts of the film's longer side.
     """
 
     beyond: tuple[float, ...] = (0.12, 0.28)
     noticed: float = 0.4
     least: float = 0.05
     likely: float = 0.35
-    sure: float = 0.6
+    sure: float = 0.5
+    most_lopsided: float = 0.07
     least_support: float = 0.5
     most_expected: float = 0.006
 

@@ -156,7 +156,7 @@ def signs_of(
         stated=UNKNOWN_STATED if refinement.expected_px is None else refinement.expected_px / film_px,
         edges_beside=across.off if len(across.sightings) == len(SIDES) else UNKNOWN_EDGES,
         borders_shown=shown,
-        lopsided=UNKNOWN_LOPSIDED if grid is None else _lopsided(grid),
+        lopsided=UNKNOWN_LOPSIDED if grid is None else grid.lopsided,
         sheet=refinement.aspect is not None,
         flat=flat,
         ends_apart=refinement.ends_apart,
@@ -275,12 +275,6 @@ def _in_step(again: CoarseMaps, backward: BackwardMap, grid: SliceGrid) -> float
 def _repeats(grid: SliceGrid, axis: int) -> Repeats:
     """The grid along one axis as cells that repeat."""
     return Repeats(axis, *grid.along(axis))
-
-
-def _lopsided(grid: SliceGrid) -> float:
-    """As Signs.lopsided."""
-    low, high = grid.vertices[0, 0], 1.0 - grid.vertices[-1, -1]
-    return float(np.abs(low - high).max())
 
 
 def _ends_agree(signs: Signs, config: TrustConfig) -> bool:
