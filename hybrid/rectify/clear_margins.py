@@ -52,7 +52,7 @@ class ClearMarginsConfig:
     noticed: float = 0.4
     least: float = 0.05
     likely: float = 0.35
-    sure: float = 0.5
+    sure: float = 0.7
     most_lopsided: float = 0.07
     least_support: float = 0.5
     most_expected: float = 0.006
