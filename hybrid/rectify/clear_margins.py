@@ -3,8 +3,8 @@
 The print is whole and straight, and where it ends is as good an edge as any, so that the looks before take it for the
 sheet. But beyond it lies the sheet's own end, and the edges on both sides go on straight to there. So strips beyond
 each end of the map are read; where one shows an edge, the map is made longer to there and put on the edges that are
-read across it. Other sheets and tables end beyond the film, too, but there the sides do not go on: both the new end and
-what the sides gain must read as edges.
+read across it. Other sheets and tables end beyond the film, too, but there the sides do not go on, and the print would
+lie far from the sheet's middle: both the new end and what the sides gain must read as edges, and margins be alike.
 """
 
 from __future__ import annotations
@@ -173,4 +173,4 @@ def _outside(at: Float[np.ndarray, " n"], end: Side) -> Float[np.ndarray, " n"]:
     return end.inward * (end.edge - at)
 
 
-__all__ = ["ClearMarginsConfig", "Longer", "with_margins"]
+__all__ = ["ClearMarginsConfig", "Longer", "LongerSheet", "with_margins"]
