@@ -68,7 +68,7 @@ def fit_chance(films: Sequence[Judged], trust: TrustConfig) -> ChanceConfig:
 def fit_error(films: Sequence[Judged]) -> ErrorConfig:
     """The error to be expected: the least absolute deviations of its logarithm."""
     films = _bent(films)
-    logs = np.log([max(one.error_px / max(one.signs.film_px, 1e-9), 1e-6) for one in films])
+    logs = np.log([max(one.error_px / one.signs.film_px, 1e-6) for one in films])
 
     def reweighted(scores: Scores) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
         return 1.0 / np.maximum(np.abs(logs - scores), LEAST_DEVIATION), logs

@@ -305,8 +305,8 @@ def whole_sheet(
     config: RectifyConfig,
     clock: Clock,
 ) -> Refinement:
-    """A refinement, or one of the sheet with margins that were taken for the ground, if its edges show as well and all
-    that is seen of it agrees."""
+    """A refinement, or one of the sheet with margins that were taken for the ground, if its edges are sure to be there,
+    its print lies in its middle and all that is seen of it agrees."""
     with clock.stage("margins") as report:
         found: list[str] = []
         while len(found) < MOST_MARGINS:

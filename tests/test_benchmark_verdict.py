@@ -57,9 +57,11 @@ def test_the_weights_of_the_expected_error_are_found_whatever_a_tenth_of_the_fil
         log = sum(true[name] * value for name, value in features(signs).items()) + rng.laplace(0, 0.2)
         films.append(Judged("sheet", k, float(np.exp(log + 4.0 * (k % 10 == 0))) * signs.film_px, signs))
     found = asdict(fit_error(films))
+    table = [features(one.signs) for one in films]
     for name, weight in true.items():
         if name != "constant":  # which takes up what a tenth of the films adds
-            assert found[name] == pytest.approx(weight, abs=0.12, rel=0.1), name
+            spread = np.std([row[name] for row in table])
+            assert spread * found[name] == pytest.approx(spread * weight, abs=0.02), name
 
 
 def test_photos_that_are_the_flat_film_themselves_do_not_count_for_the_weights() -> None:

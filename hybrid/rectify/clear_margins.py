@@ -24,6 +24,7 @@ from hybrid.rectify.edge_paths import (
     EdgeConfig,
     EdgesRead,
     look_across,
+    off_corners,
     put_on_edges,
     read_edges,
     read_paths,
@@ -140,7 +141,7 @@ def _edges_beyond(
         beyond = [(replace(side, edge=side.edge - side.inward * middle), on_copy) for side in SIDES]
         paths = read_paths(reader.logs(*strips_across(photo, beyond, reader.strip)), edges.paths)
         off = middle - reader.strip.depth_of(paths.row)
-        core = np.abs(film_centres_1d(off.shape[1]) - 0.5) < 0.5 - CORNER
+        core = off_corners(off.shape[1])
         for k, side in enumerate(SIDES):
             counts = core & (off[k] > config.least)
             mass = float((paths.mass[k] * counts).sum() / core.sum())

@@ -118,8 +118,7 @@ class EdgesRead:
     @cached_property
     def support(self) -> Float[np.ndarray, " 4"]:
         """For SIDES, the mean of these probabilities, corners aside; 1 for a side that the photo hardly shows."""
-        along = film_centres_1d(self.chances.shape[1])
-        shown = np.isfinite(self.chances) & (np.abs(along - 0.5) < 0.5 - CORNER)
+        shown = np.isfinite(self.chances) & off_corners(self.chances.shape[1])
         seen = shown.mean(axis=1) > LEAST_SHOWN
         sums = np.where(shown, self.chances, 0.0).sum(axis=1)
         return np.where(seen, sums / np.maximum(shown.sum(axis=1), 1), 1.0)
@@ -127,6 +126,11 @@ class EdgesRead:
     def seen_through(self, film: BackwardMap) -> tuple[Sightings, ...]:
         """The sightings as if they had been made through a map that is near."""
         return carried(self.sightings, self.through, film)
+
+
+def off_corners(columns: int) -> Bool[np.ndarray, " c"]:
+    """Which of so many columns along a side lie off its corners."""
+    return np.asarray(np.abs(film_centres_1d(columns) - 0.5) < 0.5 - CORNER)
 
 
 def read_edges(pyramid: Pyramid, film: BackwardMap, reader: StripReader, config: EdgeConfig) -> EdgesRead:
@@ -171,6 +175,7 @@ __all__ = [
     "EdgesRead",
     "PathConfig",
     "look_across",
+    "off_corners",
     "put_on_edges",
     "read_edges",
     "read_paths",

@@ -41,7 +41,7 @@ UNKNOWN_EDGES = 0.02
 """Stands for how far beside the map an edge is read where not all are, in film units."""
 
 UNKNOWN_LOPSIDED = 0.05
-"""Stands for how unlike opposite margins are where there is no grid, in film units."""
+"""Stands for how unlike opposite margins are where there is no grid, in film units; more than that counts no more."""
 
 
 @dataclass(frozen=True)
@@ -196,7 +196,7 @@ def chance_right(signs: Signs, config: TrustConfig | None = None) -> float:
 
 def chance_features(signs: Signs, limit_px: float) -> dict[str, float]:
     """What the weights of ChanceConfig are of. limit_px: of the error, in pixels of the photo."""
-    limit = float(np.log(limit_px / max(signs.film_px, 1e-9)))
+    limit = float(np.log(limit_px / signs.film_px))
     return {**features(signs), "no_sheet": float(not signs.sheet), "limit": limit}
 
 
