@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
-from hybrid.errors import ConfigError, describe, require_numbers
+from hybrid.errors import ConfigError, describe, require_at_least, require_numbers
 from hybrid.learn.orientation import UprightConfig
 from hybrid.learn.predict import PredictConfig
 from hybrid.rectify.clear_margins import ClearMarginsConfig
@@ -44,9 +44,11 @@ class RectifyConfig:
     foreshortening: ForeshorteningConfig = field(default_factory=ForeshorteningConfig)
     refine: RefineConfig = field(default_factory=RefineConfig)
     plane: PlaneConfig = field(default_factory=PlaneConfig)
-    again_above: float = float("inf")
-    """Expected error of a refinement, in parts of the film's longer side, above which it is started from what the
-    network sees from other sides, too; the middle of the surest counts."""
+    tries: int = 1
+    """How many more times a film is refined that is in doubt: first from where the refinement before ended, then from
+    what the network sees from other sides. The surest counts."""
+    hopeless: float = 0.1
+    """Unless it is less probable than this that the map is right: then none of that would help."""
     size: FilmSizeConfig = field(default_factory=FilmSizeConfig)
     resample: ResampleConfig = field(default_factory=ResampleConfig)
     upright: UprightConfig = field(default_factory=UprightConfig)
@@ -57,6 +59,7 @@ class RectifyConfig:
 
     def __post_init__(self) -> None:
         require_numbers(self)
+        require_at_least(self, 0, "tries")
 
     @staticmethod
     def of(effort: Effort | str) -> RectifyConfig:
@@ -64,14 +67,15 @@ class RectifyConfig:
 
         fast: the network's map, made exact in two rounds and by one unstretched sheet, found by one fit, and the photo
         read bilinearly. default: the options' own values; sheets that do not explain what is seen are tried otherwise,
-        too, and up to three follow each other. thorough: unless that is sure to about a pixel of a photo of 1080, the
-        network looks from three more sides, and refinement starts from each of their maps, and from the mean, too.
+        too, and up to three follow each other; what is in doubt then is refined once more from where that ended.
+        thorough: what still is in doubt is refined from what the network sees from three more sides, too.
 
         Raises:
             ConfigError: there is no such effort.
         """
         efforts = {
             "fast": RectifyConfig(
+                tries=0,
                 refine=RefineConfig(
                     matched=False, sheet_rounds=1, sheet=SheetConfig(doubtful=float("inf"), coarse=float("inf"))
                 ),
@@ -79,7 +83,7 @@ class RectifyConfig:
                 trust=TrustConfig(error=ErrorConfig(constant=ErrorConfig.constant + 0.26)),  # 1.3 times as much
             ),
             "default": RectifyConfig(),
-            "thorough": RectifyConfig(again_above=0.0013),
+            "thorough": RectifyConfig(tries=4),
         }
         if not isinstance(effort, str) or effort not in efforts:
             raise ConfigError(

@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import combinations
 
 import numpy as np
 
@@ -21,16 +20,15 @@ from hybrid.records import CoarseMaps, Signs, StageReport, StatusCode
 from hybrid.rectify.border_paths import borders_shown
 from hybrid.rectify.cell_phases import CellPhases
 from hybrid.rectify.clear_margins import with_margins
-from hybrid.rectify.consensus import geometric_median
 from hybrid.rectify.corners import put_on_corners
 from hybrid.rectify.edge_paths import EdgesRead, look_across, put_on_edges, read_edges
 from hybrid.rectify.flat import already_flat
 from hybrid.rectify.foreshortening import even
-from hybrid.rectify.invert import Inversion, NotInverted, agreed, change, fit_backward
+from hybrid.rectify.invert import Inversion, NotInverted, change, fit_backward
 from hybrid.rectify.plane import flat_film
 from hybrid.rectify.refine import Refinement, refine
 from hybrid.rectify.survey import SurveyConfig, Verdict, expected_error, survey_maps, survey_print
-from hybrid.rectify.trust import film_verdict, signs_of
+from hybrid.rectify.trust import chance_right, film_verdict, floored, signs_of
 from hybrid.strips import StripReader
 
 WIDER = 1.25
@@ -39,9 +37,6 @@ WIDER = 1.25
 MOST_MARGINS = 2
 """How often margins are looked for: beyond one end they may show only once the sheet is as long as it is at the other.
 """
-
-AS_SURE = 1.6
-"""A refinement that expects more than this times the least error of all does not count for their middle."""
 
 
 @dataclass
@@ -64,14 +59,28 @@ class Clock:
         yield report
         self.reports += (StageReport(name, report.ran, report.reason, time.perf_counter() - start),)
 
-    def counts(self, refinement: Refinement) -> None:
-        """Of stages that ran several times, has what this refinement says of them reported; seconds are of the first
-        run, the others' being in the stages that called for them."""
-        said = {report.name: report for report in refinement.stages}
+    def counts(self, reports: Sequence[StageReport]) -> None:
+        """Of stages that ran several times, has these reported; seconds are of the first run, the others' being in the
+        stages that called for them."""
+        said = {report.name: report for report in reports}
         self.reports = tuple(
             replace(said[report.name], seconds=report.seconds) if report.name in said else report
             for report in self.reports
         )
+
+
+@dataclass(frozen=True, eq=False)
+class Readers:
+    """The networks that read a photo's film: ``network`` sees it as a whole, the others read strips across the sheet's
+    edges and across the borders between its cells."""
+
+    network: FilmNet
+    edges: StripReader
+    borders: StripReader
+
+    def phases_of(self, maps: CoarseMaps, config: RectifyConfig) -> CellPhases | None:
+        """What the network tells of the cells, if it is asked to."""
+        return CellPhases.of(maps, self.borders) if config.told_cells else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,6 +95,23 @@ class LastLook:
     view: BackwardMap | None
     photo: Photo
     factor: int
+
+
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """A refinement, and what the networks, looking through its map, make of it.
+
+    across, phases: the edges as they are read across its map, and the cells as they are seen through it; None where the
+    network tells nothing of them. stages: what counts of the stages that run for each refinement.
+    """
+
+    refinement: Refinement
+    across: EdgesRead
+    phases: CellPhases | None
+    signs: Signs
+    verdict: Verdict
+    chance: float
+    stages: tuple[StageReport, ...]
 
 
 def see(network: FilmNet, pyramid: Pyramid, config: RectifyConfig, clock: Clock, wider: float = 1.0) -> LastLook:
@@ -173,22 +199,16 @@ def _lies_within(inversion: Inversion | NotInverted, size: tuple[int, ...]) -> b
     return bool((nodes >= 0).all() and (nodes <= np.array(size[1::-1])).all())
 
 
-def see_from_sides(network: FilmNet, seen: LastLook, config: RectifyConfig, clock: Clock) -> list[Inversion]:
+def see_from_sides(network: FilmNet, seen: LastLook, config: RectifyConfig) -> list[Inversion]:
     """The maps of the last look, turned and mirrored in several ways for the network; that of ``seen`` is the last."""
     first, others = seen.inversion, config.predict.sides[1:]
     if isinstance(first, NotInverted):
         return []
-    with clock.stage("sides") as report:
-        report.ran = bool(others) and seen.view is not None
-        report.reason = "the film was not looked at alone" if others else "one side was asked for"
-        if seen.view is None or not others:
-            return [first]
-        looks = look_from_sides(network, seen.photo, seen.view, others)
-        found = [fit_backward(maps, config.invert) for maps in looks]
-        sides = [side.enlarged(seen.factor) for side in found if isinstance(side, Inversion)]
-        apart = np.mean([change(first, side) for side in sides]) if sides else 0.0
-        report.reason = f"{len(sides)} more sides, {apart:.1%} of the film from the first on average"
-    return [*sides, first]
+    if seen.view is None or not others:
+        return [first]
+    looks = look_from_sides(network, seen.photo, seen.view, others)
+    found = [fit_backward(maps, config.invert) for maps in looks]
+    return [*(side.enlarged(seen.factor) for side in found if isinstance(side, Inversion)), first]
 
 
 def shape_of(
@@ -196,78 +216,51 @@ def shape_of(
     coarse: BackwardMap,
     phases: CellPhases | None,
     reader: StripReader,
-    sides: Callable[[], Sequence[Inversion]],
     config: RectifyConfig,
     clock: Clock,
 ) -> Refinement:
     """The exact map of the film and its grid, by the shortest way that it allows.
 
-    coarse: the network's map of one side. phases: what it tells of the cells. reader: reads the film's edges. sides:
-    gives the maps of all sides, that one's last; called where they are needed.
+    coarse: the network's map. phases: what it tells of the cells. reader: reads the film's edges.
     """
     with clock.stage("edges") as report:
         read = read_edges(pyramid, coarse, reader, config.edges)
-        on_edges = partial(put_on_edges, read=read, config=config.edges)
-        start = on_edges(coarse)
+        start = put_on_edges(coarse, read, config.edges)
         report.reason = f"{len(read.sightings)} of 4 edges read, up to {read.off:.1%} of the film beside the network's"
     by_edges = partial(flat_film, edges=read.seen_through(start), refine=config.refine, config=config.plane)
     flat = _on_copy(pyramid, start, phases, config.refine.working_px, by_edges)
     clock.reports += flat.stages
     if flat.believed:
         return flat
-
-    def evened(film: BackwardMap) -> BackwardMap:
-        return film if phases is None else even(film, phases, read.seen_through(film), config.foreshortening)
-
     with clock.stage("spacing") as report:
         report.ran, before = phases is not None, start
-        start = evened(start)
+        start = _evened(start, phases, read, config)
         moved = mean_move(before, start)
         report.reason = (
             f"cells moved by {moved:.2%} of the film" if report.ran else "the network tells nothing of cells"
         )
-
-    def others() -> list[BackwardMap]:
-        *further, one = sides()
-        mean = agreed([*further, one])
-        assert isinstance(mean, Inversion)  # as ``one`` is
-        return [evened(on_edges(side.backward)) for side in ([mean, *further] if further else [])]
-
-    return _exact(pyramid, start, phases, read, reader, others, config, clock)
+    return exact(pyramid, start, phases, read, reader, config, clock)
 
 
-def _exact(
+def exact(
     pyramid: Pyramid,
-    coarse: BackwardMap,
+    start: BackwardMap,
     phases: CellPhases | None,
     read: EdgesRead,
     reader: StripReader,
-    others: Callable[[], Sequence[BackwardMap]],
     config: RectifyConfig,
     clock: Clock,
 ) -> Refinement:
-    """The network's map made exact by what is seen of the film; where the effort says so and it is not sure then, other
-    maps too, those of the other sides and the mean of all."""
-    exactly = partial(_exactly, pyramid, phases, read, config)
-    first = exactly(coarse)
+    """A map made exact by what is seen of the film, once more from where its edges are read then, if that is surer."""
+    first = _exactly(pyramid, phases, read, config, start)
     clock.reports += first.stages
     with clock.stage("reread") as report:
-        first = reread(pyramid, phases, first, reader, config, report)
-    with clock.stage("again") as report:
-        expected = np.inf if first.expected_px is None else first.expected_px / max(first.backward.mean_film_pixels())
-        report.ran = bool(expected > config.again_above)
-        if not report.ran:
-            sure = f"one refinement is sure to {expected:.2%} of the film"
-            report.reason = "one refinement is enough in this effort" if np.isinf(config.again_above) else sure
-            return first
-        found = [first, *map(exactly, others())]
-        surest = as_sure(found)
-        one = "the surest" if surest else "the first, as none is believed"
-        counts = f"the middle of the {len(surest)} that are surest" if surest[1:] else one
-        apart = ends_apart(found)
-        report.reason = f"from the maps of other sides and their mean, {len(found) - 1} in all: {counts}"
-        report.reason += "" if apart is None else f"; they end {apart:.2%} of the film apart"
-        return replace(middle(surest) if surest else first, ends_apart=apart)
+        return reread(pyramid, phases, first, reader, config, report)
+
+
+def _evened(film: BackwardMap, phases: CellPhases | None, read: EdgesRead, config: RectifyConfig) -> BackwardMap:
+    """The film with its cells evened out, as far as the network tells of them."""
+    return film if phases is None else even(film, phases, read.seen_through(film), config.foreshortening)
 
 
 def reread(
@@ -353,17 +346,15 @@ def flat_itself(
     return flat
 
 
-def trusted(
-    network: FilmNet,
-    edges: StripReader,
-    borders: StripReader,
+def judged(
+    readers: Readers,
     pyramid: Pyramid,
     seen: LastLook,
     refinement: Refinement,
     flat: bool,
     config: RectifyConfig,
     clock: Clock,
-) -> tuple[Verdict, Signs]:
+) -> Judged:
     """Whether the map is as good as certain, and what speaks for it and against it; the networks look once more.
 
     flat: whether the photo was found to be the flat film itself.
@@ -372,15 +363,68 @@ def trusted(
     assert isinstance(coarse, Inversion)  # else there is nothing to trust
     with clock.stage("verdict") as report:
         plane = plane_of(refinement.backward.cropped((0.0, 0.0), (1 / seen.factor, 1 / seen.factor)))
-        (again,) = look(network, seen.photo, [film_view(plane, config.predict.margin)])
-        across = refinement.across or look_across(pyramid, refinement.backward, edges, config.edges)
+        (again,) = look(readers.network, seen.photo, [film_view(plane, config.predict.margin)])
+        across = refinement.across or look_across(pyramid, refinement.backward, readers.edges, config.edges)
         film, grid = refinement.backward, refinement.grid
-        shown = 0.0 if grid is None else borders_shown(pyramid, film, grid, borders, config.refine.borders)
+        shown = 0.0 if grid is None else borders_shown(pyramid, film, grid, readers.borders, config.refine.borders)
         look_again = again.enlarged(seen.factor)
         signs = signs_of(pyramid, seen.maps, coarse.backward, refinement, look_again, across, shown, flat)
         verdict = film_verdict(signs, config.trust)
         report.reason = verdict.reason
-    return verdict, signs
+    phases = readers.phases_of(look_again, config)
+    stages = (*refinement.stages, clock.reports[-1])
+    return Judged(refinement, across, phases, signs, verdict, chance_right(signs, config.trust), stages)
+
+
+def beyond_doubt(
+    readers: Readers,
+    pyramid: Pyramid,
+    seen: LastLook,
+    first: Judged,
+    whole: bool,
+    config: RectifyConfig,
+    clock: Clock,
+) -> Judged:
+    """A refinement, or the surest of several more if it is in doubt, until one is not.
+
+    They start from where the first ended, with edges and cells as they are seen through its map, then from what the
+    network sees from other sides. whole: whether margins that were taken for the ground are looked for.
+    """
+    with clock.stage("again") as report:
+        doubtful = first.verdict.code is StatusCode.UNSURE
+        hopeful = first.chance >= config.hopeless
+        report.ran = bool(config.tries and doubtful and hopeful)
+        if not report.ran:
+            some = "too little speaks for it" if config.tries else "one refinement is enough in this effort"
+            report.reason = some if doubtful else "there is no doubt that more refinements would take away"
+            return first
+        found = [first]
+        for start in _starts(readers, pyramid, seen, first, config):
+            apart = Clock()
+            refined = exact(pyramid, *start, readers.edges, config, apart)
+            if whole:
+                refined = whole_sheet(pyramid, start[1], refined, readers.edges, config, apart)
+            found.append(judged(readers, pyramid, seen, refined, False, config, apart))
+            if found[-1].verdict.ok or len(found) > config.tries:
+                break
+        surest = max(found, key=lambda one: (one.verdict.ok, one.chance))
+        said = ", ".join(floored(one.chance) for one in found[1:])
+        counts = "the first still counts" if surest is first else f"{floored(surest.chance)} counts"
+        report.reason = f"{floored(first.chance)} sure to be right at first, refined again {said}: {counts}"
+    clock.counts(surest.stages)
+    return surest
+
+
+def _starts(
+    readers: Readers, pyramid: Pyramid, seen: LastLook, first: Judged, config: RectifyConfig
+) -> Iterator[tuple[BackwardMap, CellPhases | None, EdgesRead]]:
+    """Maps to refine anew, with what is told of the cells, and edges read: where the first refinement ended, and then
+    what the network sees from other sides."""
+    yield first.refinement.backward, first.phases, first.across
+    phases = readers.phases_of(seen.maps, config)
+    for side in see_from_sides(readers.network, seen, config)[:-1]:
+        read = read_edges(pyramid, side.backward, readers.edges, config.edges)
+        yield _evened(put_on_edges(side.backward, read, config.edges), phases, read, config), phases, read
 
 
 def _exactly(
@@ -407,43 +451,3 @@ def _on_copy(
     grid = found.grid and replace(found.grid, vertices_photo=found.grid.vertices_photo * np.array(up))
     left = None if found.expected_px is None else found.expected_px * up[0]
     return replace(found, backward=found.backward.cropped((0.0, 0.0), up), grid=grid, expected_px=left)
-
-
-def as_sure(refinements: Sequence[Refinement]) -> list[Refinement]:
-    """Those that are believed and expect hardly more error than the surest: most of what went astray shows it.
-
-    Of two nobody knows which is astray: then only the surest.
-    """
-    known = [(one.expected_px, one) for one in refinements if one.expected_px is not None]
-    known.sort(key=lambda pair: pair[0])
-    sure = [one for expected, one in known if expected <= AS_SURE * known[0][0]]
-    return sure if len(sure) > 2 else sure[:1]
-
-
-def ends_apart(refinements: Sequence[Refinement]) -> float | None:
-    """Mean distance between two maps, the median over all pairs, in parts of the film's size; None of fewer than three.
-
-    What leads one start astray is another thing for each, so ends that are one have hardly all been led there.
-    """
-    if len(refinements) < 3:
-        return None
-    ends = [one.backward.lattice((17, 17)) for one in refinements]
-    apart = [np.linalg.norm(a - b, axis=-1).mean() for a, b in combinations(ends, 2)]
-    return float(np.median(apart) / np.sqrt(np.prod(refinements[0].backward.mean_film_pixels())))
-
-
-def middle(refinements: Sequence[Refinement]) -> Refinement:
-    """The map on which refinements from several maps agree (their geometric median), with the evidence of the nearest.
-
-    What leads each of them astray a little is another thing for each: their middle is more exact than most of them.
-    """
-    if len(refinements) == 1:
-        return refinements[0]
-    rows, columns = refinements[0].backward.nodes.shape[:2]
-    nodes = np.stack([one.backward.resized((rows, columns)).nodes for one in refinements])
-    between = geometric_median(nodes)
-    nearest = refinements[int(np.argmin(np.square(nodes - between).sum(axis=(1, 2, 3))))]
-    backward, grid = BackwardMap(between), nearest.grid
-    if grid is not None:
-        grid = replace(grid, vertices_photo=backward.photo_from_film(grid.vertices))
-    return replace(nearest, backward=backward, grid=grid, across=None)

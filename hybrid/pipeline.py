@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from functools import lru_cache, partial
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -16,14 +16,16 @@ from hybrid.effort import Effort, RectifyConfig
 from hybrid.errors import ConfigError, FusionError, describe
 from hybrid.geometry import (
     Clock,
+    Readers,
     Report,
+    beyond_doubt,
     checked,
     flat_itself,
+    judged,
     see,
     see_at,
     see_from_sides,
     shape_of,
-    trusted,
     whole_sheet,
 )
 from hybrid.grid_edit import GridEdit
@@ -45,7 +47,6 @@ from hybrid.learn.weights import (
 from hybrid.levels import LevelReader
 from hybrid.pyramid import Photo, Pyramid
 from hybrid.records import CoarseMaps, RectifyResult, SliceGrid, Status, StatusCode
-from hybrid.rectify.cell_phases import CellPhases
 from hybrid.rectify.corners import Corners, film_at
 from hybrid.rectify.cover import covered_parts
 from hybrid.rectify.deilluminate import Deillumination, deilluminate
@@ -72,10 +73,10 @@ class Rectifier:
             do = 'For an effort: Rectifier(RectifyConfig.of("fast")).'
             raise ConfigError(describe(what="Rectifier", got=repr(config), allowed="a RectifyConfig or None", do=do))
         weights = self.config.weights
-        self._network: FilmNet = ready(
-            packaged_film_net() if weights is None else load_weights(weights, FilmNet, FilmNetConfig)
+        network = packaged_film_net() if weights is None else load_weights(weights, FilmNet, FilmNetConfig)
+        self._readers = Readers(
+            ready(network), *(strip_reader(ready(net())) for net in (packaged_edge_net, packaged_border_net))
         )
-        self._edges, self._borders = (strip_reader(ready(net())) for net in (packaged_edge_net, packaged_border_net))
         self._reader = OrientationReader(ready(packaged_upright_net()), ready(packaged_slice_net()))
         self._levels: LevelReader = level_reader(ready(packaged_light_net()))
 
@@ -184,9 +185,8 @@ class Rectifier:
             PhotoError: the source cannot be read as a photo.
         """
         with one_thread():
-            clock = Clock()
-            seen = see(self._network, Pyramid(as_photo(source)), self.config, clock)
-            sides = see_from_sides(self._network, seen, self.config, clock)
+            seen = see(self._readers.network, Pyramid(as_photo(source)), self.config, Clock())
+            sides = see_from_sides(self._readers.network, seen, self.config)
         mean = agreed(sides) if sides else None
         return mean.backward if isinstance(mean, Inversion) else None
 
@@ -199,39 +199,36 @@ class Rectifier:
             report.reason = shown.reason
         if not shown.ok:
             return RectifyResult(Status(shown.code), clock.reports)
-        pyramid = Pyramid(photo)
+        pyramid, readers, config = Pyramid(photo), self._readers, self.config
         if corners is None:
-            seen = see(self._network, pyramid, self.config, clock)
-            seen, verdict = checked(self._network, pyramid, seen, self.config, clock)
+            seen = see(readers.network, pyramid, config, clock)
+            seen, verdict = checked(readers.network, pyramid, seen, config, clock)
             if not verdict.ok:
                 return RectifyResult(Status(verdict.code), clock.reports)
         else:
             told = film_at(corners, (photo.shape[0], photo.shape[1]))
-            seen = see_at(self._network, pyramid, told, self.config, clock)
+            seen = see_at(readers.network, pyramid, told, config, clock)
         maps, inversion = seen.maps, seen.inversion
         assert isinstance(inversion, Inversion)  # else there is no film
-        sides = partial(see_from_sides, self._network, seen, self.config, clock)
-        phases = CellPhases.of(maps, self._borders) if self.config.told_cells else None
-        refinement = shape_of(pyramid, inversion.backward, phases, self._edges, sides, self.config, clock)
+        phases = readers.phases_of(maps, config)
+        refinement = shape_of(pyramid, inversion.backward, phases, readers.edges, config, clock)
         if corners is None:
-            refinement = whole_sheet(pyramid, phases, refinement, self._edges, self.config, clock)
-        flat = flat_itself(pyramid, inversion.backward, phases, refinement, self.config, clock)
-        refinement = flat or refinement
-        clock.counts(refinement)
-        readers = self._edges, self._borders
-        verdict, signs = trusted(
-            self._network, *readers, pyramid, seen, refinement, flat is not None, self.config, clock
-        )
+            refinement = whole_sheet(pyramid, phases, refinement, readers.edges, config, clock)
+        flat = flat_itself(pyramid, inversion.backward, phases, refinement, config, clock)
+        first = judged(readers, pyramid, seen, flat or refinement, flat is not None, config, clock)
+        clock.counts(first.stages)
+        found = beyond_doubt(readers, pyramid, seen, first, corners is None, config, clock)
+        verdict, signs = found.verdict, found.signs
         if verdict.code is StatusCode.NO_FILM:
             if corners is None:
                 return RectifyResult(Status(verdict.code), clock.reports)
             verdict = replace(verdict, code=StatusCode.UNSURE)
-        result = self._finish(pyramid, maps, refinement, flat is not None, clock)
+        result = self._finish(pyramid, maps, found.refinement, flat is not None, clock)
         return replace(
             result,
             status=Status(verdict.code, verdict.doubts),
-            expected_error_px=expected_error_px(signs, self.config.trust),
-            limit_px=largest_error_px(signs.photo_px, self.config.trust),
+            expected_error_px=expected_error_px(signs, config.trust),
+            limit_px=largest_error_px(signs.photo_px, config.trust),
             signs=signs,
             photo_size=(photo.shape[0], photo.shape[1]),
         )

@@ -186,8 +186,6 @@ class Signs:
     lopsided: of the grid (``SliceGrid.lopsided``).
     sheet: whether a bent sheet explains what was seen.
     flat: whether the photo was found to be the flat film itself; nothing else counts then.
-    ends_apart: how far apart refinements from several starts end, the median over their pairs, in parts of the film's
-        size; None where there was one.
     """
 
     overlap_before: float
@@ -208,7 +206,6 @@ class Signs:
     lopsided: float
     sheet: bool
     flat: bool = False
-    ends_apart: float | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -77,7 +77,7 @@ def test_an_option_that_cannot_be_is_refused(kind: type, options: dict) -> None:
 @pytest.mark.parametrize(
     ("options", "name"),
     [
-        ({"again_above": NAN}, "RectifyConfig.again_above"),
+        ({"hopeless": NAN}, "RectifyConfig.hopeless"),
         ({"trust": TrustConfig(safety=NAN)}, "TrustConfig.safety"),
         ({"refine": RefineConfig(sheet=SheetConfig(settled=NAN))}, "SheetConfig.settled"),
     ],

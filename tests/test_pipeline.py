@@ -12,15 +12,14 @@ from test_plane import flat_photo, plane_map
 
 import hybrid
 from data_gen.sample import SampleConfig, film_samples
-from hybrid.backward import BackwardMap, Orientation, end_point_error, film_as_seen
-from hybrid.coords import film_nodes
+from hybrid.backward import Orientation, end_point_error, film_as_seen
 from hybrid.errors import ConfigError, DataError, PhotoError
-from hybrid.geometry import AS_SURE, Clock, as_sure, checked, ends_apart, middle, see
+from hybrid.geometry import Clock, beyond_doubt, checked, judged, see, shape_of
 from hybrid.pipeline import Effort, Rectifier, RectifyConfig
 from hybrid.pyramid import Pyramid
-from hybrid.records import SliceGrid, StatusCode
+from hybrid.records import StageReport, StatusCode
 from hybrid.rectify.invert import Inversion, NotInverted
-from hybrid.rectify.refine import Refinement
+from hybrid.rectify.survey import Verdict
 
 EXAMPLE = Path(hybrid.__file__).parent / "examples" / "film.jpg"
 
@@ -65,7 +64,7 @@ def test_the_corners_of_the_example_are_where_they_are_seen(result):
 
 def test_every_stage_reports(result):
     names = [stage.name for stage in result.stages]
-    geometry = "network check edges plane spacing outline grid sheet spline reread again margins flat verdict"
+    geometry = "network check edges plane spacing outline grid sheet spline reread margins flat verdict again"
     assert names == f"read survey {geometry} resample upright cover light".split()
     assert all(stage.reason and stage.seconds >= 0 for stage in result.stages)
 
@@ -78,57 +77,81 @@ def test_the_shortcut_takes_corners_however_often_it_is_called(photo, result):
 
 
 def test_efforts_differ_in_what_runs(photo, result):
-    """Fast refines the network's map of one side and fits one sheet; thorough refines again what is not sure."""
+    """Fast refines once and fits one sheet; default and thorough refine again, but only what is in doubt."""
     fast = hybrid.rectify(photo, effort="fast")
     ran = {stage.name: stage.ran for stage in fast.stages}
     assert fast.status.ok
     assert [ran[name] for name in ("outline", "grid", "sheet", "spline")] == [True, True, True, True]
     assert fast.limit_px == result.limit_px
     assert len(fast.slices()) == len(result.slices())
-    thorough = RectifyConfig.of("thorough")
-    sure, never_sure = (replace(thorough, again_above=above) for above in (1.0, 0.0))
-    found = Rectifier(sure)(photo)
-    ran = {stage.name: stage.ran for stage in found.stages}
-    assert not ran["again"]
-    assert "sides" not in ran
-    assert np.array_equal(found.backward.nodes, result.backward.nodes)
-    thorough = Rectifier(never_sure)(photo)
-    ran = {stage.name: stage.ran for stage in thorough.stages}
-    assert ran["again"]
-    assert ran["sides"]
-    far = np.linalg.norm(thorough.backward.nodes - result.backward.nodes, axis=-1).mean()
-    near = np.linalg.norm(fast.backward.resized(result.backward.nodes.shape[:2]).nodes - result.backward.nodes, axis=-1)
-    assert far < near.mean()
+    thorough = hybrid.rectify(photo, effort="thorough")
+    assert not {stage.name: stage.ran for stage in thorough.stages}["again"]
+    assert np.array_equal(thorough.backward.nodes, result.backward.nodes)
 
 
-def test_how_far_apart_refinements_end_is_told_in_parts_of_the_film():
-    nodes = 800 * film_nodes((9, 9))
-    shifted = [Refinement(BackwardMap(nodes + dx), None, ()) for dx in np.sqrt(0.5) * np.array([0, 0.8, 0.8, 0.8, 400])]
-    assert ends_apart(shifted[:2]) is None
-    assert ends_apart(shifted[:4]) == pytest.approx(0.0005)  # three pairs of six are 0.8 px apart, three are one
-    assert ends_apart(shifted) == pytest.approx(0.001)
+@pytest.fixture(scope="module")
+def doubted(rectifier, photo):
+    """What is seen of the example, and its refinement, called into question by a trust that asks for too much."""
+    config, pyramid, clock = rectifier.config, Pyramid(photo), Clock()
+    readers = rectifier._readers
+    seen = see(readers.network, pyramid, config, clock)
+    phases = readers.phases_of(seen.maps, config)
+    refined = shape_of(pyramid, seen.inversion.backward, phases, readers.edges, config, clock)
+    never = replace(config, trust=replace(config.trust, least_chance=1.0))
+    first = judged(readers, pyramid, seen, refined, False, never, clock)
+    assert first.verdict.code is StatusCode.UNSURE
+    return readers, pyramid, seen, first, never
 
 
-def test_the_middle_of_refinements_leaves_out_the_one_that_is_far_off():
-    true, vertices = film_nodes((33, 33)) * [400.0, 500.0], film_nodes((4, 5))
-    refinements = [
-        Refinement(BackwardMap(true + off), SliceGrid(3, 4, vertices, vertices * 500.0, 1.0), (), expected_px=off)
-        for off in (1.0, -1.0, 60.0)
+def test_what_is_in_doubt_is_refined_from_where_it_ended_and_from_other_sides(doubted):
+    readers, pyramid, seen, first, config = doubted
+    for tries in (1, 3):
+        clock = Clock()
+        found = beyond_doubt(readers, pyramid, seen, first, True, replace(config, tries=tries), clock)
+        (report,) = clock.reports
+        assert (report.name, report.ran) == ("again", True)
+        assert report.reason.count("%") in (1 + tries, 2 + tries)  # that of the one that counts twice
+        assert found.chance >= first.chance
+        apart = np.linalg.norm(found.refinement.backward.nodes - first.refinement.backward.nodes, axis=-1)
+        assert apart.mean() < 1.0  # of 1,400 px: each ends at the same film
+
+
+def test_the_first_refinement_that_leaves_no_doubt_ends_the_tries(doubted, rectifier):
+    readers, pyramid, seen, first, config = doubted
+    once = replace(config, tries=3, trust=rectifier.config.trust)
+    clock = Clock()
+    found = beyond_doubt(readers, pyramid, seen, first, True, once, clock)
+    assert found.verdict.ok
+    assert clock.reports[0].reason.count("%") == 3
+
+
+def test_a_film_is_refined_again_only_if_that_may_help(doubted):
+    readers, pyramid, seen, first, config = doubted
+    hopeless, sure = replace(first, chance=0.05), replace(first, verdict=Verdict(StatusCode.OK, "sure"))
+    for before, options, text in (
+        (first, replace(config, tries=0), "this effort"),
+        (hopeless, config, "too little"),
+        (sure, config, "no doubt"),
+    ):
+        clock = Clock()
+        assert beyond_doubt(readers, pyramid, seen, before, True, options, clock) is before
+        assert not clock.reports[0].ran
+        assert text in clock.reports[0].reason
+
+
+def test_the_stages_of_the_refinement_that_counts_are_reported():
+    """With the seconds of the first; the others' are those of the stage that called for them."""
+    clock = Clock()
+    for name in ("outline", "grid", "verdict"):
+        with clock.stage(name) as report:
+            report.reason = "first"
+    clock.counts([StageReport("grid", False, "second", 7.0), StageReport("verdict", True, "second", 7.0)])
+    assert [(one.name, one.ran, one.reason) for one in clock.reports] == [
+        ("outline", True, "first"),
+        ("grid", False, "second"),
+        ("verdict", True, "second"),
     ]
-    found = middle(refinements)
-    assert np.abs(found.backward.nodes - true).max() < 1.01
-    assert found.expected_px in (1.0, -1.0)
-    assert found.grid is not None
-    assert found.grid.vertices_photo == pytest.approx(found.backward.photo_from_film(vertices))
-
-
-def test_refinements_that_are_far_less_sure_than_the_best_do_not_count():
-    nodes = BackwardMap(film_nodes((33, 33)) * 400.0)
-    expected = [2.0, None, 1.99 * AS_SURE, 2.01 * AS_SURE, 2.1]
-    refinements = [Refinement(nodes, None, (), expected_px=px) for px in expected]
-    assert [one.expected_px for one in as_sure(refinements)] == [2.0, 2.1, 1.99 * AS_SURE]
-    assert as_sure(refinements[2:4]) == refinements[2:3]  # of two the surest, not the middle
-    assert as_sure([Refinement(nodes, None, ())]) == []
+    assert all(one.seconds < 7.0 for one in clock.reports)
 
 
 def test_the_efforts_are_those_of_the_type_and_no_other():
@@ -289,15 +312,19 @@ def test_public_names_are_listed_before_they_are_used():
 def test_a_film_that_the_first_looks_miss_is_found_from_a_wider_one(rectifier, photo):
     pyramid, clock = Pyramid(photo), Clock()
     missed = replace(
-        see(rectifier._network, pyramid, rectifier.config, clock), inversion=NotInverted("nothing like a film")
+        see(rectifier._readers.network, pyramid, rectifier.config, clock), inversion=NotInverted("nothing like a film")
     )
-    seen, verdict = checked(rectifier._network, pyramid, missed, rectifier.config, clock)
+    seen, verdict = checked(rectifier._readers.network, pyramid, missed, rectifier.config, clock)
     assert verdict.ok
     assert "wider look" in clock.reports[-1].reason
     assert isinstance(seen.inversion, Inversion)
     cut = Pyramid(photo[:, : photo.shape[1] // 2].copy())  # of what leaves the photo the rest is not taken for all
     seen, verdict = checked(
-        rectifier._network, cut, see(rectifier._network, cut, rectifier.config, clock), rectifier.config, clock
+        rectifier._readers.network,
+        cut,
+        see(rectifier._readers.network, cut, rectifier.config, clock),
+        rectifier.config,
+        clock,
     )
     assert verdict.code is StatusCode.CUT_OFF
 

@@ -34,18 +34,6 @@ SURE = Signs(
 )  # fmt: skip
 
 
-def test_ends_that_agree_speak_for_a_film_but_not_against_a_must() -> None:
-    doubtful = replace(SURE, borders_shown=0.8, edges_beside=0.001, seen_beside=0.006, stated=0.002)
-    assert not film_verdict(doubtful).ok
-    assert not film_verdict(replace(doubtful, ends_apart=0.003)).ok
-    agreed = replace(doubtful, ends_apart=0.0006)
-    assert film_verdict(agreed).ok
-    assert chance_right(agreed) == TrustConfig().agreed_chance
-    assert expected_error_px(agreed) < expected_error_px(doubtful)
-    assert chance_right(replace(SURE, ends_apart=0.0006)) >= chance_right(SURE)
-    assert not film_verdict(replace(agreed, edges=3)).ok
-
-
 def test_a_film_that_all_signs_speak_for_is_flattened() -> None:
     found = film_verdict(SURE)
     assert found.ok

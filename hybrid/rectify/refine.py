@@ -71,7 +71,6 @@ class Refinement:
     aspect: height over width of the unstretched sheet that explains what is seen; None where none does.
     stands: whether what was seen bears the map out, also one that was kept as no other explains that better.
     across: the sheet's edges as they were read across the map's (edge_paths.py); None where that was not looked at.
-    ends_apart: how far apart refinements from several starts end, in parts of the film's size; None for a single one.
     """
 
     backward: BackwardMap
@@ -82,7 +81,6 @@ class Refinement:
     aspect: float | None = None
     stands: bool = False
     across: EdgesRead | None = None
-    ends_apart: float | None = None
 
     @property
     def believed(self) -> bool:

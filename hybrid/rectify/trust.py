@@ -93,14 +93,6 @@ class TrustConfig:
     """How that is told."""
     error: ErrorConfig = ErrorConfig()
     """How the error to be expected is told."""
-    agreed: float = 0.001
-    """Ends of refinements from several starts that lie so near to each other, in parts of the film, are one: of 480
-    photos, of which 252 were refined from five starts, 80 ended so, 78 of them right; of the 57 without another doubt
-    all."""
-    agreed_chance: float = 0.97
-    """Then the probability that the error is below the limit is this at least."""
-    agreed_error: float = 0.55
-    """And the error to be expected is less by this factor: so much it was at the median."""
     min_edges: int = 4
     """Least number of the sheet's edges that are seen: what only repeats tells neither place nor size, and a printed
     line may be taken for the edge that is not seen."""
@@ -159,7 +151,6 @@ def signs_of(
         lopsided=UNKNOWN_LOPSIDED if grid is None else grid.lopsided,
         sheet=refinement.aspect is not None,
         flat=flat,
-        ends_apart=refinement.ends_apart,
     )
 
 
@@ -168,8 +159,7 @@ def expected_error_px(signs: Signs, config: TrustConfig | None = None) -> float:
     config = config or TrustConfig()
     if signs.flat:
         return FLAT_ERROR * signs.film_px
-    fewer = config.agreed_error if _ends_agree(signs, config) else 1.0
-    return fewer * float(np.exp(_weighted(features(signs), config.error))) * signs.film_px
+    return float(np.exp(_weighted(features(signs), config.error))) * signs.film_px
 
 
 def features(signs: Signs) -> dict[str, float]:
@@ -190,8 +180,7 @@ def chance_right(signs: Signs, config: TrustConfig | None = None) -> float:
     if signs.flat:
         return 1.0
     odds = _weighted(chance_features(signs, largest_error_px(signs.photo_px, config)), config.chance)
-    least = config.agreed_chance if _ends_agree(signs, config) else 0.0
-    return max(float(1.0 / (1.0 + np.exp(-odds))), least)
+    return float(1.0 / (1.0 + np.exp(-odds)))
 
 
 def chance_features(signs: Signs, limit_px: float) -> dict[str, float]:
@@ -228,12 +217,12 @@ def film_verdict(signs: Signs, config: TrustConfig | None = None) -> Verdict:
             ("cells are not alike", signs.grid and signs.alike < config.min_alike),
             ("edges, lines and texts of the film did not correct the network's map", not signs.corrected),
             (f"{expected:.1f} px of error expected, {allowed:.1f} allowed", expected > allowed),
-            (f"only {_floored(chance)} sure to be right to {limit:.1f} px", chance < config.least_chance),
+            (f"only {floored(chance)} sure to be right to {limit:.1f} px", chance < config.least_chance),
         )
         if doubtful
     ]
     evidence = (
-        f"{_floored(chance)} sure to be right to {limit:.1f} px, expected to be off by {expected:.1f} px; "
+        f"{floored(chance)} sure to be right to {limit:.1f} px, expected to be off by {expected:.1f} px; "
         f"mask and outline agree to {signs.overlap_before:.1%} before and "
         f"{signs.overlap_after:.1%} after refinement, each edge is at least {signs.support:.0%} likely to be the "
         f"sheet's, cells are alike to {signs.alike:.0%} and agree with what the network sees to {signs.in_step:.0%}"
@@ -277,11 +266,6 @@ def _repeats(grid: SliceGrid, axis: int) -> Repeats:
     return Repeats(axis, *grid.along(axis))
 
 
-def _ends_agree(signs: Signs, config: TrustConfig) -> bool:
-    """Whether refinements from several starts end at one map."""
-    return signs.ends_apart is not None and signs.ends_apart < config.agreed
-
-
 def _weighted(features: Mapping[str, float], weights: ChanceConfig | ErrorConfig) -> float:
     """Sum of the features, each with its weight."""
     return sum(getattr(weights, name) * value for name, value in features.items())
@@ -301,7 +285,7 @@ def _seen_beside(again: CoarseMaps, backward: BackwardMap) -> float:
     return float(np.sqrt(np.square(fitted).sum() / len(uv)))
 
 
-def _floored(chance: float) -> str:
+def floored(chance: float) -> str:
     """A probability in whole percent, none of which it falls short of."""
     return f"{int(100 * chance + 1e-9)}%"
 
@@ -316,6 +300,7 @@ __all__ = [
     "expected_error_px",
     "features",
     "film_verdict",
+    "floored",
     "largest_error_px",
     "signs_of",
 ]
