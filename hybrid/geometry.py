@@ -28,7 +28,7 @@ from hybrid.rectify.invert import Inversion, NotInverted, change, fit_backward
 from hybrid.rectify.plane import flat_film
 from hybrid.rectify.refine import Refinement, refine
 from hybrid.rectify.survey import SurveyConfig, Verdict, expected_error, survey_maps, survey_print
-from hybrid.rectify.trust import chance_right, film_verdict, floored, signs_of
+from hybrid.rectify.trust import chance_right, film_verdict, floored, seen_beside, signs_of
 from hybrid.strips import StripReader
 
 WIDER = 1.25
@@ -295,15 +295,19 @@ def whole_sheet(
     phases: CellPhases | None,
     refined: Refinement,
     reader: StripReader,
+    beside: Callable[[BackwardMap], float],
     config: RectifyConfig,
     clock: Clock,
 ) -> Refinement:
-    """A refinement, or one of the sheet with margins that were taken for the ground, if its edges are sure to be there,
-    its print lies in its middle and all that is seen of it agrees."""
+    """A refinement, or one of the sheet with margins that were taken for the ground, if its edges are likely to be
+    there, its print lies in its middle and the network sees it there, too.
+
+    reader: reads the film's edges. beside: how far beside a map the network sees the film (``seen_beside``).
+    """
     with clock.stage("margins") as report:
         found: list[str] = []
         while len(found) < MOST_MARGINS:
-            wider = _with_margins(pyramid, phases, refined, reader, config)
+            wider = _with_margins(pyramid, phases, refined, reader, beside, config)
             if wider is None:
                 break
             refined = wider[0]
@@ -314,7 +318,12 @@ def whole_sheet(
 
 
 def _with_margins(
-    pyramid: Pyramid, phases: CellPhases | None, refined: Refinement, reader: StripReader, config: RectifyConfig
+    pyramid: Pyramid,
+    phases: CellPhases | None,
+    refined: Refinement,
+    reader: StripReader,
+    beside: Callable[[BackwardMap], float],
+    config: RectifyConfig,
 ) -> tuple[Refinement, str] | None:
     """The first refinement with such margins that is to be believed, and what they are."""
     options = config.margins
@@ -326,7 +335,9 @@ def _with_margins(
         if wider.grid is not None and wider.grid.lopsided > options.most_lopsided:
             continue
         across = look_across(pyramid, wider.backward, reader, config.edges)
-        if longer.chance(across) >= options.sure and across.support.min() >= options.least_support:
+        if longer.chance(across) < options.sure or across.support.min() < options.least_support:
+            continue
+        if beside(wider.backward) <= options.most_beside:
             return replace(wider, across=across), str(longer)
     return None
 
@@ -346,6 +357,18 @@ def flat_itself(
     return flat
 
 
+def network_beside(network: FilmNet, seen: LastLook, config: RectifyConfig, film: BackwardMap) -> float:
+    """How far beside a map the network sees the film, smoothed, in parts of its size."""
+    return seen_beside(seen_through(network, seen, config, film), film)
+
+
+def seen_through(network: FilmNet, seen: LastLook, config: RectifyConfig, film: BackwardMap) -> CoarseMaps:
+    """What the network sees of the film as a map flattens it (as a plane sheet)."""
+    plane = plane_of(film.cropped((0.0, 0.0), (1 / seen.factor, 1 / seen.factor)))
+    (again,) = look(network, seen.photo, [film_view(plane, config.predict.margin)])
+    return again.enlarged(seen.factor)
+
+
 def judged(
     readers: Readers,
     pyramid: Pyramid,
@@ -362,12 +385,10 @@ def judged(
     coarse = seen.inversion
     assert isinstance(coarse, Inversion)  # else there is nothing to trust
     with clock.stage("verdict") as report:
-        plane = plane_of(refinement.backward.cropped((0.0, 0.0), (1 / seen.factor, 1 / seen.factor)))
-        (again,) = look(readers.network, seen.photo, [film_view(plane, config.predict.margin)])
+        look_again = seen_through(readers.network, seen, config, refinement.backward)
         across = refinement.across or look_across(pyramid, refinement.backward, readers.edges, config.edges)
         film, grid = refinement.backward, refinement.grid
         shown = 0.0 if grid is None else borders_shown(pyramid, film, grid, readers.borders, config.refine.borders)
-        look_again = again.enlarged(seen.factor)
         signs = signs_of(pyramid, seen.maps, coarse.backward, refinement, look_again, across, shown, flat)
         verdict = film_verdict(signs, config.trust)
         report.reason = verdict.reason
@@ -398,12 +419,12 @@ def beyond_doubt(
             some = "too little speaks for it" if config.tries else "one refinement is enough in this effort"
             report.reason = some if doubtful else "there is no doubt that more refinements would take away"
             return first
-        found = [first]
+        found, beside = [first], partial(network_beside, readers.network, seen, config)
         for start in _starts(readers, pyramid, seen, first, config):
             apart = Clock()
             refined = exact(pyramid, *start, readers.edges, config, apart)
             if whole:
-                refined = whole_sheet(pyramid, start[1], refined, readers.edges, config, apart)
+                refined = whole_sheet(pyramid, start[1], refined, readers.edges, beside, config, apart)
             found.append(judged(readers, pyramid, seen, refined, False, config, apart))
             if found[-1].verdict.ok or len(found) > config.tries:
                 break

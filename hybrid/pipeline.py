@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +22,7 @@ from hybrid.geometry import (
     checked,
     flat_itself,
     judged,
+    network_beside,
     see,
     see_at,
     see_from_sides,
@@ -213,7 +214,8 @@ class Rectifier:
         phases = readers.phases_of(maps, config)
         refinement = shape_of(pyramid, inversion.backward, phases, readers.edges, config, clock)
         if corners is None:
-            refinement = whole_sheet(pyramid, phases, refinement, readers.edges, config, clock)
+            beside = partial(network_beside, readers.network, seen, config)
+            refinement = whole_sheet(pyramid, phases, refinement, readers.edges, beside, config, clock)
         flat = flat_itself(pyramid, inversion.backward, phases, refinement, config, clock)
         first = judged(readers, pyramid, seen, flat or refinement, flat is not None, config, clock)
         clock.counts(first.stages)

@@ -13,8 +13,10 @@ from hybrid.effort import RectifyConfig
 from hybrid.geometry import MOST_MARGINS, Clock, whole_sheet
 from hybrid.pyramid import Pyramid
 from hybrid.records import SliceGrid
-from hybrid.rectify.clear_margins import ClearMarginsConfig, Longer, with_margins
+from hybrid.rectify.clear_margins import ClearMarginsConfig, Longer, LongerSheet, with_margins
+from hybrid.rectify.edge_paths import EdgesRead
 from hybrid.rectify.refine import Refinement
+from hybrid.strips import SIDES
 
 MARGINS = ClearMarginsConfig()
 PHOTO, SHEET = sheet_photo()
@@ -107,9 +109,11 @@ def refined(film: BackwardMap, expected_px=0.5) -> Refinement:
 
 
 def sheet_of(
-    before: Refinement, monkeypatch, expected_px=0.5, margins=MARGINS, grid=None
+    before: Refinement, monkeypatch, expected_px=0.5, margins=MARGINS, grid=None, beside=0.0
 ) -> tuple[Refinement, list[BackwardMap], bool]:
-    """The sheet, all maps from which refinement began, which leaves them where they are, and whether the stage ran."""
+    """The sheet, all maps from which refinement began, which leaves them where they are, and whether the stage ran.
+
+    beside: how far from them the network sees the film, in parts of its size."""
     begun: list[BackwardMap] = []
 
     def exactly(pyramid, phases, read, config, start):
@@ -118,8 +122,8 @@ def sheet_of(
         return replace(refined(start, expected_px), grid=grid)
 
     monkeypatch.setattr(geometry, "_exactly", exactly)
-    clock = Clock()
-    sheet = whole_sheet(Pyramid(PHOTO), None, before, STEPS, replace(RectifyConfig(), margins=margins), clock)
+    config, clock = replace(RectifyConfig(), margins=margins), Clock()
+    sheet = whole_sheet(Pyramid(PHOTO), None, before, STEPS, lambda _: beside, config, clock)
     (report,) = clock.reports
     assert report.name == "margins"
     return sheet, begun, report.ran
@@ -134,7 +138,7 @@ def test_a_sheet_with_margins_that_is_seen_as_well_counts(monkeypatch):
     assert sheet.across.support.min() > MARGINS.least_support
 
 
-@pytest.mark.parametrize("expected_px", [None, 10.0])
+@pytest.mark.parametrize("expected_px", [None, 20.0])
 def test_it_does_not_where_its_refinement_expects_a_large_error_or_none(monkeypatch, expected_px):
     before = refined(part((100, 160)))
     sheet, begun, ran = sheet_of(before, monkeypatch, expected_px)
@@ -146,7 +150,7 @@ def test_it_does_not_where_its_refinement_expects_a_large_error_or_none(monkeypa
 def test_nor_where_its_print_is_far_from_the_middle(monkeypatch):
     """The sheet goes on at one end by a seventh, and the grid ends where the map did."""
     before = refined(part((100, 160)))
-    for low, counts in ((0.136, False), (0.03, True)):
+    for low, counts in ((0.146, False), (0.03, True)):
         vertices = np.array([0.0, low]) + np.array([1.0, 1.0 - low]) * film_nodes((4, 4))
         sheet, _, ran = sheet_of(before, monkeypatch, grid=SliceGrid(3, 3, vertices, vertices, 1.0))
         assert ran is counts
@@ -160,6 +164,27 @@ def test_nor_where_its_edges_are_not_sure_then(monkeypatch, name):
     assert sheet is before
     assert len(begun) == 1
     assert not ran
+
+
+def test_nor_where_the_network_sees_the_film_elsewhere(monkeypatch):
+    before = refined(part((100, 160)))
+    for beside, counts in ((1.01 * MARGINS.most_beside, False), (0.99 * MARGINS.most_beside, True)):
+        sheet, _, ran = sheet_of(before, monkeypatch, beside=beside)
+        assert ran is counts
+        assert (sheet is before) is not counts
+
+
+def test_sides_that_the_photo_does_not_show_speak_neither_for_margins_nor_against_them():
+    """Of a film that leaves the photo on one side the other tells; of one that shows neither nothing does."""
+    top, left, right = (next(side for side in SIDES if side.name == name) for name in ("top", "left", "right"))
+    chances = np.full((4, 64), 0.9)
+    read = EdgesRead(SHEET, (), 0.0, chances)
+    longer = LongerSheet(read, {top: 0.2})
+    assert longer.chance(read) == pytest.approx(0.81)
+    chances[SIDES.index(right)] = np.nan
+    assert longer.chance(read) == pytest.approx(0.81)
+    chances[SIDES.index(left)] = np.nan
+    assert longer.chance(read) == 0.0
 
 
 def test_margins_of_both_axes_are_found_one_after_the_other(monkeypatch):

@@ -17,12 +17,12 @@ from hybrid.rectify.refine import Refinement
 from hybrid.rectify.trust import (
     FLAT_ERROR,
     TrustConfig,
-    _seen_beside,
     cells_alike,
     chance_right,
     expected_error_px,
     film_verdict,
     largest_error_px,
+    seen_beside,
 )
 
 TOO_FAR = f"px of error expected, {TrustConfig().safety * TrustConfig().limit_px:.1f} allowed"
@@ -163,11 +163,11 @@ def test_what_is_seen_beside_a_map_counts_as_far_as_it_is_smooth() -> None:
 
     def beside(off: np.ndarray) -> float:
         seen = (film.photo_from_film(uv.astype(np.float64)) + off).astype(np.float32)
-        return _seen_beside(CoarseMaps(whole, uv, zeros, whole, seen), film)
+        return seen_beside(CoarseMaps(whole, uv, zeros, whole, seen), film)
 
-    assert beside(np.array([3.0, 4.0])) == pytest.approx(5.0, rel=1e-3)
-    assert beside(np.stack([10.0 * (uv[..., 1] - 0.5), 0 * uv[..., 0]], axis=-1)) == pytest.approx(2.89, rel=0.02)
-    assert beside(np.random.default_rng(0).normal(0, 5, (20, 20, 2))) < 1.5
+    assert beside(np.array([3.0, 4.0])) == pytest.approx(5.0 / 400, rel=1e-3)
+    assert beside(np.stack([10.0 * (uv[..., 1] - 0.5), 0 * uv[..., 0]], axis=-1)) == pytest.approx(2.89 / 400, rel=0.02)
+    assert beside(np.random.default_rng(0).normal(0, 5, (20, 20, 2))) < 1.5 / 400
 
 
 def test_no_photo_is_asked_for_less_than_a_pixel_of_its_own() -> None:

@@ -33,6 +33,8 @@ from hybrid.strips import SIDES, Side, StripReader, strip_copy, strips_across
 
 NODES = (33, 33)
 """Of a map that was made longer."""
+SIDES_SHOWN = 0.3
+"""Of the sides of what a sheet gains so much must be shown at least."""
 BESIDE_FRAME, MOST = 0.02, 0.75
 """Of a new end most nodes must be shown so far inside the photo's frame, in parts of the film: else the frame is it."""
 
@@ -47,16 +49,18 @@ class ClearMarginsConfig:
     by which margins may differ on both sides of the film then, as most prints are in the sheet's middle
     (``SliceGrid.lopsided``). least_support: least mean probability, over any side, that an edge lies where the
     longer map has it, then. most_expected: largest error to be expected then, in parts of the film's longer side.
+    most_beside: farthest, smoothed over the film, that the network sees it beside the longer map (trust.py).
     """
 
     beyond: tuple[float, ...] = (0.12, 0.28)
     noticed: float = 0.4
     least: float = 0.05
     likely: float = 0.35
-    sure: float = 0.7
-    most_lopsided: float = 0.07
-    least_support: float = 0.5
-    most_expected: float = 0.006
+    sure: float = 0.5
+    most_lopsided: float = 0.08
+    least_support: float = 0.3
+    most_expected: float = 0.02
+    most_beside: float = 0.015
 
     def __post_init__(self) -> None:
         require_at_least(self, 1e-3, "least")
@@ -91,11 +95,13 @@ class LongerSheet:
         return min(float(across.support[SIDES.index(end)]) * self._sides(across, end) for end in self.gained)
 
     def _sides(self, across: EdgesRead, end: Side) -> float:
-        """Mean probability of the edges on both sides of what the sheet gains at one of its ends."""
+        """Mean probability of the edges on both sides of what the sheet gains at one of its ends, as far as the photo
+        shows them; 0 where it hardly does."""
         chances = across.chances[[side.axis != end.axis for side in SIDES]]
         depth = -_outside(film_centres_1d(chances.shape[1]), end)  # inside of the new end
-        part = (depth < self.gained[end] / (1.0 + sum(self.gained.values()))) & (depth > CORNER)
-        return float(np.nan_to_num(chances[:, part]).mean()) if part.any() else 0.0
+        gained = chances[:, (depth < self.gained[end] / (1.0 + sum(self.gained.values()))) & (depth > CORNER)]
+        shown = np.isfinite(gained)
+        return float(gained[shown].mean()) if gained.size and shown.mean() >= SIDES_SHOWN else 0.0
 
     def __str__(self) -> str:
         told = " and ".join(f"{length:.0%} at the {end.name}" for end, length in self.gained.items())

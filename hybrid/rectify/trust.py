@@ -131,7 +131,7 @@ def signs_of(
     shown: how probable it is that borders between cells show where its grid has them (``borders_shown``).
     """
     backward, grid = refinement.backward, refinement.grid
-    film_px = max(float(np.sqrt(np.prod(backward.mean_film_pixels()))), 1e-9)
+    film_px = _film_px(backward)
     return Signs(
         overlap_before=mask_overlap(seen, coarse),
         overlap_after=mask_overlap(again, backward),
@@ -144,7 +144,7 @@ def signs_of(
         levels=grey_spread(pyramid.photo),
         support=float(across.support.min()),
         in_step=0.0 if grid is None else _in_step(again, backward, grid),
-        seen_beside=_seen_beside(again, backward) / film_px,
+        seen_beside=seen_beside(again, backward),
         stated=UNKNOWN_STATED if refinement.expected_px is None else refinement.expected_px / film_px,
         edges_beside=across.off if len(across.sightings) == len(SIDES) else UNKNOWN_EDGES,
         borders_shown=shown,
@@ -271,9 +271,9 @@ def _weighted(features: Mapping[str, float], weights: ChanceConfig | ErrorConfig
     return sum(getattr(weights, name) * value for name, value in features.items())
 
 
-def _seen_beside(again: CoarseMaps, backward: BackwardMap) -> float:
+def seen_beside(again: CoarseMaps, backward: BackwardMap) -> float:
     """Root mean square of the displacement between a map and what the network sees, smoothed to a quadratic function of
-    film points, in pixels of the photo."""
+    film points, in parts of the film's size."""
     film = again.film
     if not film.any():
         return float("inf")
@@ -282,7 +282,12 @@ def _seen_beside(again: CoarseMaps, backward: BackwardMap) -> float:
     u, v = uv.T
     smooth = np.column_stack([np.ones(len(uv)), u, v, u * u, u * v, v * v])
     fitted = smooth @ np.linalg.lstsq(smooth, apart, rcond=None)[0]
-    return float(np.sqrt(np.square(fitted).sum() / len(uv)))
+    return float(np.sqrt(np.square(fitted).sum() / len(uv))) / _film_px(backward)
+
+
+def _film_px(backward: BackwardMap) -> float:
+    """Side of a square of the film's area in the photo, in pixels."""
+    return max(float(np.sqrt(np.prod(backward.mean_film_pixels()))), 1e-9)
 
 
 def floored(chance: float) -> str:
@@ -302,5 +307,6 @@ __all__ = [
     "film_verdict",
     "floored",
     "largest_error_px",
+    "seen_beside",
     "signs_of",
 ]
