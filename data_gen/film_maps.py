@@ -19,15 +19,16 @@ from data_gen.work import start_worker, workers
 from hybrid.backward import end_point_error, film_as_seen
 from hybrid.effort import RectifyConfig
 from hybrid.errors import HybridError, require_at_least
-from hybrid.geometry import Clock, see
 from hybrid.image_io import write_bytes
 from hybrid.learn.edge_data import FILM_MAPS
 from hybrid.learn.inference import ready
 from hybrid.learn.network import FilmNet
 from hybrid.learn.samples import Place, film_of, open_places, photo_of
 from hybrid.learn.weights import packaged_film_net
+from hybrid.looks import see
 from hybrid.pyramid import Pyramid
 from hybrid.rectify.invert import NotInverted
+from hybrid.stages import Clock
 
 NODES = (33, 33)
 """Nodes of the maps."""

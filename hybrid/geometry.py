@@ -1,10 +1,9 @@
-"""From the photo to the backward map and the grid: looks, the plane, refinement; each only as far as the film needs."""
+"""From what the network sees to the backward map and the grid: edges, the plane, refinement, margins, the verdict, and
+once more where that leaves doubt; each only as far as the film needs."""
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -13,60 +12,26 @@ import numpy as np
 from hybrid.backward import BackwardMap, mean_move
 from hybrid.effort import RectifyConfig
 from hybrid.learn.network import FilmNet
-from hybrid.learn.predict import look, look_from_sides
-from hybrid.learn.views import film_view, plane_of, whole_view
+from hybrid.looks import LastLook, network_beside, see_from_sides, seen_through
 from hybrid.pyramid import Photo, Pyramid
 from hybrid.records import CoarseMaps, Signs, StageReport, StatusCode
 from hybrid.rectify.border_paths import borders_shown
 from hybrid.rectify.cell_phases import CellPhases
 from hybrid.rectify.clear_margins import with_margins
-from hybrid.rectify.corners import put_on_corners
 from hybrid.rectify.edge_paths import EdgesRead, look_across, put_on_edges, read_edges
 from hybrid.rectify.flat import already_flat
 from hybrid.rectify.foreshortening import even
-from hybrid.rectify.invert import Inversion, NotInverted, change, fit_backward
+from hybrid.rectify.invert import Inversion
 from hybrid.rectify.plane import flat_film
 from hybrid.rectify.refine import Refinement, refine
-from hybrid.rectify.survey import SurveyConfig, Verdict, expected_error, survey_maps, survey_print
-from hybrid.rectify.trust import chance_right, film_verdict, floored, seen_beside, signs_of
+from hybrid.rectify.survey import Verdict
+from hybrid.rectify.trust import chance_right, film_verdict, floored, signs_of
+from hybrid.stages import Clock, Report
 from hybrid.strips import StripReader
-
-WIDER = 1.25
-"""How many times as wide as the photo the first look is that is tried if none shows a film."""
 
 MOST_MARGINS = 2
 """How often margins are looked for: beyond one end they may show only once the sheet is as long as it is at the other.
 """
-
-
-@dataclass
-class Report:
-    """What a stage says of itself while it runs."""
-
-    reason: str = ""
-    ran: bool = True
-
-
-class Clock:
-    """Collects the reports of the stages of one photo, with their seconds."""
-
-    def __init__(self) -> None:
-        self.reports: tuple[StageReport, ...] = ()
-
-    @contextmanager
-    def stage(self, name: str) -> Iterator[Report]:
-        report, start = Report(), time.perf_counter()
-        yield report
-        self.reports += (StageReport(name, report.ran, report.reason, time.perf_counter() - start),)
-
-    def counts(self, reports: Sequence[StageReport]) -> None:
-        """Of stages that ran several times, has these reported; seconds are of the first run, the others' being in the
-        stages that called for them."""
-        said = {report.name: report for report in reports}
-        self.reports = tuple(
-            replace(said[report.name], seconds=report.seconds) if report.name in said else report
-            for report in self.reports
-        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,20 +49,6 @@ class Readers:
 
 
 @dataclass(frozen=True, eq=False)
-class LastLook:
-    """What the network saw in its last look: the maps, the film's map that follows, and the view of the film, if any.
-
-    All but ``inversion`` and ``maps`` are of ``photo``, the copy of the photo, ``factor`` times smaller, that it saw.
-    """
-
-    maps: CoarseMaps
-    inversion: Inversion | NotInverted
-    view: BackwardMap | None
-    photo: Photo
-    factor: int
-
-
-@dataclass(frozen=True, eq=False)
 class Judged:
     """A refinement, and what the networks, looking through its map, make of it.
 
@@ -112,103 +63,6 @@ class Judged:
     verdict: Verdict
     chance: float
     stages: tuple[StageReport, ...]
-
-
-def see(network: FilmNet, pyramid: Pyramid, config: RectifyConfig, clock: Clock, wider: float = 1.0) -> LastLook:
-    """The network's looks at the photo: at the whole, then at the film, flattened by the plane seen last.
-
-    wider: the first look is at a square so many times as wide as the photo.
-    """
-    predict = config.predict
-    with clock.stage("network") as report:
-        photo, factor = pyramid.reduced(max(pyramid.photo.shape[:2]) / predict.least_px)
-        (maps,) = look(network, photo, [whole_view((photo.shape[0], photo.shape[1]), wider)])
-        inversion, looks, moved = fit_backward(maps, config.invert), 1, np.inf
-        view: BackwardMap | None = None
-        while looks < predict.looks and moved > predict.settled:
-            if isinstance(inversion, NotInverted) or inversion.backward.folds((9, 9)):
-                break
-            if looks > 1 and expected_error(maps) > config.survey.max_expected_error:
-                break  # no film, it seems: a further look would only flatter it
-            view = film_view(plane_of(inversion.backward), predict.margin)
-            (maps,) = look_from_sides(network, photo, view, predict.sides[:1])
-            last, inversion = inversion, fit_backward(maps, config.invert)
-            looks, moved = looks + 1, change(last, inversion)
-        if isinstance(inversion, NotInverted):
-            report.reason = inversion.reason
-        else:
-            inversion = inversion.enlarged(factor)
-            report.reason = f"{looks} looks, the last explained to {inversion.residual_px:.1f} px"
-    return LastLook(maps.enlarged(factor), inversion, view, photo, factor)
-
-
-def see_at(network: FilmNet, pyramid: Pyramid, told: BackwardMap, config: RectifyConfig, clock: Clock) -> LastLook:
-    """The network's look at a film whose corners a person gave, flattened by the plane sheet ``told`` that has them.
-
-    The map is displaced to have these corners; where the network sees no film there, it is that of the plane sheet.
-    """
-    predict = config.predict
-    with clock.stage("network") as report:
-        photo, factor = pyramid.reduced(max(pyramid.photo.shape[:2]) / predict.least_px)
-        told = told.cropped((0.0, 0.0), (1 / factor, 1 / factor))
-        view = film_view(told, predict.margin)
-        (maps,) = look_from_sides(network, photo, view, predict.sides[:1])
-        inversion = fit_backward(maps, config.invert)
-        if isinstance(inversion, Inversion):
-            inversion = replace(inversion, backward=put_on_corners(inversion.backward, told))
-            report.reason = f"a look at the given corners, explained to {inversion.residual_px * factor:.1f} px"
-        if isinstance(inversion, NotInverted) or inversion.backward.folds((17, 17)):
-            inversion = Inversion(told, residual_px=0.0, coverage=0.0, inlier_share=0.0)
-            report.reason = "the plane sheet with the given corners: no film is seen there"
-    return LastLook(maps.enlarged(factor), inversion.enlarged(factor), view, photo, factor)
-
-
-def check(pyramid: Pyramid, seen: LastLook, config: SurveyConfig) -> Verdict:
-    """Whether what the network saw is one sheet, seen whole, and printed as films are."""
-    verdict = survey_maps(seen.maps, seen.inversion, pyramid.photo.shape, config)
-    if not verdict.ok or isinstance(seen.inversion, NotInverted):
-        return verdict
-    printed = survey_print(pyramid, seen.inversion.backward, config)
-    return Verdict(printed.code, f"{printed.reason}; {verdict.reason}")
-
-
-def checked(
-    network: FilmNet, pyramid: Pyramid, seen: LastLook, config: RectifyConfig, clock: Clock
-) -> tuple[LastLook, Verdict]:
-    """What the network saw, and whether it is a film; if not, what it sees from a first look that is wider.
-
-    With little room beside it a film may look as if it went on beyond the photo. That counts only if the whole sheet
-    lies in the photo then: of one that does leave it the seen part would be taken for all.
-    """
-    with clock.stage("check") as report:
-        verdict = check(pyramid, seen, config.survey)
-        if verdict.code in (StatusCode.NO_FILM, StatusCode.CUT_OFF, StatusCode.PAPER):
-            other = see(network, pyramid, config, Clock(), WIDER)
-            second = check(pyramid, other, config.survey)
-            if second.ok and _lies_within(other.inversion, pyramid.photo.shape):
-                seen, verdict = other, Verdict(second.code, f"from a wider look: {second.reason}")
-        report.reason = verdict.reason
-    return seen, verdict
-
-
-def _lies_within(inversion: Inversion | NotInverted, size: tuple[int, ...]) -> bool:
-    """Whether a photo of ``size`` (height, width, ...) shows all of the sheet."""
-    if isinstance(inversion, NotInverted):
-        return False
-    nodes = inversion.backward.nodes
-    return bool((nodes >= 0).all() and (nodes <= np.array(size[1::-1])).all())
-
-
-def see_from_sides(network: FilmNet, seen: LastLook, config: RectifyConfig) -> list[Inversion]:
-    """The maps of the last look, turned and mirrored in several ways for the network; that of ``seen`` is the last."""
-    first, others = seen.inversion, config.predict.sides[1:]
-    if isinstance(first, NotInverted):
-        return []
-    if seen.view is None or not others:
-        return [first]
-    looks = look_from_sides(network, seen.photo, seen.view, others)
-    found = [fit_backward(maps, config.invert) for maps in looks]
-    return [*(side.enlarged(seen.factor) for side in found if isinstance(side, Inversion)), first]
 
 
 def shape_of(
@@ -355,18 +209,6 @@ def flat_itself(
         flat, report.reason = already_flat(pyramid, coarse, refined, partial(_exactly, pyramid, phases, None, config))
         report.ran = flat is not None
     return flat
-
-
-def network_beside(network: FilmNet, seen: LastLook, config: RectifyConfig, film: BackwardMap) -> float:
-    """How far beside a map the network sees the film, smoothed, in parts of its size."""
-    return seen_beside(seen_through(network, seen, config, film), film)
-
-
-def seen_through(network: FilmNet, seen: LastLook, config: RectifyConfig, film: BackwardMap) -> CoarseMaps:
-    """What the network sees of the film as a map flattens it (as a plane sheet)."""
-    plane = plane_of(film.cropped((0.0, 0.0), (1 / seen.factor, 1 / seen.factor)))
-    (again,) = look(network, seen.photo, [film_view(plane, config.predict.margin)])
-    return again.enlarged(seen.factor)
 
 
 def judged(

@@ -14,21 +14,7 @@ from jaxtyping import Bool
 from hybrid.backward import BackwardMap, Orientation
 from hybrid.effort import Effort, RectifyConfig
 from hybrid.errors import ConfigError, FusionError, describe
-from hybrid.geometry import (
-    Clock,
-    Readers,
-    Report,
-    beyond_doubt,
-    checked,
-    flat_itself,
-    judged,
-    network_beside,
-    see,
-    see_at,
-    see_from_sides,
-    shape_of,
-    whole_sheet,
-)
+from hybrid.geometry import Readers, beyond_doubt, flat_itself, judged, shape_of, whole_sheet
 from hybrid.grid_edit import GridEdit
 from hybrid.image_io import as_photo
 from hybrid.learn.edges import strip_reader
@@ -46,6 +32,7 @@ from hybrid.learn.weights import (
     packaged_upright_net,
 )
 from hybrid.levels import LevelReader
+from hybrid.looks import checked, network_beside, see, see_at, see_from_sides
 from hybrid.pyramid import Photo, Pyramid
 from hybrid.records import CoarseMaps, RectifyResult, SliceGrid, Status, StatusCode
 from hybrid.rectify.corners import Corners, film_at
@@ -58,6 +45,7 @@ from hybrid.rectify.refine import Refinement
 from hybrid.rectify.resample import Rectified, rectify_photo
 from hybrid.rectify.survey import survey_photo
 from hybrid.rectify.trust import expected_error_px, largest_error_px
+from hybrid.stages import Clock, Report
 from hybrid.threads import one_thread
 
 

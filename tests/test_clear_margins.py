@@ -10,12 +10,13 @@ import hybrid.geometry as geometry
 from hybrid.backward import BackwardMap
 from hybrid.coords import film_nodes
 from hybrid.effort import RectifyConfig
-from hybrid.geometry import MOST_MARGINS, Clock, whole_sheet
+from hybrid.geometry import MOST_MARGINS, whole_sheet
 from hybrid.pyramid import Pyramid
 from hybrid.records import SliceGrid
 from hybrid.rectify.clear_margins import ClearMarginsConfig, Longer, LongerSheet, with_margins
 from hybrid.rectify.edge_paths import EdgesRead
 from hybrid.rectify.refine import Refinement
+from hybrid.stages import Clock
 from hybrid.strips import SIDES
 
 MARGINS = ClearMarginsConfig()

@@ -11,7 +11,7 @@ from synthetic_film import FilmDrawing, make_photo
 from hybrid.backward import BackwardMap
 from hybrid.coords import film_nodes
 from hybrid.effort import RectifyConfig
-from hybrid.geometry import Report, reread
+from hybrid.geometry import reread
 from hybrid.learn.edge_data import true_rows
 from hybrid.learn.edges import EdgeNet, EdgeNetConfig, EdgeTargets, edge_losses, strip_reader
 from hybrid.learn.inference import ready
@@ -20,6 +20,7 @@ from hybrid.pyramid import Pyramid
 from hybrid.rectify.edge_paths import EdgeConfig, look_across, put_on_edges, read_edges, read_paths
 from hybrid.rectify.refine import Refinement
 from hybrid.rectify.trust import TrustConfig
+from hybrid.stages import Report
 from hybrid.strips import StripConfig, StripReader, edge_strips, strip_copy
 
 STRIP = StripConfig()

@@ -11,7 +11,16 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 ROOMS = ("hybrid.mesh", "hybrid.learn", "hybrid.rectify")
-OUTER = ("hybrid.pipeline", "hybrid.geometry", "hybrid.effort", "hybrid.cli", "data_gen", "benchmarks", "tests")
+OUTER = (
+    "hybrid.pipeline",
+    "hybrid.geometry",
+    "hybrid.looks",
+    "hybrid.effort",
+    "hybrid.cli",
+    "data_gen",
+    "benchmarks",
+    "tests",
+)
 
 MODULES = {
     ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): path

@@ -14,12 +14,14 @@ import hybrid
 from data_gen.sample import SampleConfig, film_samples
 from hybrid.backward import Orientation, end_point_error, film_as_seen
 from hybrid.errors import ConfigError, DataError, PhotoError
-from hybrid.geometry import Clock, beyond_doubt, checked, judged, see, shape_of
+from hybrid.geometry import beyond_doubt, judged, shape_of
+from hybrid.looks import checked, see
 from hybrid.pipeline import Effort, Rectifier, RectifyConfig
 from hybrid.pyramid import Pyramid
 from hybrid.records import StageReport, StatusCode
 from hybrid.rectify.invert import Inversion, NotInverted
 from hybrid.rectify.survey import Verdict
+from hybrid.stages import Clock
 
 EXAMPLE = Path(hybrid.__file__).parent / "examples" / "film.jpg"
 
