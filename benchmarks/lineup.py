@@ -58,6 +58,7 @@ CONFIGURATIONS: dict[str, tuple[str, RectifyConfig]] = {
         ),
     ),
     "hybrid_read_once": ("hybrid, edges not read again", RectifyConfig(edges=EdgeConfig(doubtful=0.0))),
+    "hybrid_refined_once": ("hybrid, nothing refined again", RectifyConfig(tries=0)),
     "hybrid_no_borders": (
         "hybrid, borders between cells not read",
         RectifyConfig(refine=RefineConfig(borders=BorderConfig(paths=UNREAD))),

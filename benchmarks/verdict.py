@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
@@ -27,6 +27,7 @@ from hybrid.backward import end_point_error
 from hybrid.effort import Effort, RectifyConfig
 from hybrid.errors import DataError, HybridError, describe, require_at_least
 from hybrid.pipeline import Rectifier
+from hybrid.records import RectifyResult
 from hybrid.rectify.trust import TrustConfig, chance_right, expected_error_px, film_verdict
 from hybrid.workers import shared_out
 
@@ -60,9 +61,32 @@ class Options:
 # ---------------------------------------------------------------- judging photos
 
 
-def judged(rectifier: Rectifier, case: Case) -> Judged | None:
-    """The film of a data set's photo, read whichever way comes nearest to the truth; None where none is found."""
-    result = rectifier(case.photo())
+@dataclass(frozen=True, eq=False)
+class Rectifiers:
+    """once: does not go on where it is in doubt. whole: does what its effort says."""
+
+    once: Rectifier
+    whole: Rectifier
+
+    @staticmethod
+    def of(effort: Effort) -> Rectifiers:
+        """Those of an effort."""
+        config = RectifyConfig.of(effort)
+        return Rectifiers(Rectifier(replace(config, tries=0)), Rectifier(config))
+
+
+def judged(rectifiers: Rectifiers, case: Case) -> Judged | None:
+    """The film of a data set's photo; None where none is found. Of a film that was refined again that is told, too."""
+    photo = case.photo()
+    first = _judged(rectifiers.once(photo), case)
+    if first is None or film_verdict(first.signs, rectifiers.whole.config.trust).ok:
+        return first
+    whole = _judged(rectifiers.whole(photo), case)
+    return replace(whole, first=first) if whole is not None and whole.signs.doubted else first
+
+
+def _judged(result: RectifyResult, case: Case) -> Judged | None:
+    """A film that was found, read whichever way comes nearest to the truth."""
     if result.backward is None or result.signs is None:
         return None
     near, _ = read_alike(result.backward, case.backward)
@@ -101,8 +125,8 @@ def judge_all(options: Options) -> tuple[list[Judged], int]:
         do = "Name more data, or a smaller --every."
         what = "Data to fit weights to, and judge others by"
         raise DataError(describe(what=what, got="photos of one sheet", allowed="two or more", do=do))
-    rectifier = partial(Rectifier, RectifyConfig.of(options.effort))
-    for answer in tqdm(shared_out(judged, rectifier, cases, options.workers), total=len(cases), unit="photo"):
+    rectifiers = partial(Rectifiers.of, options.effort)
+    for answer in tqdm(shared_out(judged, rectifiers, cases, options.workers), total=len(cases), unit="photo"):
         if isinstance(answer, HybridError):
             raise answer
         found += [] if answer is None else [answer]
@@ -115,14 +139,16 @@ def judge_all(options: Options) -> tuple[list[Judged], int]:
 def figures(films: Sequence[Judged], photos: int, trust: TrustConfig) -> dict[str, Any]:
     """How many films are right, called ``OK``, and called so wrongly, with the options' weights and with such as were
     fitted to other sheets; how often those of some probability are right; the error, in what was expected (quantiles);
-    and the weights fitted to all films."""
-    right = np.array([one.right(trust) for one in films])
-    chances = np.array([chance_right(one.signs, trust) for one in films])
-    ratios = [one.error_px / expected_error_px(one.signs, trust) for one in films]
+    and the weights fitted to all films. Of films that were refined again that counts which the options let count."""
+    counted_films = [one.that_counts(trust) for one in films]
+    right = np.array([one.right(trust) for one in counted_films])
+    chances = np.array([chance_right(one.signs, trust) for one in counted_films])
+    ratios = [one.error_px / expected_error_px(one.signs, trust) for one in counted_films]
     parts = [(low, high, (chances >= low) & (chances < high)) for low, high in pairwise(BINS)]
     return {
         "photos": photos,
         "films": len(films),
+        "refined_again": sum(one.signs.doubted for one in counted_films),
         "right": int(right.sum()),
         "packaged": counted(films, [trust] * len(films)),
         "fitted_to_others": counted(films, trust_of_others(films, trust)),
@@ -137,7 +163,7 @@ def figures(films: Sequence[Judged], photos: int, trust: TrustConfig) -> dict[st
 
 def counted(films: Sequence[Judged], trust: Sequence[TrustConfig]) -> dict[str, int]:
     """Films called ``OK``, each with its own options, and how many of these are not right."""
-    each = zip(films, trust, strict=True)
+    each = [(one.that_counts(options), options) for one, options in zip(films, trust, strict=True)]
     called = [one.right(options) for one, options in each if film_verdict(one.signs, options).ok]
     return {"ok": len(called), "wrong": len(called) - sum(called)}
 
@@ -150,7 +176,7 @@ def run(options: Options, command: list[str]) -> dict[str, Any]:
     films, photos = judge_all(options)
     found = figures(films, photos, RectifyConfig.of(options.effort).trust)
     write_figures(options.json_path, command, {"figures": found, "films": [asdict(one) for one in films]})
-    print(f"{found['films']} films in {photos} photos, {found['right']} right")
+    print(f"{found['films']} films in {photos} photos, {found['right']} right, {found['refined_again']} refined again")
     for name, whose in (("packaged", "packaged weights"), ("fitted_to_others", "weights fitted to other sheets")):
         print(f"{whose}: {found[name]['ok']} OK, {found[name]['wrong']} of them wrongly")
     for part in found["by_probability"]:

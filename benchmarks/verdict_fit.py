@@ -15,6 +15,7 @@ from hybrid.rectify.trust import (
     TrustConfig,
     chance_features,
     features,
+    film_verdict,
     largest_error_px,
 )
 
@@ -37,13 +38,19 @@ Reweighted = Callable[[Scores], tuple[Float[np.ndarray, " n"], Float[np.ndarray,
 class Judged:
     """A film that was found in a photo, and its true mean end-point error in pixels of the photo.
 
-    sheet: names the film, of which there may be several photos.
+    sheet: names the film, of which there may be several photos. first: what it was at first, if that was in doubt, so
+    that it was refined again.
     """
 
     sheet: str
     photo: int
     error_px: float
     signs: Signs
+    first: Judged | None = None
+
+    def that_counts(self, trust: TrustConfig) -> Judged:
+        """The film as it was at first if that leaves no doubt with these options, else as it came to be."""
+        return self.first if self.first is not None and film_verdict(self.first.signs, trust).ok else self
 
     def right(self, trust: TrustConfig) -> bool:
         """Whether it may be called ``OK``."""
@@ -52,7 +59,7 @@ class Judged:
 
 def fit_chance(films: Sequence[Judged], trust: TrustConfig) -> ChanceConfig:
     """The probability of a right map: a logistic regression on its features, by Newton's method."""
-    films = _bent(films)
+    films = _refinements(films)
     cases = [(one, share * largest_error_px(one.signs.photo_px, trust)) for share in LIMITS for one in films]
     right = np.array([one.error_px < limit for one, limit in cases], dtype=np.float64)
 
@@ -67,7 +74,7 @@ def fit_chance(films: Sequence[Judged], trust: TrustConfig) -> ChanceConfig:
 
 def fit_error(films: Sequence[Judged]) -> ErrorConfig:
     """The error to be expected: the least absolute deviations of its logarithm."""
-    films = _bent(films)
+    films = _refinements(films)
     logs = np.log([max(one.error_px / one.signs.film_px, 1e-6) for one in films])
 
     def reweighted(scores: Scores) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
@@ -86,9 +93,11 @@ def trust_of_others(films: Sequence[Judged], trust: TrustConfig) -> list[TrustCo
     return [fitted[number[one.sheet]] for one in films]
 
 
-def _bent(films: Sequence[Judged]) -> list[Judged]:
-    """All but photos that are the flat film themselves, of which nothing else is asked."""
-    return [one for one in films if not one.signs.flat]
+def _refinements(films: Sequence[Judged]) -> list[Judged]:
+    """What films were at first and what they came to be; but for photos that are the flat film themselves, of which
+    nothing else is asked."""
+    every = [one for film in films for one in (film.first, film) if one is not None]
+    return [one for one in every if not one.signs.flat]
 
 
 def _fitted(

@@ -64,6 +64,14 @@ class Judged:
     chance: float
     stages: tuple[StageReport, ...]
 
+    def doubted(self, config: RectifyConfig) -> Judged:
+        """The same of a film that was in doubt at first: what chooses among several refinements is trusted less."""
+        signs = replace(self.signs, doubted=True)
+        verdict = film_verdict(signs, config.trust)
+        *before, last = self.stages
+        stages = (*before, replace(last, reason=verdict.reason))
+        return replace(self, signs=signs, verdict=verdict, chance=chance_right(signs, config.trust), stages=stages)
+
 
 def shape_of(
     pyramid: Pyramid,
@@ -261,18 +269,18 @@ def beyond_doubt(
             some = "too little speaks for it" if config.tries else "one refinement is enough in this effort"
             report.reason = some if doubtful else "there is no doubt that more refinements would take away"
             return first
-        found, beside = [first], partial(network_beside, readers.network, seen, config)
+        found, beside = [first.doubted(config)], partial(network_beside, readers.network, seen, config)
         for start in _starts(readers, pyramid, seen, first, config):
             apart = Clock()
             refined = exact(pyramid, *start, readers.edges, config, apart)
             if whole:
                 refined = whole_sheet(pyramid, start[1], refined, readers.edges, beside, config, apart)
-            found.append(judged(readers, pyramid, seen, refined, False, config, apart))
+            found.append(judged(readers, pyramid, seen, refined, False, config, apart).doubted(config))
             if found[-1].verdict.ok or len(found) > config.tries:
                 break
         surest = max(found, key=lambda one: (one.verdict.ok, one.chance))
         said = ", ".join(floored(one.chance) for one in found[1:])
-        counts = "the first still counts" if surest is first else f"{floored(surest.chance)} counts"
+        counts = "the first still counts" if surest is found[0] else f"{floored(surest.chance)} counts"
         report.reason = f"{floored(first.chance)} sure to be right at first, refined again {said}: {counts}"
     clock.counts(surest.stages)
     return surest

@@ -186,6 +186,7 @@ class Signs:
     lopsided: of the grid (``SliceGrid.lopsided``).
     sheet: whether a bent sheet explains what was seen.
     flat: whether the photo was found to be the flat film itself; nothing else counts then.
+    doubted: whether it was in doubt at first, so that this is the surest of several refinements.
     """
 
     overlap_before: float
@@ -206,6 +207,7 @@ class Signs:
     lopsided: float
     sheet: bool
     flat: bool = False
+    doubted: bool = False
 
 
 @dataclass(frozen=True, eq=False)

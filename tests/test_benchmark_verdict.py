@@ -5,13 +5,14 @@ from __future__ import annotations
 import json
 from dataclasses import asdict, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from simple_samples import simple_dataset
 
 from benchmarks.cases import sample_cases
-from benchmarks.verdict import Options, counted, figures, judge_all, judged, main
+from benchmarks.verdict import Options, Rectifiers, counted, figures, judge_all, judged, main
 from benchmarks.verdict_fit import FOLDS, Judged, fit_chance, fit_error, trust_of_others
 from hybrid.effort import RectifyConfig
 from hybrid.pipeline import Rectifier
@@ -19,6 +20,11 @@ from hybrid.records import RectifyResult, Signs, Status, StatusCode
 from hybrid.rectify.trust import TrustConfig, chance_features, features
 
 TRUST = TrustConfig()
+SURE: dict[str, Any] = {
+    "support": 0.97, "in_step": 0.98, "overlap_after": 0.99, "alike": 0.7, "seen_beside": 0.002, "stated": 0.0004,
+    "edges_beside": 0.0002, "borders_shown": 1.0, "lopsided": 0.0, "sheet": True,
+}  # fmt: skip
+"""Signs of a film that is called ``OK``."""
 
 
 def drawn_signs(rng: np.random.Generator) -> Signs:
@@ -99,23 +105,45 @@ def test_the_figures_add_up() -> None:
 class Told(Rectifier):
     """Finds the true film, a little aside, with signs that are told; none without these."""
 
-    def __init__(self, case, signs: Signs | None) -> None:
-        self.case, self.signs = case, signs
+    def __init__(self, case, signs: Signs | None, aside: float = 2.0) -> None:
+        self.case, self.signs, self.aside, self.config = case, signs, aside, RectifyConfig()
 
     def __call__(self, source) -> RectifyResult:
         if self.signs is None:
             return RectifyResult(Status(StatusCode.NO_FILM))
-        shifted = self.case.backward.cropped((-2.0, 0.0))
+        shifted = self.case.backward.cropped((-self.aside, 0.0))
         return RectifyResult(Status(StatusCode.OK), backward=shifted, signs=self.signs)
 
 
 def test_a_photo_is_judged_by_its_true_map(tmp_path: Path) -> None:
     case = sample_cases([simple_dataset(tmp_path / "data")])[1]
-    signs = drawn_signs(np.random.default_rng(4))
-    found = judged(Told(case, signs), case)
+    sure = replace(drawn_signs(np.random.default_rng(4)), **SURE)
+    found = judged(Rectifiers(Told(case, sure), Told(case, None)), case)
     assert found is not None
-    assert (found.error_px, found.signs) == (pytest.approx(2.0), signs)
-    assert judged(Told(case, None), case) is None
+    assert (found.error_px, found.signs, found.first) == (pytest.approx(2.0), sure, None)
+    assert judged(Rectifiers(Told(case, None), Told(case, sure)), case) is None
+
+
+def test_of_what_was_refined_again_both_are_told(tmp_path: Path) -> None:
+    case = sample_cases([simple_dataset(tmp_path / "data")])[1]
+    sure = replace(drawn_signs(np.random.default_rng(4)), **SURE)
+    unsure, again = replace(sure, edges=3), replace(sure, doubted=True)
+    found = judged(Rectifiers(Told(case, unsure), Told(case, again, 1.0)), case)
+    assert found is not None
+    assert found.first is not None
+    assert (found.error_px, found.signs) == (pytest.approx(1.0), again)
+    assert (found.first.error_px, found.first.signs) == (pytest.approx(2.0), unsure)
+    assert found.that_counts(TRUST) is found
+    assert found.that_counts(replace(TRUST, min_edges=3)) is found.first
+    alone = judged(Rectifiers(Told(case, unsure), Told(case, unsure)), case)
+    assert alone is not None
+    assert alone.first is None
+
+
+def test_weights_are_fitted_to_what_films_were_at_first_too() -> None:
+    films = drawn_films(200, 8)
+    again = [replace(one, first=other) for one, other in zip(films[:100], films[100:], strict=True)]
+    assert asdict(fit_chance(again, TRUST)) == pytest.approx(asdict(fit_chance(films, TRUST)), abs=0.002)
 
 
 def test_the_command_judges_photos_and_writes_what_it_saw(
@@ -145,4 +173,4 @@ def test_photos_are_judged_with_the_effort_that_was_asked_for(tmp_path: Path, mo
     monkeypatch.setattr("benchmarks.verdict.Rectifier", lambda config: made.append(config) or Rectifier(config))
     options = Options((simple_dataset(tmp_path / "data"),), tmp_path / "x.json", "fast", every=2, workers=1)
     assert judge_all(options) == ([], 2)  # photos of 48 px are too small for a film to be found in
-    assert made == [RectifyConfig.of("fast")]
+    assert made == 2 * [RectifyConfig.of("fast")]  # which does not go on where it is in doubt

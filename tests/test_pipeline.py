@@ -113,7 +113,8 @@ def test_what_is_in_doubt_is_refined_from_where_it_ended_and_from_other_sides(do
         (report,) = clock.reports
         assert (report.name, report.ran) == ("again", True)
         assert report.reason.count("%") in (1 + tries, 2 + tries)  # that of the one that counts twice
-        assert found.chance >= first.chance
+        assert found.signs.doubted
+        assert found.chance >= first.doubted(config).chance
         apart = np.linalg.norm(found.refinement.backward.nodes - first.refinement.backward.nodes, axis=-1)
         assert apart.mean() < 1.0  # of 1,400 px: each ends at the same film
 

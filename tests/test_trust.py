@@ -34,6 +34,12 @@ SURE = Signs(
 )  # fmt: skip
 
 
+def test_what_was_in_doubt_at_first_is_trusted_less() -> None:
+    """What is the surest of several refinements is sure by selection, too."""
+    assert chance_right(replace(SURE, doubted=True)) < chance_right(SURE)
+    assert expected_error_px(replace(SURE, doubted=True)) == expected_error_px(SURE)
+
+
 def test_a_film_that_all_signs_speak_for_is_flattened() -> None:
     found = film_verdict(SURE)
     assert found.ok

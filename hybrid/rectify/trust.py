@@ -50,6 +50,7 @@ class ChanceConfig(FittedWeights):
     of the training scans, with limits of 4, 5 and 6 pixels of a photo of 1080.
 
     limit: of the error, in parts of the film, by its logarithm. no_sheet: where no bent sheet explains what was seen.
+    doubted: where it was in doubt at first: the surest of several refinements is sure by selection, too.
     The others: as in ``features``.
     """
 
@@ -61,6 +62,7 @@ class ChanceConfig(FittedWeights):
     unshown: float = -0.576
     lopsided: float = -17.126
     no_sheet: float = -0.536
+    doubted: float = -1.4
 
 
 @dataclass(frozen=True)
@@ -186,7 +188,12 @@ def chance_right(signs: Signs, config: TrustConfig | None = None) -> float:
 def chance_features(signs: Signs, limit_px: float) -> dict[str, float]:
     """What the weights of ChanceConfig are of. limit_px: of the error, in pixels of the photo."""
     limit = float(np.log(limit_px / signs.film_px))
-    return {**features(signs), "no_sheet": float(not signs.sheet), "limit": limit}
+    return {
+        **features(signs),
+        "no_sheet": float(not signs.sheet),
+        "doubted": float(signs.doubted),
+        "limit": limit,
+    }
 
 
 def largest_error_px(photo_px: int, config: TrustConfig) -> float:
