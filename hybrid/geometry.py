@@ -52,13 +52,13 @@ class Readers:
 class Judged:
     """A refinement, and what the networks, looking through its map, make of it.
 
-    across, phases: the edges as they are read across its map, and the cells as they are seen through it; None where the
-    network tells nothing of them. stages: what counts of the stages that run for each refinement.
+    across, seen: the edges as they are read across its map, and what the network sees through it. stages: what counts
+    of the stages that run for each refinement.
     """
 
     refinement: Refinement
     across: EdgesRead
-    phases: CellPhases | None
+    seen: CoarseMaps
     signs: Signs
     verdict: Verdict
     chance: float
@@ -242,9 +242,8 @@ def judged(
         signs = signs_of(pyramid, seen.maps, coarse.backward, refinement, look_again, across, shown, flat)
         verdict = film_verdict(signs, config.trust)
         report.reason = verdict.reason
-    phases = readers.phases_of(look_again, config)
     stages = (*refinement.stages, clock.reports[-1])
-    return Judged(refinement, across, phases, signs, verdict, chance_right(signs, config.trust), stages)
+    return Judged(refinement, across, look_again, signs, verdict, chance_right(signs, config.trust), stages)
 
 
 def beyond_doubt(
@@ -278,7 +277,7 @@ def beyond_doubt(
             found.append(judged(readers, pyramid, seen, refined, False, config, apart).doubted(config))
             if found[-1].verdict.ok or len(found) > config.tries:
                 break
-        surest = max(found, key=lambda one: (one.verdict.ok, one.chance))
+        surest = max(found, key=lambda one: (one.verdict.ok, one.verdict.code is not StatusCode.NO_FILM, one.chance))
         said = ", ".join(floored(one.chance) for one in found[1:])
         counts = "the first still counts" if surest is found[0] else f"{floored(surest.chance)} counts"
         report.reason = f"{floored(first.chance)} sure to be right at first, refined again {said}: {counts}"
@@ -291,7 +290,7 @@ def _starts(
 ) -> Iterator[tuple[BackwardMap, CellPhases | None, EdgesRead]]:
     """Maps to refine anew, with what is told of the cells, and edges read: where the first refinement ended, and then
     what the network sees from other sides."""
-    yield first.refinement.backward, first.phases, first.across
+    yield first.refinement.backward, readers.phases_of(first.seen, config), first.across
     phases = readers.phases_of(seen.maps, config)
     for side in see_from_sides(readers.network, seen, config)[:-1]:
         read = read_edges(pyramid, side.backward, readers.edges, config.edges)

@@ -21,6 +21,7 @@ from hybrid.pyramid import Pyramid
 from hybrid.records import StageReport, StatusCode
 from hybrid.rectify.invert import Inversion, NotInverted
 from hybrid.rectify.survey import Verdict
+from hybrid.rectify.trust import chance_right
 from hybrid.stages import Clock
 
 EXAMPLE = Path(hybrid.__file__).parent / "examples" / "film.jpg"
@@ -126,6 +127,17 @@ def test_the_first_refinement_that_leaves_no_doubt_ends_the_tries(doubted, recti
     found = beyond_doubt(readers, pyramid, seen, first, True, once, clock)
     assert found.verdict.ok
     assert clock.reports[0].reason.count("%") == 3
+
+
+def test_a_film_is_not_lost_by_being_refined_again(doubted, monkeypatch):
+    """What shows nothing of a film then does not count, however probable the rest makes it."""
+    readers, pyramid, seen, first, config = doubted
+    signs = replace(first.signs, grid=False, corrected=False, support=0.0, seen_beside=1e-4)
+    monkeypatch.setattr("hybrid.geometry.judged", lambda *_: replace(first, signs=signs))
+    found = beyond_doubt(readers, pyramid, seen, first, True, config, Clock())
+    assert found.refinement is first.refinement
+    assert found.verdict.code is StatusCode.UNSURE
+    assert chance_right(replace(signs, doubted=True), config.trust) > found.chance
 
 
 def test_a_film_is_refined_again_only_if_that_may_help(doubted):
