@@ -54,15 +54,15 @@ class ChanceConfig(FittedWeights):
     The others: as in ``features``.
     """
 
-    constant: float = -9.038
-    limit: float = 1.853
-    seen_beside: float = -1.699
-    stated: float = -0.973
-    edges_beside: float = -0.72
-    unshown: float = -0.576
-    lopsided: float = -17.126
-    no_sheet: float = -0.536
-    doubted: float = -1.4
+    constant: float = -8.065
+    limit: float = 1.929
+    seen_beside: float = -1.685
+    stated: float = -0.918
+    edges_beside: float = -0.669
+    unshown: float = -0.631
+    lopsided: float = -18.718
+    no_sheet: float = -0.29
+    doubted: float = -0.856
 
 
 @dataclass(frozen=True)
@@ -70,12 +70,12 @@ class ErrorConfig(FittedWeights):
     """Which error is to be expected: its logarithm, in parts of the film, as a linear function of the same
     ``features``, fitted by absolute deviations to the same maps."""
 
-    constant: float = 2.875
-    seen_beside: float = 0.379
-    stated: float = 0.618
-    edges_beside: float = 0.394
-    unshown: float = 0.269
-    lopsided: float = 4.152
+    constant: float = 3.871
+    seen_beside: float = 0.603
+    stated: float = 0.507
+    edges_beside: float = 0.423
+    unshown: float = 0.351
+    lopsided: float = 4.632
 
 
 @dataclass(frozen=True)
