@@ -28,7 +28,7 @@ class PredictConfig:
     """Around the film (part of the view) in the looks at the film alone."""
     sides: tuple[int, ...] = (0, 2, 5, 7)
     """Ways in which the last look holds the film (indices of Orientation): the first is that of all looks, the others
-    count where refinement starts from them, too (RectifyConfig.again_above). The mean over all is a little nearer to
+    count where refinement starts from them, too (RectifyConfig.tries). The mean over all is a little nearer to
     the truth; once refined that no longer shows."""
     least_px: int = 400
     """Large photos are reduced by powers of two to a longer side of this to twice this: several times what the network

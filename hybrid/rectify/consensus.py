@@ -25,7 +25,7 @@ def to_common(
     photos err independently, so the middle of where they place a point of the print errs less than each of them. It is
     the geometric median of the fields: of three photos one may be far off.
     """
-    middle = geometric_median(np.stack([shift for shift, asked in zip(shifts, counts, strict=True) if asked]))
+    middle = _geometric_median(np.stack([shift for shift, asked in zip(shifts, counts, strict=True) if asked]))
     nodes = film_nodes(middle.shape[:2])
     back = -middle
     for _ in range(3):  # the first film's point that lies in the middle at a node; the fields are smooth and small
@@ -33,7 +33,7 @@ def to_common(
     return [back + _between(shift, nodes + back) for shift in shifts]
 
 
-def geometric_median(fields: Float[np.ndarray, "n gh gw 2"]) -> Float[np.ndarray, "gh gw 2"]:
+def _geometric_median(fields: Float[np.ndarray, "n gh gw 2"]) -> Float[np.ndarray, "gh gw 2"]:
     """The field with the least sum of distances (root mean square) to all (Weiszfeld 1937); of two, their mean."""
     middle = fields.mean(axis=0)
     if len(fields) == 2:
@@ -50,4 +50,4 @@ def _between(field: Float[np.ndarray, "gh gw 2"], uv: Float[np.ndarray, "*n 2"])
     return BackwardMap(field).photo_from_film(uv)
 
 
-__all__ = ["geometric_median", "read_beside", "to_common"]
+__all__ = ["read_beside", "to_common"]
