@@ -43,7 +43,7 @@ def test_what_was_in_doubt_at_first_is_trusted_less() -> None:
 def test_a_film_that_all_signs_speak_for_is_flattened() -> None:
     found = film_verdict(SURE)
     assert found.ok
-    assert "expected to be off by 0.4 px" in found.reason
+    assert "expected to be off by 0.5 px" in found.reason
     assert found.doubts == ()
 
 
