@@ -280,7 +280,7 @@ def beyond_doubt(
         surest = max(found, key=lambda one: (one.verdict.ok, one.verdict.code is not StatusCode.NO_FILM, one.chance))
         said = ", ".join(floored(one.chance) for one in found[1:])
         counts = "the first still counts" if surest is found[0] else f"{floored(surest.chance)} counts"
-        report.reason = f"{floored(first.chance)} sure to be right at first, refined again {said}: {counts}"
+        report.reason = f"as it was {floored(found[0].chance)} sure to be right, refined again {said}: {counts}"
     clock.counts(surest.stages)
     return surest
 
