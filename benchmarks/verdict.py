@@ -76,13 +76,13 @@ class Rectifiers:
 
 
 def judged(rectifiers: Rectifiers, case: Case) -> Judged | None:
-    """The film of a data set's photo; None where none is found. Of a film that was refined again that is told, too."""
+    """The film of a data set's photo; None where none is found. Of one that was refined again, what it was at first is
+    told, too."""
     photo = case.photo()
-    first = _judged(rectifiers.once(photo), case)
-    if first is None or film_verdict(first.signs, rectifiers.whole.config.trust).ok:
-        return first
-    whole = _judged(rectifiers.whole(photo), case)
-    return replace(whole, first=first) if whole is not None and whole.signs.doubted else first
+    found = _judged(rectifiers.whole(photo), case)
+    if found is None or not found.signs.doubted:
+        return found
+    return replace(found, first=_judged(rectifiers.once(photo), case))
 
 
 def _judged(result: RectifyResult, case: Case) -> Judged | None:

@@ -281,7 +281,6 @@ def beyond_doubt(
         said = ", ".join(floored(one.chance) for one in found[1:])
         counts = "the first still counts" if surest is found[0] else f"{floored(surest.chance)} counts"
         report.reason = f"as it was {floored(found[0].chance)} sure to be right, refined again {said}: {counts}"
-    clock.counts(surest.stages)
     return surest
 
 

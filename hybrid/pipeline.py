@@ -206,8 +206,8 @@ class Rectifier:
             refinement = whole_sheet(pyramid, phases, refinement, readers.edges, beside, config, clock)
         flat = flat_itself(pyramid, inversion.backward, phases, refinement, config, clock)
         first = judged(readers, pyramid, seen, flat or refinement, flat is not None, config, clock)
-        clock.counts(first.stages)
         found = beyond_doubt(readers, pyramid, seen, first, corners is None, config, clock)
+        clock.counts(found.stages)
         verdict, signs = found.verdict, found.signs
         if verdict.code is StatusCode.NO_FILM:
             if corners is None:

@@ -106,7 +106,7 @@ class Told(Rectifier):
     """Finds the true film, a little aside, with signs that are told; none without these."""
 
     def __init__(self, case, signs: Signs | None, aside: float = 2.0) -> None:
-        self.case, self.signs, self.aside, self.config = case, signs, aside, RectifyConfig()
+        self.case, self.signs, self.aside = case, signs, aside
 
     def __call__(self, source) -> RectifyResult:
         if self.signs is None:
@@ -118,10 +118,10 @@ class Told(Rectifier):
 def test_a_photo_is_judged_by_its_true_map(tmp_path: Path) -> None:
     case = sample_cases([simple_dataset(tmp_path / "data")])[1]
     sure = replace(drawn_signs(np.random.default_rng(4)), **SURE)
-    found = judged(Rectifiers(Told(case, sure), Told(case, None)), case)
+    found = judged(Rectifiers(Told(case, None), Told(case, sure)), case)
     assert found is not None
     assert (found.error_px, found.signs, found.first) == (pytest.approx(2.0), sure, None)
-    assert judged(Rectifiers(Told(case, None), Told(case, sure)), case) is None
+    assert judged(Rectifiers(Told(case, sure), Told(case, None)), case) is None
 
 
 def test_of_what_was_refined_again_both_are_told(tmp_path: Path) -> None:
