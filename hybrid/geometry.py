@@ -143,13 +143,17 @@ def reread(
     report.reason = f"an edge reads as one to {least:.0%} at least, up to {read.off:.2%} of the film beside"
     if not report.ran:
         return first
-    second = _exactly(pyramid, phases, read, config, put_on_edges(first.backward, read, options))
-    again = look_across(pyramid, second.backward, reader, options)
-    report.reason += f"; {float(again.support.min()):.0%} once refined from there"
-    surer = second.stands and again.support.min() > least + options.surer
-    report.reason += ", which counts" if surer else ", which is not surer"
-    left = second.expected_px if second.believed else first.expected_px  # not believed, it starts from the first's map
-    return replace(second, across=again, expected_px=left) if surer else first
+    on_edges, held = put_on_edges(first.backward, read, options), config.refine.edges_held
+    for refining, sure in ((held, least + options.surer), (held.print_free, max(least + options.surer, options.sure))):
+        second = _exactly(pyramid, phases, read, replace(config, refine=refining), on_edges)
+        again = look_across(pyramid, second.backward, reader, options)
+        report.reason += f"; {float(again.support.min()):.0%} once refined from there"
+        if second.stands and again.support.min() > sure:
+            report.reason += ", which counts"
+            left = second if second.believed else first  # not believed, it starts from the first's map
+            return replace(second, across=again, expected_px=left.expected_px)
+        report.reason += ", which is not surer"
+    return first
 
 
 def whole_sheet(

@@ -110,6 +110,16 @@ class RefineConfig:
         """Options of the search for edges once the map has been improved."""
         return replace(self.outline, band=self.near_band)
 
+    @property
+    def edges_held(self) -> RefineConfig:
+        """The same, with edges taken where they were read (edge_paths.py), whatever else looks like one beside."""
+        return replace(self, outline=replace(self.outline, read_free=0.0, read_prior=self.outline.held_prior))
+
+    @property
+    def print_free(self) -> RefineConfig:
+        """The same, with no print taken to end at the sheet's edges, so that it moves none."""
+        return replace(self, grid=replace(self.grid, snug=0.0, beyond=0.0))
+
 
 class Stopwatch:
     """Seconds spent in each stage."""

@@ -54,7 +54,8 @@ class EdgeConfig:
     paths: how they are read in strips. min_columns: of a side that counts. far: parts of the film by which edges
     lie beside those predicted where they are looked at once more. doubtful, beside, surer: refinement is done once
     more if it puts an edge where it is read with less than this probability, and one is read this far beside it, in
-    parts of the film; that counts if it raises the probability by so much. spline: of the displacement.
+    parts of the film; that counts if it raises the probability by so much. sure: or to so much, if it leaves open where
+    the print ends. spline: of the displacement.
     """
 
     paths: PathConfig = field(default_factory=PathConfig)
@@ -63,6 +64,7 @@ class EdgeConfig:
     doubtful: float = 0.8
     beside: float = 0.0015
     surer: float = 0.03
+    sure: float = 0.95
     spline: SplineConfig = field(default_factory=SplineConfig)
 
 

@@ -63,6 +63,8 @@ class OutlineConfig:
     """How far a path may leave where an edge was read before, beyond the stated deviation of that, in film units."""
     read_prior: float = 0.003
     """Fraction of the film's size at which going further costs as much as half a score."""
+    held_prior: float = 0.0005
+    """The same where paths are held to what was read, and are not free beside it (RefineConfig.edges_held)."""
     read_near: float = 0.025
     """How near along the edge it must have been read, in film units."""
 
