@@ -158,10 +158,12 @@ class Comb(GridLines):
 class Borders(GridLines):
     """Lines between cells that were read (border_paths.py), whether anything is printed there or not.
 
-    filling: whether they are taken to go from edge to edge.
+    filling: whether they are taken to go from edge to edge. centred: whether the grid's margins are taken to be alike on
+    both sides.
     """
 
     filling: bool = False
+    centred: bool = False
 
     def fills_film(self, config: GridConfig) -> bool:
         """Whether they are taken to: where print ends is read less exactly than where its lines lie."""

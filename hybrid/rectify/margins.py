@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
-from hybrid.rectify.grid import Comb, GridConfig
+from hybrid.rectify.grid import Borders, Comb, GridConfig
 from hybrid.rectify.layout import Evidence, Source
 from hybrid.rectify.repeat import Repeats
 from hybrid.rectify.sheet_fit import FittedSheet
@@ -22,17 +22,25 @@ class MarginsConfig:
     """Options of the margins that are tried. Lengths are in film units.
 
     filling: margins that are together no wider than this, or that much too narrow, are tried as none. off_middle: a
-    grid whose middle lies this near to the film's is tried as one in the middle. costs: by what share the sum of
-    squares of the fit may grow by that. narrow, narrow_costs: the same for margins that are together no wider than
-    that: hardly a film has such. sigma: prior standard deviation of the print's place then.
+    grid whose middle lies this near to the film's is tried as one in the middle; off_middle_read: the same where its
+    borders were read, which tells less exactly where they lie. costs: by what share the sum of squares of the fit may
+    grow by that. narrow, narrow_costs: the same for margins that are together no wider than that: hardly a film has
+    such. sigma: prior standard deviation of the print's place then.
     """
 
     filling: float = 0.04
     narrow: float = 0.02
     off_middle: float = 0.006
+    off_middle_read: float = 0.02
     costs: float = 0.05
     narrow_costs: float = 0.2
     sigma: float = 1e-4
+
+    def in_the_middle(self, source: Source, off: float) -> bool:
+        """Whether lines or borders whose middle lies so far from the film's may lie in its middle."""
+        if isinstance(source, Comb):
+            return off < self.off_middle
+        return isinstance(source, Borders) and off < self.off_middle_read
 
 
 Fit = Callable[[Sequence[Sightings], FittedSheet | None], FittedSheet | None]
@@ -76,7 +84,7 @@ def undecided(evidence: Sequence[Evidence], grid: GridConfig, config: MarginsCon
 
 def in_place(e: Evidence, config: MarginsConfig) -> Evidence:
     """Evidence of a print whose place is known, with that as a prior; any other as it is."""
-    if isinstance(e.source, Comb) and e.source.centred:
+    if isinstance(e.source, (Comb, Borders)) and e.source.centred:
         return _held(e, {0: config.sigma})
     if isinstance(e.source, Repeats) and e.source.filling:
         return _held(e, {e.source.pitch_at: config.sigma / e.source.cells})
@@ -87,13 +95,15 @@ def in_place(e: Evidence, config: MarginsConfig) -> Evidence:
 
 
 def _held_to_usual(source: Source, grid: GridConfig) -> bool:
-    return source.centred or source.fills_film(grid) if isinstance(source, Comb) else source.filling
+    if isinstance(source, Repeats):
+        return source.filling
+    return source.centred or source.fills_film(grid)
 
 
 def _nearly_usual(source: Source, config: MarginsConfig) -> bool:
     filled = source.cells * source.pitch
-    in_the_middle = isinstance(source, Comb) and abs(source.first + 0.5 * filled - 0.5) < config.off_middle
-    return bool(in_the_middle or abs(1.0 - filled) <= config.filling)
+    off = abs(source.first + 0.5 * filled - 0.5)
+    return config.in_the_middle(source, off) or abs(1.0 - filled) <= config.filling
 
 
 def _filling(
@@ -121,11 +131,11 @@ def _filling(
 def _in_the_middle(
     found: PlacedPrint, axis: int, grid: GridConfig, config: MarginsConfig
 ) -> tuple[PlacedPrint, float] | None:
-    """Lines with margins that are alike; None where no lines are seen, or they lie elsewhere."""
+    """Lines or borders with margins that are alike; None where none are seen, or they lie elsewhere."""
     for k in found.along(axis):
         source, off = found.evidence[k].source, found.sheet.constants[k][0]
-        open_yet = isinstance(source, Comb) and not source.centred and not source.fills_film(grid)
-        if open_yet and abs(off) < config.off_middle:
+        assert source is not None
+        if not _held_to_usual(source, grid) and config.in_the_middle(source, abs(off)):
             return _changed(found, [k], lambda e: in_place(_centred(e), config)), config.costs
     return None
 
@@ -139,8 +149,8 @@ def _changed(found: PlacedPrint, which: Sequence[int], change: Callable[[Evidenc
 
 
 def _centred(e: Evidence) -> Evidence:
-    """Evidence of lines, as of such whose middle is the film's."""
-    assert isinstance(e.source, Comb)
+    """Evidence of lines or borders, as of such whose middle is the film's."""
+    assert isinstance(e.source, (Comb, Borders))
     return replace(e, source=replace(e.source, centred=True))
 
 
