@@ -8,6 +8,7 @@ import pytest
 import torch
 from synthetic_film import FilmDrawing, make_photo
 
+from hybrid import geometry
 from hybrid.backward import BackwardMap
 from hybrid.coords import film_nodes
 from hybrid.effort import RectifyConfig
@@ -223,6 +224,25 @@ def test_a_second_refinement_counts_only_if_its_edges_are_surer():
     found = reread(Pyramid(photo), None, first, STEPS, replace(RectifyConfig(), edges=never), Report())
     np.testing.assert_array_equal(found.backward.nodes, first.backward.nodes)
     assert found.expected_px == 1.0
+
+
+@pytest.mark.parametrize(("sure", "counts"), [(0.95, True), (1.0, False)])
+def test_print_that_moves_edges_is_left_free_where_that_makes_them_sure(monkeypatch, sure, counts):
+    photo, film = sheet_photo()
+    tried = []
+
+    def exactly(_pyramid, _phases, _read, config, _start):
+        tried.append(config.refine)
+        outwards = 0.0 if config.refine.grid.snug == 0.0 else -0.02
+        return Refinement(moved_edges(film, outwards), None, (), expected_px=2.0, stands=True)
+
+    monkeypatch.setattr(geometry, "_exactly", exactly)
+    config = RectifyConfig(edges=replace(CONFIG, sure=sure))
+    first = Refinement(moved_edges(film, -0.02), None, (), expected_px=1.0)
+    found = reread(Pyramid(photo), None, first, STEPS, config, Report())
+    assert tried == [config.refine.edges_held, config.refine.edges_held.print_free]
+    assert (found.expected_px == 2.0) is counts
+    assert (support_of(Pyramid(photo), found.backward).min() > 0.9) is counts
 
 
 # ---------------------------------------------------------------- the network

@@ -8,8 +8,9 @@ import pytest
 from synthetic_film import FilmDrawing, disturbed, make_photo
 
 from hybrid.backward import BackwardMap
-from hybrid.coords import film_centres_1d
+from hybrid.coords import film_centres_1d, film_nodes
 from hybrid.rectify.curves import best_paths, smooth_curve_weights
+from hybrid.rectify.course import RefineConfig
 from hybrid.rectify.outline import OutlineConfig, edge_sightings, find_outline
 from hybrid.strips import SIDES
 
@@ -80,6 +81,20 @@ def test_a_shadow_beside_the_sheet_is_not_its_edge_where_that_was_read():
         off.append(float(np.median(distance_from_edge(coarse, true, found))))
     assert off[0] > 5
     assert off[1] < 1.5
+
+
+def test_an_edge_may_be_held_to_where_it_was_read():
+    """What lies near the edge that was read, and shows far better, is taken for it, unless the edge is held."""
+    photo = np.full((1100, 1100, 3), 60, np.uint8)
+    photo[50:-50, 50:-50], photo[58:-58, 58:-58] = 30, 250
+    photo, true = cv2.GaussianBlur(photo, (0, 0), 0.7), BackwardMap(50.0 + 1000 * film_nodes((9, 9)))
+    read = read_at(true, true, 0.0, SIDES[2])
+    off = []
+    for config in (RefineConfig(), RefineConfig().edges_held):
+        (found,) = [s for s in find_outline(photo, true, config.outline, [read]) if (s.axis, s.known[0]) == (0, 0.0)]
+        off.append(float(np.median(distance_from_edge(true, true, found))))
+    assert off[0] > 3
+    assert off[1] < 1
 
 
 def with_frame(photo, true, depth, sides=SIDES):

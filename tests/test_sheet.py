@@ -313,6 +313,27 @@ def test_lines_lie_in_the_middle_where_what_is_seen_allows_it(off, expected):
     assert error_px(placed.sheet.backward, true) < 1.05 * error_px(found.backward, true)
 
 
+@pytest.mark.parametrize(("found_off", "expected"), [(0.0, True), (0.015, True), (0.025, False)])
+def test_borders_lie_in_the_middle_where_they_are_found_near_it(found_off, expected):
+    true = cylinder(1.2, 0, 10)
+    seen = edges_seen(true, true, np.random.default_rng(0), 0.3) + lines_seen(true, true, {0: [0.3, 0.5, 0.7]})
+    found = fit_sheet(true, true, PHOTO, seen, CONFIG)
+    assert found is not None
+    found = replace(found, constants=(*found.constants[:-1], np.array([found_off, 0.0])))
+
+    def fit(_: Sequence[Sightings], before: FittedSheet | None) -> FittedSheet | None:
+        return before and replace(before, cost=1.01 * before.cost)
+
+    borders = Borders(0, 0.1 + found_off, 0.2, 4)
+    evidence = Evidence(seen[4], borders)
+    assert undecided([evidence], GridConfig(), MarginsConfig()) == expected
+    placed = usual_margins(placed_print(found, seen, borders), fit, GridConfig(), MarginsConfig()).evidence[-1]
+    assert isinstance(placed.source, Borders)
+    assert placed.source.centred == expected
+    assert (placed.sightings.shared_sigma[0] <= MarginsConfig().sigma) == expected
+    assert not (expected and undecided([placed], GridConfig(), MarginsConfig()))
+
+
 @pytest.mark.parametrize(("margin", "expected"), [(0.0, True), (0.01, False)])
 @pytest.mark.parametrize("kind", [Repeats, Borders])
 def test_cells_reach_from_edge_to_edge_where_what_is_seen_allows_it(kind, margin, expected):
