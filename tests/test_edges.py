@@ -242,7 +242,7 @@ def test_print_that_moves_edges_is_left_free_where_that_makes_them_sure(monkeypa
     found = reread(Pyramid(photo), None, first, STEPS, config, Report())
     assert tried == [config.refine.edges_held, config.refine.edges_held.print_free]
     assert (found.expected_px == 2.0) is counts
-    assert (support_of(Pyramid(photo), found.backward).min() > 0.9) is counts
+    assert bool(support_of(Pyramid(photo), found.backward).min() > 0.9) is counts
 
 
 # ---------------------------------------------------------------- the network

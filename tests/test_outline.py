@@ -9,8 +9,8 @@ from synthetic_film import FilmDrawing, disturbed, make_photo
 
 from hybrid.backward import BackwardMap
 from hybrid.coords import film_centres_1d, film_nodes
-from hybrid.rectify.curves import best_paths, smooth_curve_weights
 from hybrid.rectify.course import RefineConfig
+from hybrid.rectify.curves import best_paths, smooth_curve_weights
 from hybrid.rectify.outline import OutlineConfig, edge_sightings, find_outline
 from hybrid.strips import SIDES
 

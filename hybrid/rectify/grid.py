@@ -158,8 +158,8 @@ class Comb(GridLines):
 class Borders(GridLines):
     """Lines between cells that were read (border_paths.py), whether anything is printed there or not.
 
-    filling: whether they are taken to go from edge to edge. centred: whether the grid's margins are taken to be alike on
-    both sides.
+    filling: whether they are taken to go from edge to edge. centred: whether the grid's margins are taken to be alike
+    on both sides.
     """
 
     filling: bool = False
