@@ -39,8 +39,8 @@ class MarginsConfig:
     def in_the_middle(self, source: Source, off: float) -> bool:
         """Whether lines or borders whose middle lies so far from the film's may lie in its middle."""
         if isinstance(source, Comb):
-            return off < self.off_middle
-        return isinstance(source, Borders) and off < self.off_middle_read
+            return bool(off < self.off_middle)
+        return isinstance(source, Borders) and bool(off < self.off_middle_read)
 
 
 Fit = Callable[[Sequence[Sightings], FittedSheet | None], FittedSheet | None]

@@ -54,15 +54,15 @@ class ChanceConfig(FittedWeights):
     The others: as in ``features``.
     """
 
-    constant: float = -8.065
-    limit: float = 1.929
-    seen_beside: float = -1.685
-    stated: float = -0.918
-    edges_beside: float = -0.669
-    unshown: float = -0.631
-    lopsided: float = -18.718
-    no_sheet: float = -0.29
-    doubted: float = -0.856
+    constant: float = -9.432
+    limit: float = 1.648
+    seen_beside: float = -1.667
+    stated: float = -0.908
+    edges_beside: float = -0.681
+    unshown: float = -0.632
+    lopsided: float = -14.744
+    no_sheet: float = -0.228
+    doubted: float = -0.88
 
 
 @dataclass(frozen=True)
@@ -70,12 +70,12 @@ class ErrorConfig(FittedWeights):
     """Which error is to be expected: its logarithm, in parts of the film, as a linear function of the same
     ``features``, fitted by absolute deviations to the same maps."""
 
-    constant: float = 3.871
-    seen_beside: float = 0.603
-    stated: float = 0.507
-    edges_beside: float = 0.423
-    unshown: float = 0.351
-    lopsided: float = 4.632
+    constant: float = 3.94
+    seen_beside: float = 0.612
+    stated: float = 0.503
+    edges_beside: float = 0.431
+    unshown: float = 0.357
+    lopsided: float = 4.517
 
 
 @dataclass(frozen=True)
