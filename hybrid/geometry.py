@@ -133,8 +133,9 @@ def reread(
     config: RectifyConfig,
     report: Report,
 ) -> Refinement:
-    """A refinement whose edges are read where it puts them, or one more from where they are read through its map, if
-    they are more surely there then."""
+    """A refinement whose edges are read where it puts them, or one more from where they are read through its map and
+    held to that, if they are more surely there then; if not, one that leaves open where the print ends, if they are as
+    good as certain then."""
     options = config.edges
     read = look_across(pyramid, first.backward, reader, options)
     least = float(read.support.min())
@@ -143,12 +144,13 @@ def reread(
     report.reason = f"an edge reads as one to {least:.0%} at least, up to {read.off:.2%} of the film beside"
     if not report.ran:
         return first
-    on_edges, held = put_on_edges(first.backward, read, options), config.refine.edges_held
-    for refining, sure in ((held, least + options.surer), (held.print_free, max(least + options.surer, options.sure))):
+    on_edges = put_on_edges(first.backward, read, options)
+    held, surer = config.refine.edges_held, least + options.surer
+    for refining, enough in ((held, surer), (held.print_free, max(surer, options.sure))):
         second = _exactly(pyramid, phases, read, replace(config, refine=refining), on_edges)
         again = look_across(pyramid, second.backward, reader, options)
         report.reason += f"; {float(again.support.min()):.0%} once refined from there"
-        if second.stands and again.support.min() > sure:
+        if second.stands and again.support.min() > enough:
             report.reason += ", which counts"
             left = second if second.believed else first  # not believed, it starts from the first's map
             return replace(second, across=again, expected_px=left.expected_px)

@@ -112,8 +112,8 @@ class RefineConfig:
 
     @property
     def edges_held(self) -> RefineConfig:
-        """The same, with edges taken where they were read (edge_paths.py), whatever else looks like one beside."""
-        return replace(self, outline=replace(self.outline, read_free=0.0, read_prior=self.outline.held_prior))
+        """The same, with the sheet's edges held to where they were read (edge_paths.py)."""
+        return replace(self, outline=self.outline.held)
 
     @property
     def print_free(self) -> RefineConfig:

@@ -64,7 +64,7 @@ class OutlineConfig:
     read_prior: float = 0.003
     """Fraction of the film's size at which going further costs as much as half a score."""
     held_prior: float = 0.0005
-    """The same where paths are held to what was read, and are not free beside it (RefineConfig.edges_held)."""
+    """The same where paths are held to what was read, and are not free beside it."""
     read_near: float = 0.025
     """How near along the edge it must have been read, in film units."""
 
@@ -72,6 +72,11 @@ class OutlineConfig:
         require_at_least(self, 4, "profiles")
         require_at_least(self, 1, "windows_px", "gap_windows_px")
         require_at_least(self, 1e-3, "sigma_px", "rule_sigma_px")
+
+    @property
+    def held(self) -> OutlineConfig:
+        """The same, with paths held to where edges were read, whatever else looks like one beside."""
+        return replace(self, read_free=0.0, read_prior=self.held_prior)
 
 
 _NOWHERE = -10.0
