@@ -385,7 +385,8 @@ def test_margins_are_undecided_where_cells_may_fill_the_film_and_are_not_held_to
 def test_margins_are_undecided_where_lines_may_lie_in_the_middle_and_are_not_held_there(off, centred, expected):
     places = 0.1 + off + 0.2 * np.arange(5)
     seen = lines_seen(*2 * [cylinder(1.2, 0, 10)], {0: list(places)})[0]
-    comb = Comb(0, places[0], 0.2, 4, np.arange(5), 2, 1, 1.0, np.repeat(places[:, None], 4, axis=1), centred)
+    tracks = np.repeat(places[:, None], 4, axis=1)
+    comb = Comb(0, places[0], 0.2, 4, np.arange(5), 2, 1, 1.0, tracks, centred=centred)
     assert undecided([Evidence(seen, comb)], GridConfig(), MarginsConfig()) == expected
 
 

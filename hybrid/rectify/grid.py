@@ -7,7 +7,7 @@ seen. Then each line is followed along its length (follow.py).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import ClassVar, TypeVar
 
 import cv2
@@ -96,12 +96,14 @@ class GridLines:
     axis: 0 for lines u = const, 1 for lines v = const.
     first, pitch: line i lies at ``first + i * pitch``, i = 0..cells; the outer ones may be margins' ends only.
     cells: number of cells along the axis.
+    centred: whether the grid's margins are taken to be alike on both sides.
     """
 
     axis: int
     first: float
     pitch: float
     cells: int
+    centred: bool = field(default=False, kw_only=True)
     pitch_at: ClassVar[int] = 1
     """Which of the constants that sightings of the lines share is the pitch's; the first is the place's."""
 
@@ -138,7 +140,6 @@ class Comb(GridLines):
     width_px, sign: width of the lines in pixels of the view, +1 for brighter and -1 for darker than beside.
     strength: share of the film's length on which the weakest inner line is seen.
     tracks: film coordinate of each seen line in equal strips along its length.
-    centred: whether the grid's margins are taken to be alike on both sides.
     """
 
     seen: Int[np.ndarray, " k"]
@@ -146,7 +147,6 @@ class Comb(GridLines):
     sign: int
     strength: float
     tracks: Float[np.ndarray, "k s"]
-    centred: bool = False
 
     def straight(self) -> Comb:
         """The comb with its lines where they belong: for a view through a map that has been put right."""
@@ -158,12 +158,10 @@ class Comb(GridLines):
 class Borders(GridLines):
     """Lines between cells that were read (border_paths.py), whether anything is printed there or not.
 
-    filling: whether they are taken to go from edge to edge. centred: whether the grid's margins are taken to be alike
-    on both sides.
+    filling: whether they are taken to go from edge to edge.
     """
 
     filling: bool = False
-    centred: bool = False
 
     def fills_film(self, config: GridConfig) -> bool:
         """Whether they are taken to: where print ends is read less exactly than where its lines lie."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
-from hybrid.rectify.grid import Borders, Comb, GridConfig
+from hybrid.rectify.grid import Borders, Comb, GridConfig, GridLines
 from hybrid.rectify.layout import Evidence, Source
 from hybrid.rectify.repeat import Repeats
 from hybrid.rectify.sheet_fit import FittedSheet
@@ -84,7 +84,7 @@ def undecided(evidence: Sequence[Evidence], grid: GridConfig, config: MarginsCon
 
 def in_place(e: Evidence, config: MarginsConfig) -> Evidence:
     """Evidence of a print whose place is known, with that as a prior; any other as it is."""
-    if isinstance(e.source, (Comb, Borders)) and e.source.centred:
+    if isinstance(e.source, GridLines) and e.source.centred:
         return _held(e, {0: config.sigma})
     if isinstance(e.source, Repeats) and e.source.filling:
         return _held(e, {e.source.pitch_at: config.sigma / e.source.cells})
@@ -95,9 +95,9 @@ def in_place(e: Evidence, config: MarginsConfig) -> Evidence:
 
 
 def _held_to_usual(source: Source, grid: GridConfig) -> bool:
-    if isinstance(source, Repeats):
-        return source.filling
-    return source.centred or source.fills_film(grid)
+    if isinstance(source, GridLines):
+        return source.centred or source.fills_film(grid)
+    return source.filling
 
 
 def _nearly_usual(source: Source, config: MarginsConfig) -> bool:
@@ -150,7 +150,7 @@ def _changed(found: PlacedPrint, which: Sequence[int], change: Callable[[Evidenc
 
 def _centred(e: Evidence) -> Evidence:
     """Evidence of lines or borders, as of such whose middle is the film's."""
-    assert isinstance(e.source, (Comb, Borders))
+    assert isinstance(e.source, GridLines)
     return replace(e, source=replace(e.source, centred=True))
 
 
