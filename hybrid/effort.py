@@ -76,9 +76,7 @@ class RectifyConfig:
         efforts = {
             "fast": RectifyConfig(
                 tries=0,
-                refine=RefineConfig(
-                    matched=False, sheet_rounds=1, sheet=SheetConfig(doubtful=float("inf"), coarse=float("inf"))
-                ),
+                refine=RefineConfig(matched=False, sheet_rounds=1, sheet=SheetConfig(doubtful=float("inf"))),
                 resample=ResampleConfig(cubic_below=0.0),
                 trust=TrustConfig(error=ErrorConfig(constant=ErrorConfig.constant + 0.26)),  # 1.3 times as much
             ),

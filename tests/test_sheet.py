@@ -10,11 +10,23 @@ from hybrid.backward import BackwardMap, end_point_error
 from hybrid.coords import film_nodes
 from hybrid.rectify.grid import Borders, Comb, GridConfig
 from hybrid.rectify.layout import Evidence, Source
-from hybrid.rectify.margins import MarginsConfig, PlacedPrint, undecided, usual_margins
+from hybrid.rectify.margins import MarginsConfig, PlacedPrint, undecided, unfilled, usual_margins
+from hybrid.rectify.outline import may_shift
 from hybrid.rectify.repeat import Repeats
-from hybrid.rectify.sheet import CAMERA, NODES, Frame, Sheet, SheetConfig, flat_sheet, project, relief_reversed, surface
+from hybrid.rectify.sheet import (
+    CAMERA,
+    IN_FULL,
+    NODES,
+    Frame,
+    Sheet,
+    SheetConfig,
+    flat_sheet,
+    project,
+    relief_reversed,
+    surface,
+)
 from hybrid.rectify.sheet_fit import FittedSheet, fit_sheet
-from hybrid.rectify.sheet_problem import Problem, minimised, strain, strain_curvature
+from hybrid.rectify.sheet_problem import Eased, Problem, minimised, strain, strain_curvature
 from hybrid.rectify.sheet_seen import seen_through
 from hybrid.rectify.sheet_sum import Sum
 from hybrid.rectify.sightings import Sightings, carried
@@ -96,13 +108,12 @@ def test_the_edges_of_a_flat_sheet_tell_its_inside_to_half_a_pixel():
 
 @pytest.mark.parametrize(("radius", "turn", "tilt"), [(1.2, 0, 10), (1.5, 30, -12), (1.0, 90, 8)])
 def test_the_usual_steps_end_where_many_more_do(radius, turn, tilt):
-    stiff = replace(CONFIG, bending=CONFIG.bending[:2])  # else they may end with different ones
     true = cylinder(radius, turn, tilt)
     coarse = larger(true)
     edges = edges_seen(true, coarse, np.random.default_rng(0), 0.1)
     usual, long = (
         fit_sheet(coarse, coarse, PHOTO, edges, config)
-        for config in (stiff, replace(stiff, steps=(200, 200, 200), settled=1e-6))
+        for config in (CONFIG, replace(CONFIG, steps=(200, 200, 200), settled=1e-6))
     )
     assert usual is not None
     assert long is not None
@@ -128,13 +139,13 @@ def test_steps_that_lead_nowhere_near_what_is_enough_are_given_up():
     true = cylinder(0.5, 30, 10)
     seen, frame = edges_seen(true, true, np.random.default_rng(0), 0.1), Frame.of(PHOTO)
     target = frame.from_photo(true.photo_from_film(film_nodes(NODES).reshape(-1, 2)))
-    problem = Problem(seen_through(true, seen, frame, CONFIG), target, CONFIG.bending[0], CONFIG)
-    start = problem.begun(flat_sheet(true, frame, 6, 2.5))
+    problem = Problem(seen_through(true, seen, frame, CONFIG), target, CONFIG)
+    start = problem.begun(flat_sheet(true, frame, CONFIG.intervals, 2.5))
     full, cut = (minimised(problem, start, 12, enough=enough) for enough in (np.inf, 1e-6))
     assert full.cost < cut.cost
 
 
-def test_a_sheet_that_stretches_counts_only_where_others_explain_badly_what_is_seen():
+def test_a_sheet_stretches_only_where_that_is_seen():
     bent = cylinder(1.5, 20, 10)
 
     def photo_from_film(uv: np.ndarray) -> np.ndarray:  # strained by up to 4 %
@@ -144,12 +155,24 @@ def test_a_sheet_that_stretches_counts_only_where_others_explain_badly_what_is_s
         seen = edges_seen(true, bent, np.random.default_rng(0), 0.1)
         seen += lines_seen(true, bent, {0: [0.2, 0.4, 0.6, 0.8], 1: [0.2, 0.4, 0.6, 0.8]})
         firm, found = (
-            fit_sheet(bent, bent, PHOTO, seen, config) for config in (replace(CONFIG, stretched_gain=0.0), CONFIG)
+            fit_sheet(bent, bent, PHOTO, seen, config) for config in (replace(CONFIG, stretched=IN_FULL), CONFIG)
         )
         assert firm is not None
         assert found is not None
-        assert found.strain == (CONFIG.stretched if stretches else CONFIG.strain)
-        assert error_px(found.backward, true) <= (0.8 if stretches else 1.0) * error_px(firm.backward, true)
+        assert found.stretched == stretches
+        assert error_px(found.backward, true) <= (0.9 if stretches else 1.05) * error_px(firm.backward, true)
+
+
+@pytest.mark.parametrize("cost", [0.0, 0.3, 40.0, 1e4])
+def test_a_cost_that_is_eased_has_the_slope_of_the_weighed_one(cost):
+    def eased(q: float) -> float:
+        return Eased.of(q, 40.0).weight * q + Eased.of(q, 40.0).beyond
+
+    step = 1e-3 * (1.0 + cost)
+    slope = (eased(cost + step) - eased(cost)) / step
+    assert slope == pytest.approx(Eased.of(cost + 0.5 * step, 40.0).weight, rel=1e-3)
+    assert 0.0 <= eased(cost) <= cost
+    assert eased(0.04) == pytest.approx(0.04, rel=1e-3)
 
 
 def bent_at_a_corner(width: float, focal: float = 1.3) -> BackwardMap:
@@ -168,17 +191,62 @@ def bent_at_a_corner(width: float, focal: float = 1.3) -> BackwardMap:
     return BackwardMap.from_function(photo_from_film)
 
 
-def test_a_sheet_that_is_bent_in_one_place_is_found_on_finer_splines():
+def test_a_sheet_that_is_bent_in_one_place_is_found_though_bending_counts_ever_less():
     true = bent_at_a_corner(0.003)
     seen = edges_seen(true, true, np.random.default_rng(0), 0.1)
     seen += lines_seen(true, true, {0: [0.2, 0.4, 0.6, 0.8], 1: [0.2, 0.4, 0.6, 0.8]})
-    sharp = replace(CONFIG, edge_px=0.2, print_px=0.2, doubtful=np.inf)
-    first, finer = (fit_sheet(true, true, PHOTO, seen, replace(sharp, coarse=coarse)) for coarse in (np.inf, 0.0))
-    assert first is not None
-    assert finer is not None
-    assert first.sheet.intervals < finer.sheet.intervals
-    assert finer.cost < CONFIG.finer_gain * first.cost
-    assert error_px(finer.backward, true) < error_px(first.backward, true)
+    full, *eased = (
+        fit_sheet(true, true, PHOTO, seen, replace(CONFIG, bent=bent, doubtful=np.inf))
+        for bent in (IN_FULL, CONFIG.bent, 0.2 * CONFIG.bent)
+    )
+    assert full is not None
+    for found in eased:
+        assert found is not None
+        assert found.cost < full.cost
+        assert error_px(found.backward, true) < 1.02 * error_px(full.backward, true)
+
+
+def test_a_sheet_that_is_rolled_is_pulled_flat_by_less():
+    true = cylinder(0.4, 45, 0)
+    seen = edges_seen(true, true, np.random.default_rng(0), 0.1)
+    seen += lines_seen(true, true, {0: [0.2, 0.4, 0.6, 0.8], 1: [0.2, 0.4, 0.6, 0.8]})
+    full, eased = (fit_sheet(true, true, PHOTO, seen, replace(CONFIG, bent=bent)) for bent in (IN_FULL, CONFIG.bent))
+    assert full is not None
+    assert eased is not None
+    assert error_px(eased.backward, true) < 0.7 * error_px(full.backward, true)
+
+
+def held_to_fill(true: BackwardMap, margin: float) -> list[Sightings]:
+    """Edges along which rules are expected, and lines across, of cells between such margins, that are taken to fill
+    the film."""
+    edges = edges_seen(true, true, np.random.default_rng(0), 0.1)
+    expected = [replace(may_shift(edge, 0.002), rule_expected=True) for edge in edges]
+    places = [margin + k * (1.0 - 2.0 * margin) / 5 for k in range(1, 5)]
+    (lines,) = lines_seen(true, true, {0: places})
+    return [*expected, replace(lines, known=0.5 + 0.2 * lines.shared[:, 1], shared_sigma=np.array([1e-3, 2e-4]))]
+
+
+def test_what_seems_to_lie_beyond_the_edges_moves_no_constant_without_end():
+    true = cylinder(1.2, 0, 10)
+    found = fit_sheet(true, true, PHOTO, held_to_fill(true, 0.006), CONFIG)
+    assert found is not None
+    shifts = np.abs([constants[0] for constants in found.constants[:4]])
+    assert (shifts < 0.012).all()  # the sheet is too small by 0.006 on each side
+
+
+@pytest.mark.parametrize(("margin", "does"), [(0.0, True), (0.02, False)])
+def test_lines_that_are_taken_to_fill_the_film_are_let_go_where_they_do_not(margin, does):
+    true = cylinder(1.2, 0, 10)
+    seen = held_to_fill(true, margin)
+    found = fit_sheet(true, true, PHOTO, seen, CONFIG)
+    assert found is not None
+    comb = Comb(0, 0.0, 0.2, 5, np.arange(1, 5), 2, 1, 1.0, np.repeat(0.2 * np.arange(1, 5)[:, None], 4, axis=1))
+    assert comb.fills_film(GridConfig())
+    placed = unfilled(placed_print(found, seen, comb), fitting(true), GridConfig(), MarginsConfig())
+    assert isinstance(placed.evidence[-1].source, Comb)
+    assert placed.evidence[-1].source.fills_film(GridConfig()) == does
+    assert [e.sightings.rule_expected for e in placed.evidence[:4]] == [True, True, does, does]
+    assert does or error_px(placed.sheet.backward, true) < error_px(found.backward, true)
 
 
 def test_a_mirrored_sheet_strains_no_more_and_mirrored_again_is_the_same():
@@ -208,7 +276,7 @@ def test_normal_equations_are_those_of_all_rows():
     sheet = flat_sheet(cylinder(1e3, 0, 15), Frame.of(PHOTO), 4, 1.3)
     sheet = replace(sheet, control=sheet.control + np.random.default_rng(3).normal(0, 0.02, sheet.control.shape))
     residual, rows = strain_of(sheet)
-    found = Sum([strain(sheet, CONFIG, 0, True)])
+    found = Sum([strain(sheet, CONFIG, 0, True)], 1.0)
     assert found.cost == pytest.approx(0.5 * residual @ residual)
     np.testing.assert_allclose(found.right, rows.T @ residual, atol=1e-9 * np.abs(found.right).max())
     square = np.triu(rows.T @ rows)
@@ -258,7 +326,7 @@ AMBIGUOUS = pytest.mark.xfail(strict=True, reason="several bent sheets have near
 
 @pytest.mark.parametrize(
     ("radius", "turn", "tilt"),
-    [(1.2, 0, 10), pytest.param(1.5, 30, -12, marks=AMBIGUOUS), pytest.param(1.0, 90, 8, marks=AMBIGUOUS)],
+    [(1.2, 0, 10), (1.5, 30, -12), pytest.param(1.0, 90, 8, marks=AMBIGUOUS)],
 )
 def test_the_edges_of_a_bent_sheet_lower_the_error_inside(radius, turn, tilt):
     true = cylinder(radius, turn, tilt)
@@ -350,7 +418,7 @@ def test_cells_reach_from_edge_to_edge_where_what_is_seen_allows_it(kind, margin
     assert isinstance(source, kind)
     assert source.filling == expected
     assert source.pitch + constants[source.pitch_at] == pytest.approx(pitch, abs=2e-3)
-    assert error_px(placed.sheet.backward, true) < 1.05 * error_px(found.backward, true)
+    assert error_px(placed.sheet.backward, true) < 1.05 * error_px(found.backward, true) + 0.05
 
 
 @pytest.mark.parametrize(("margins", "growth", "expected"), [(0.01, 1.1, True), (0.01, 1.3, False), (0.03, 1.1, False)])
@@ -404,11 +472,12 @@ def fitting(coarse: BackwardMap) -> Callable[[Sequence[Sightings], FittedSheet |
 def test_a_third_of_the_points_of_an_edge_may_be_wrong():
     true = cylinder(1.2, 0, 10)
     coarse = larger(true)
-    outline = edges_seen(true, coarse, np.random.default_rng(1), 0.1)
-    outline[0].seen[::3, 1] += 0.01
-    found = fit_sheet(coarse, coarse, PHOTO, outline, CONFIG)
+    seen = edges_seen(true, coarse, np.random.default_rng(1), 0.1)
+    seen[0].seen[::3, 1] += 0.01
+    seen += lines_seen(true, coarse, {0: [0.2, 0.4, 0.6, 0.8], 1: [0.2, 0.4, 0.6, 0.8]})
+    found = fit_sheet(coarse, coarse, PHOTO, seen, CONFIG)
     assert found is not None
-    assert error_px(found.backward, true) < BENT_SHARE * error_px(coarse, true)
+    assert error_px(found.backward, true) < 0.25 * error_px(coarse, true)
 
 
 def test_edges_that_no_sheet_has_cost_much():

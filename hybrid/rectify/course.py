@@ -26,7 +26,7 @@ from hybrid.rectify.congeal import CongealConfig, register_cells
 from hybrid.rectify.grid import GridConfig, GridLines
 from hybrid.rectify.held_out import held_out_residuals
 from hybrid.rectify.layout import Evidence, Layout, find_layout
-from hybrid.rectify.margins import MarginsConfig, PlacedPrint, in_place, undecided, usual_margins
+from hybrid.rectify.margins import MarginsConfig, PlacedPrint, in_place, undecided, unfilled, usual_margins
 from hybrid.rectify.match import MatchConfig, match_cells
 from hybrid.rectify.outline import OutlineConfig, find_outline, may_shift
 from hybrid.rectify.repeat import RepeatConfig, cell_agreement
@@ -300,6 +300,8 @@ def unstretched(progress: Progress, config: RefineConfig, watch: Stopwatch) -> P
     if sheet is None:
         return None
     placed = PlacedPrint(sheet, attempt.evidence, seen)
+    if progress.sheet is None:
+        placed = unfilled(placed, fit, config.grid, config.margins)
     if progress.margins_are_next:
         placed = usual_margins(placed, fit, config.grid, config.margins)
         if progress.settled and mean_move(sheet.backward, placed.sheet.backward) < config.settled_margins:
@@ -432,7 +434,7 @@ def _as_uncertain(edge: Sightings, layout: Layout, config: RefineConfig) -> Sigh
     comb = layout.combs[edge.axis]
     if len(edge.shared_sigma) or edge.has_frame or comb is None or comb.sign < 0 or not comb.fills_film(config.grid):
         return edge
-    return may_shift(edge, config.rule_width)
+    return replace(may_shift(edge, config.rule_width), rule_expected=True)
 
 
 def _spline(progress: Progress, config: RefineConfig) -> SplineConfig:

@@ -97,6 +97,7 @@ class GridLines:
     first, pitch: line i lies at ``first + i * pitch``, i = 0..cells; the outer ones may be margins' ends only.
     cells: number of cells along the axis.
     centred: whether the grid's margins are taken to be alike on both sides.
+    loose: whether it is not taken to fill the film, however near to its edges it ends.
     """
 
     axis: int
@@ -104,6 +105,7 @@ class GridLines:
     pitch: float
     cells: int
     centred: bool = field(default=False, kw_only=True)
+    loose: bool = field(default=False, kw_only=True)
     pitch_at: ClassVar[int] = 1
     """Which of the constants that sightings of the lines share is the pitch's; the first is the place's."""
 
@@ -119,7 +121,7 @@ class GridLines:
         Not where one lies beyond an edge and the other as far inside: these are lines on one side of every cell."""
         ends = np.array([self.first, 1.0 - self.first - self.cells * self.pitch])
         aside = ends[0] * ends[1] < 0 and np.abs(ends).min() > config.aside
-        return bool((ends < config.snug).all() and (ends > -config.beyond).all() and not aside)
+        return not self.loose and bool((ends < config.snug).all() and (ends > -config.beyond).all() and not aside)
 
     def lines(self) -> Float[np.ndarray, " n"]:
         """Film coordinates of all lines, the grid's ends included."""

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 from hybrid.rectify.grid import Borders, Comb, GridConfig, GridLines
 from hybrid.rectify.layout import Evidence, Source
+from hybrid.rectify.outline import as_seen
 from hybrid.rectify.repeat import Repeats
 from hybrid.rectify.sheet_fit import FittedSheet
 from hybrid.rectify.sightings import Sightings
@@ -25,7 +26,9 @@ class MarginsConfig:
     grid whose middle lies this near to the film's is tried as one in the middle; off_middle_read: the same where its
     borders were read, which tells less exactly where they lie. costs: by what share the sum of squares of the fit may
     grow by that. narrow, narrow_costs: the same for margins that are together no wider than that: hardly a film has
-    such. sigma: prior standard deviation of the print's place then.
+    such. sigma: prior standard deviation of the print's place then. loose: lines that were taken to fill the film may
+    not if they then have margins that are together this wide; loose_gain: by what share the sum of squares has to
+    shrink by that.
     """
 
     filling: float = 0.04
@@ -33,8 +36,10 @@ class MarginsConfig:
     off_middle: float = 0.006
     off_middle_read: float = 0.02
     costs: float = 0.05
-    narrow_costs: float = 0.2
+    narrow_costs: float = 0.12
     sigma: float = 1e-4
+    loose: float = 0.012
+    loose_gain: float = 0.03
 
     def in_the_middle(self, source: Source, off: float) -> bool:
         """Whether lines or borders whose middle lies so far from the film's may lie in its middle."""
@@ -72,6 +77,22 @@ def usual_margins(found: PlacedPrint, fit: Fit, grid: GridConfig, config: Margin
             if sheet is not None and sheet.cost < (1.0 + costs) * found.sheet.cost:
                 found = replace(placed, sheet=sheet)
                 break
+    return found
+
+
+def unfilled(found: PlacedPrint, fit: Fit, grid: GridConfig, config: MarginsConfig) -> PlacedPrint:
+    """What was found, with lines that were taken to fill the film let go along each axis where they then end well
+    inside it, and that explains better what is seen: ends near the edges of a crooked map may not be its own."""
+    for axis in (0, 1):
+        tried = _loose(found, axis, grid)
+        if tried is None:
+            continue
+        loose, lines = tried
+        sheet = fit([e.sightings for e in loose.seen], found.sheet)
+        if sheet is None or _margins(loose, sheet, lines) < config.loose:
+            continue
+        if sheet.cost < (1.0 - config.loose_gain) * found.sheet.cost:
+            found = replace(loose, sheet=sheet)
     return found
 
 
@@ -118,7 +139,7 @@ def _filling(
             known, elsewhere = source.fills_film(grid), abs(constants[0]) > config.off_middle
         else:
             known, elsewhere = source.filling, False
-        margins = abs(1.0 - source.cells * (source.pitch + constants[source.pitch_at]))
+        margins = abs(_margins(found, found.sheet, k))
         if known or elsewhere or margins > config.filling:
             return None
         widest = max(widest, margins)
@@ -126,6 +147,35 @@ def _filling(
         return None
     costs = config.narrow_costs if widest <= config.narrow else config.costs
     return _changed(found, which, lambda e: _filled(e, config)), costs
+
+
+def _loose(found: PlacedPrint, axis: int, grid: GridConfig) -> tuple[PlacedPrint, int] | None:
+    """Lines that are taken to fill the film, as of such that need not, and which of the evidence they are; None where
+    there are none. No rules are expected along the film's edges then."""
+    for k in found.along(axis):
+        source = found.evidence[k].source
+        if isinstance(source, Comb) and source.fills_film(grid):
+            which = [j for j, e in enumerate(found.evidence) if e.sightings.axis == axis]
+            return _changed(found, which, lambda e: _loosened(e, grid)), k
+    return None
+
+
+def _loosened(e: Evidence, grid: GridConfig) -> Evidence:
+    """Evidence of lines or of an edge, as of lines that need not fill the film; any other as it is."""
+    if e.sightings.rule_expected:
+        return replace(e, sightings=as_seen(e.sightings))
+    if not isinstance(e.source, Comb):
+        return e
+    lines = replace(e.source, loose=True)
+    place, pitch = lines.before(grid)[1]
+    return _held(replace(e, source=lines), {0: place, lines.pitch_at: pitch})
+
+
+def _margins(found: PlacedPrint, sheet: FittedSheet, which: int) -> float:
+    """How wide the margins on both sides of some of the evidence are together, as a sheet has them."""
+    source = found.evidence[which].source
+    assert source is not None
+    return 1.0 - source.cells * (source.pitch + float(sheet.constants[which][source.pitch_at]))
 
 
 def _in_the_middle(
@@ -160,8 +210,7 @@ def _filled(e: Evidence, config: MarginsConfig) -> Evidence:
     assert source is not None
     known = e.sightings.known + e.sightings.shared[:, source.pitch_at] * (1.0 / source.cells - source.pitch)
     moved, filled = replace(e.sightings, known=known), replace(source, first=0.0, pitch=1.0 / source.cells)
-    if not isinstance(filled, Comb):
-        filled = replace(filled, filling=True)
+    filled = replace(filled, loose=False) if isinstance(filled, Comb) else replace(filled, filling=True)
     if isinstance(filled, Repeats):
         return in_place(Evidence(moved, filled), config)
     return _held(Evidence(moved, filled), {0: config.sigma, filled.pitch_at: config.sigma / filled.cells})
@@ -175,4 +224,4 @@ def _held(e: Evidence, sigma: dict[int, float]) -> Evidence:
     return replace(e, sightings=replace(e.sightings, shared_sigma=deviations))
 
 
-__all__ = ["MarginsConfig", "PlacedPrint", "in_place", "undecided", "usual_margins"]
+__all__ = ["MarginsConfig", "PlacedPrint", "in_place", "undecided", "unfilled", "usual_margins"]

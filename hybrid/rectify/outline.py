@@ -268,4 +268,18 @@ def may_shift(edge: Sightings, sigma: float) -> Sightings:
     return replace(edge, shared=np.ones((len(edge), 1)), shared_sigma=np.array([sigma]))
 
 
-__all__ = ["OutlineConfig", "Strip", "edge_score", "edge_sightings", "find_outline", "may_shift", "sample_strip"]
+def as_seen(edge: Sightings) -> Sightings:
+    """An edge along which a rule was expected, without that: its place is the one that is seen."""
+    return replace(edge, shared=edge.shared[:, :0], shared_sigma=edge.shared_sigma[:0], rule_expected=False)
+
+
+__all__ = [
+    "OutlineConfig",
+    "Strip",
+    "as_seen",
+    "edge_score",
+    "edge_sightings",
+    "find_outline",
+    "may_shift",
+    "sample_strip",
+]

@@ -150,7 +150,7 @@ def _about_sheet(sheet: FittedSheet | None, config: RefineConfig) -> str:
         return "no sheet is fitted in this effort"
     if sheet is None:
         return "no sheet explains what is seen"
-    kind = "a sheet that stretches" if sheet.strain > config.sheet.strain else "an unstretched sheet"
+    kind = "a sheet that stretches" if sheet.stretched else "an unstretched sheet"
     return f"edges and print are those of {kind}"
 
 

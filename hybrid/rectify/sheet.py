@@ -15,24 +15,26 @@ from jaxtyping import Float
 from hybrid.backward import BackwardMap
 from hybrid.coords import film_centres, film_nodes
 from hybrid.errors import require_at_least
-from hybrid.rectify.bspline import SortedDesign, axis_weights, design
+from hybrid.rectify.bspline import SortedDesign, axis_weights
 from hybrid.rectify.invert import fit_homography
 
 FOCAL, ASPECT, LENS = range(3)
 """Unknowns beside the surface: logarithms of the focal length and of the ratio of sides, and the distortion."""
 CAMERA = 3
 """Number of these."""
+IN_FULL = 1e9
+"""Stands for the cost from which on more counts ever less, where all counts in full."""
 
 
 @dataclass(frozen=True)
 class SheetConfig:
     """Options of the fit of a sheet to what is seen of it. Pixels are those of a photo of 1000."""
 
-    intervals: tuple[int, int] = (4, 6)
-    """Knot intervals of the surface along each film axis: while it is far from its place, and at last."""
-    steps: tuple[int, int, int] = (12, 8, 15)
-    """Most Gauss-Newton steps on each, and with what is printed."""
-    settled: float = 6e-3
+    intervals: int = 7
+    """Knot intervals of the surface along each film axis."""
+    steps: tuple[int, int, int] = (12, 8, 20)
+    """Most Gauss-Newton steps to come near to a map, to do so from a mirror image, and with what is seen."""
+    settled: float = 2e-3
     """Steps that lower the cost by less than this part are the last."""
     settled_near: float = 2e-2
     """The same where a sheet has only to come near to a map, or begins at one that is near."""
@@ -41,34 +43,23 @@ class SheetConfig:
     """Of the points of an edge or a line, and of the cells' windows, one of so many counts: they are correlated."""
     edge_px: float = 0.7
     """Standard deviation of an edge's place."""
-    print_px: float = 0.7
+    print_px: float = 0.5
     """Standard deviation of the place of what is printed, beside what is stated for it."""
     network_px: float = 12.0
     """Standard deviation of the network's map; smooth, so that all nodes tell as much as six."""
-    strain: float = 1.5e-3
+    strain: float = 1e-3
     """Standard deviation of the strain at 40 places: what the splines cannot follow; film itself strains far less."""
-    stretched: float = 6e-3
-    """The same of sheets that do stretch: tried where others are ``doubtful``."""
-    stretched_gain: float = 0.95
-    """It counts if the cost is less than this part then."""
-    bending: tuple[float, ...] = (120.0, 25.0, 5.0)
-    """Weights of the mean squared second derivatives, in units of the film's height: of most films, of those that are
-    bent sharply, and of those that are rolled."""
-    bent_share: float = 0.25
-    """The next lower weight is tried where bending makes more than this part of the cost."""
-    sharper: float = 0.6
-    """It counts if the cost is less than this part then."""
+    stretched: float = 40.0
+    """Cost of strain of a sheet that does stretch, from which on more counts ever less (sheet_problem.py)."""
+    bending: float = 120.0
+    """Weight of the mean squared second derivatives, in units of the film's height, of films that are hardly bent."""
+    bent: float = 0.25
+    """The same for the cost of bending of a film that is: in parts of the cost of what is seen."""
     doubtful: float = 0.5
     """Cost for each point that is seen from which on the sheet is tried bent the other way round, too."""
     same_relief: float = 0.05
     """That is the same sheet again where no coefficient lies this far, in film heights, from where it was."""
     reversed_gain: float = 0.75
-    """It counts if the cost is less than this part then."""
-    coarse: float = 0.4
-    """Cost for each point that is seen from which on a finer spline is tried."""
-    finer: int = 8
-    """Its knot intervals."""
-    finer_gain: float = 0.9
     """It counts if the cost is less than this part then."""
     focal: float = 1.1
     """Usual focal length of a phone, in sides of the photo."""
@@ -94,9 +85,9 @@ class SheetConfig:
         return replace(self, settled=self.settled_near)
 
     @property
-    def elastic(self) -> SheetConfig:
-        """The same options for a sheet that stretches."""
-        return replace(self, strain=self.stretched)
+    def blind(self) -> SheetConfig:
+        """The same where a map is all that is known, which tells more of how a sheet is bent than that it is little."""
+        return replace(self.near, network_px=1.0, bending=5.0)
 
 
 @dataclass(frozen=True)
@@ -157,10 +148,6 @@ class Sheet:
     def nearest(self) -> float:
         """Least depth of the coefficients, between which the sheet lies."""
         return float(self.control[:, 2].min() + self.stand * self.focal)
-
-    def finer(self, intervals: int) -> Sheet:
-        """The same sheet on more intervals."""
-        return replace(self, intervals=intervals, control=_refiner(self.intervals, intervals) @ self.control)
 
     def backward(self, frame: Frame) -> BackwardMap | None:
         """The map of the sheet; None where a point of it has no finite image."""
@@ -256,13 +243,6 @@ def at_nodes(intervals: int) -> SortedDesign:
 
 
 @lru_cache(maxsize=4)
-def _refiner(before: int, after: int) -> Float[np.ndarray, "k n"]:
-    """Coefficients of the finer splines that come nearest to the coarser ones."""
-    places = film_centres((4 * after, 4 * after)).reshape(-1, 2)
-    return np.linalg.lstsq(design(places, after), design(places, before), rcond=None)[0]
-
-
-@lru_cache(maxsize=4)
 def _plane(intervals: int) -> Float[np.ndarray, "n 3"]:
     """Coefficients of the functions u, v and 1: where those of a linear function have its values."""
     knots = np.arange(-1, intervals + 2) / intervals
@@ -302,6 +282,7 @@ __all__ = [
     "ASPECT",
     "CAMERA",
     "FOCAL",
+    "IN_FULL",
     "LENS",
     "NODES",
     "Frame",

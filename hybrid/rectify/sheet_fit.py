@@ -8,7 +8,8 @@ computational model of bounded developable surfaces"). Edges alone do not always
 axis may be mistaken for another. Lines and cells printed on it tell the rest, and the sheet in turn tells what they
 leave open, as where between the edges the grid lies and how wide its cells are.
 
-Where none explains what is seen, as of cloth in a simulation, one that stretches a little is tried, and finer splines.
+How far it is bent nothing tells beforehand, nor whether it is cloth in a simulation, which does stretch: so of both
+more counts ever less (``Eased``).
 
 Fitted at once are the surface, the camera, the sheet's ratio of sides, and the constants that sightings share.
 Minimised are the distances of what is seen from where it should be, strain, bending, and, weakly, the distance from the
@@ -27,13 +28,12 @@ from scipy.linalg import LinAlgError
 from hybrid.backward import BackwardMap
 from hybrid.coords import film_nodes
 from hybrid.rectify.sheet import NODES, Frame, Sheet, SheetConfig, flat_sheet, relief_reversed
-from hybrid.rectify.sheet_problem import Problem, State, bending_cost, minimised
+from hybrid.rectify.sheet_problem import Problem, State, minimised, strain
 from hybrid.rectify.sheet_seen import NOTHING, seen_through
 from hybrid.rectify.sightings import Sightings
 
-BENDING_TELLS = 2.0
-"""What a lower weight of bending may take off the cost at most, in parts of what bending makes of it: the sheet that is
-freer to bend explains better what is seen, too."""
+FIRM_STEPS = 3
+"""Steps in which bending counts in full."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,15 +41,16 @@ class FittedSheet:
     """A sheet and its map.
 
     cost: half the sum of squares, in deviations: how badly a sheet explains what was seen. constants: those that each
-    list of sightings shares. bending, strain: the weight of bending and the deviation of strain that it was found with.
+    list of sightings shares. bent: cost of bending that it was found with, from which on more counts ever less.
+    stretched: whether it stretches.
     """
 
     sheet: Sheet
     backward: BackwardMap
     cost: float
     constants: tuple[Float[np.ndarray, " _"], ...]
-    bending: float
-    strain: float
+    bent: float
+    stretched: bool
 
 
 def fit_sheet(
@@ -60,63 +61,27 @@ def fit_sheet(
     config: SheetConfig,
     before: FittedSheet | None = None,
 ) -> FittedSheet | None:
-    """The sheet that explains best what is seen of its edges and its print; None where the fit fails. It does not
-    stretch, unless only one that does explains that.
+    """The sheet that explains best what is seen of its edges and its print; None where the fit fails.
 
     near: a map that is near, to start from, and from ``before`` if that is its sheet. through: the map through which
     the sightings were made. size: (height, width) of the photo, whose centre the camera looks at.
     """
     frame = Frame.of(size)
-    problem = Problem(seen_through(through, sightings, frame, config), _target(near, frame), config.bending[0], config)
+    problem = Problem(seen_through(through, sightings, frame, config), _target(near, frame), config)
     try:
         if before is not None:
-            problem = replace(problem, bending=before.bending, config=replace(config.near, strain=before.strain))
-            state = minimised(problem, problem.begun(before.sheet), config.steps[2], near=True)
-            return _result(state, frame, sightings, problem)
-        state, problem = _as_stretched_as_needed(problem, near, frame)
+            problem = replace(problem, config=config.near, bent=before.bent)
+            begun = replace(problem.begun(before.sheet), bent=before.bent)
+            state = minimised(problem, begun, config.steps[2], near=True)
+        else:
+            state = _bent_either_way(problem, near, frame)
     except LinAlgError:
         return None
-    state = _as_fine_as_needed(problem, state)
-    return _result(state, frame, sightings, problem)
+    return _result(state, frame, sightings, config)
 
 
-def _as_fine_as_needed(problem: Problem, state: State) -> State:
-    """The sheet on finer splines, where it explains badly what is seen on coarser ones and these do so better."""
-    config = problem.config
-    if problem.explains(state, config.coarse):
-        return state
-    try:
-        begun = replace(state, sheet=state.sheet.finer(config.finer))
-        found = minimised(replace(problem, config=config.near), begun, config.steps[1])
-    except LinAlgError:
-        return state
-    return found if found.cost < config.finer_gain * state.cost else state
-
-
-def _as_stretched_as_needed(problem: Problem, near: BackwardMap, frame: Frame) -> tuple[State, Problem]:
-    """The sheet that explains best what is seen, and the problem it solves.
-
-    Where one that does not stretch explains badly what is seen, one that does is tried: as the map has it, and bent the
-    other way round if that is no better.
-    """
-    config = problem.config
-    firm = _bent_either_way(problem, near, frame)
-    if problem.explains(firm[0], config.doubtful):
-        return firm
-    elastic, enough = replace(problem, config=config.elastic), config.stretched_gain * firm[0].cost
-    try:
-        blind = _blind(elastic, near, frame)
-        start = _near_map(blind, near, frame)
-        found = _as_bent_as_needed(elastic, elastic.begun(start), enough)
-        if found[0].cost >= enough:
-            found = _mirrored(elastic, blind, start, enough) or found
-    except LinAlgError:
-        return firm
-    return found if found[0].cost < enough else firm
-
-
-def _bent_either_way(problem: Problem, near: BackwardMap, frame: Frame) -> tuple[State, Problem]:
-    """The sheet that explains best what is seen, bent towards the camera or away from it, and the problem it solves.
+def _bent_either_way(problem: Problem, near: BackwardMap, frame: Frame) -> State:
+    """The sheet that explains best what is seen, bent towards the camera or away from it.
 
     From some way off both look nearly the same, so that steps from one do not lead to the other: where the first does
     not explain well what is seen its mirror images are tried, too, as it was before and after that was looked at.
@@ -124,18 +89,31 @@ def _bent_either_way(problem: Problem, near: BackwardMap, frame: Frame) -> tuple
     config = problem.config
     blind = _blind(problem, near, frame)
     start = _near_map(blind, near, frame)
-    best = first = _as_bent_as_needed(problem, problem.begun(start))
-    for sheet in (start, first[0].sheet):
-        if problem.explains(best[0], config.doubtful):
+    best = first = _found(problem, start)
+    for sheet in (start, first.sheet):
+        if problem.explains(best, config.doubtful):
             break
-        enough = config.reversed_gain * best[0].cost
+        enough = config.reversed_gain * best.cost
         other = _mirrored(problem, blind, sheet, enough)
-        if other is not None and other[0].cost < enough:
+        if other is not None and other.cost < enough:
             best = other
     return best
 
 
-def _mirrored(problem: Problem, blind: Problem, sheet: Sheet, enough: float) -> tuple[State, Problem] | None:
+def _found(problem: Problem, start: Sheet, enough: float = np.inf) -> State:
+    """The sheet that explains best what is seen, from one to start from. enough: the cost from which on it counts.
+
+    In the first steps bending counts in full: a step from afar may bend the sheet so much that little more of it seems
+    to count, and many steps would undo that.
+    """
+    config = problem.config
+    state = minimised(problem, problem.begun(start), FIRM_STEPS)
+    eased = problem.eased_after(state)
+    found = minimised(eased, state, config.steps[2] - FIRM_STEPS, near=True, enough=enough)
+    return replace(found, bent=eased.bent)
+
+
+def _mirrored(problem: Problem, blind: Problem, sheet: Sheet, enough: float) -> State | None:
     """The sheet found from the mirror image of one; None where that comes to be the same, or to nothing. enough: the
     cost from which on it counts."""
     config = problem.config
@@ -143,42 +121,22 @@ def _mirrored(problem: Problem, blind: Problem, sheet: Sheet, enough: float) -> 
         mirrored = minimised(blind, blind.begun(relief_reversed(sheet)), config.steps[1], near=True).sheet
         if np.abs(mirrored.control - sheet.control).max() < config.same_relief:
             return None
-        return _as_bent_as_needed(problem, problem.begun(mirrored), enough)
+        return _found(problem, mirrored, enough)
     except LinAlgError:
         return None
 
 
-def _as_bent_as_needed(problem: Problem, start: State, enough: float = np.inf) -> tuple[State, Problem]:
-    """The sheet found with ever lower weights of bending, as long as that is worth it, and the last one's problem.
-
-    enough: the cost from which on it counts; one that would come far from that is given up.
-    """
-    config = problem.config
-    state = minimised(problem, start, config.steps[2], enough=enough)
-    for weight in config.bending[1:]:
-        bending = bending_cost(state.sheet, problem.bending)
-        if bending <= config.bent_share * state.cost or state.cost - BENDING_TELLS * bending > enough:
-            break
-        softer = replace(problem, bending=weight)
-        sharper = minimised(softer, state, config.steps[2])
-        if sharper.cost >= config.sharper * state.cost:
-            break
-        state, problem = sharper, softer
-    return state, problem
-
-
 def _blind(problem: Problem, near: BackwardMap, frame: Frame) -> Problem:
     """The problem to come near to a map: of what is seen it knows nothing."""
-    config = replace(problem.config.near, network_px=1.0)
-    return Problem(seen_through(near, [NOTHING], frame, config), problem.target, config.bending[1], config)
+    config = problem.config.blind
+    return Problem(seen_through(near, [NOTHING], frame, config), problem.target, config)
 
 
 def _near_map(blind: Problem, near: BackwardMap, frame: Frame) -> Sheet:
     """The unstretched sheet that comes nearest to a map."""
     config = blind.config
-    first, last = config.intervals
-    state = minimised(blind, blind.begun(flat_sheet(near, frame, first, config.focal)), config.steps[0], near=True)
-    return minimised(blind, replace(state, sheet=state.sheet.finer(last)), config.steps[1], near=True).sheet
+    begun = blind.begun(flat_sheet(near, frame, config.intervals, config.focal))
+    return minimised(blind, begun, config.steps[0], near=True).sheet
 
 
 def _target(coarse: BackwardMap, frame: Frame) -> Float[np.ndarray, "m 2"]:
@@ -186,13 +144,14 @@ def _target(coarse: BackwardMap, frame: Frame) -> Float[np.ndarray, "m 2"]:
     return frame.from_photo(coarse.photo_from_film(film_nodes(NODES).reshape(-1, 2)))
 
 
-def _result(state: State, frame: Frame, sightings: Sequence[Sightings], problem: Problem) -> FittedSheet | None:
+def _result(state: State, frame: Frame, sightings: Sequence[Sightings], config: SheetConfig) -> FittedSheet | None:
     backward = state.sheet.backward(frame)
     if backward is None:
         return None
     ends = np.cumsum([s.shared.shape[1] for s in sightings])
     constants = tuple(np.split(state.constants, ends[:-1]))
-    return FittedSheet(state.sheet, backward, state.cost, constants, problem.bending, problem.config.strain)
+    stretched = strain(state.sheet, config, 0, derivatives=False).cost > config.stretched
+    return FittedSheet(state.sheet, backward, state.cost, constants, state.bent, stretched)
 
 
 __all__ = ["FittedSheet", "fit_sheet"]

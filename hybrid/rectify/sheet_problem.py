@@ -37,25 +37,49 @@ _POTRF, _POTRS = get_lapack_funcs(("potrf", "potrs"), dtype=np.float64)
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """A sheet, the constants of all sightings, and the cost of both."""
+    """A sheet, the constants of all sightings, and the cost of both. bent: of the problem that it solves."""
 
     sheet: Sheet
     constants: Float[np.ndarray, " g"]
     cost: float = np.inf
+    bent: float = np.inf
 
     def moved(self, step: Float[np.ndarray, " m"]) -> State:
         """With a step of all unknowns added."""
-        return State(self.sheet.moved(step), self.constants + step[len(step) - len(self.constants) :])
+        return replace(
+            self, sheet=self.sheet.moved(step), constants=self.constants + step[len(step) - len(self.constants) :]
+        )
+
+
+@dataclass(frozen=True)
+class Eased:
+    """A cost of which more counts ever less: one film is hardly bent, another is rolled, and how much a film is bent,
+    or stretched, nothing tells beforehand.
+
+    A quadratic cost q becomes ``scale * log(1 + q / scale)``, as of a normal distribution whose width is not known.
+    weight: of the quadratic cost that has the same slope. beyond: what the eased cost is above that one's.
+    """
+
+    weight: float
+    beyond: float
+
+    @staticmethod
+    def of(cost: float, scale: float) -> Eased:
+        if scale == np.inf:
+            return Eased(1.0, 0.0)
+        weight = 1.0 / (1.0 + cost / scale)
+        return Eased(weight, scale * float(np.log1p(cost / scale)) - weight * cost)
 
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """What is minimised. target: where the network has the film. bending: weight of bending."""
+    """What is minimised. target: where the network has the film. bent: cost of bending of a film that is bent, from
+    which on more counts ever less."""
 
     seen: Seen
     target: Float[np.ndarray, "m 2"]
-    bending: float
     config: SheetConfig
+    bent: float = np.inf
 
     def begun(self, sheet: Sheet) -> State:
         """A sheet to start from."""
@@ -65,16 +89,27 @@ class Problem:
         """Whether a state's cost is below ``most`` for each point that is seen."""
         return bool(state.cost < most * len(self.seen.along))
 
+    def eased_after(self, state: State) -> Problem:
+        """The same where bending counts ever less, from a cost on that goes with how exactly a state, which may be bent
+        too little yet, has what is seen."""
+        curves = slid(self.seen, state.sheet, state.constants, self.seen.along, near=True)
+        cost = self._from_sightings(state, curves, derivatives=False).cost
+        return replace(self, bent=self.config.bent * cost)
+
     def normal_equations(self, state: State, curves: Curves, derivatives: bool = True) -> Sum:
         """Cost of a state, and the normal equations around it; without the latter where ``derivatives`` is False."""
         sheet, config, constants = state.sheet, self.config, len(state.constants)
+        strained = strain(sheet, config, constants, derivatives)
+        stretching = Eased.of(strained.cost, config.stretched)
         blocks = (
             self._from_network(sheet, constants, derivatives),
             self._from_sightings(state, curves, derivatives),
-            strain(sheet, config, constants, derivatives),
+            strained.weighed(stretching.weight),
         )
-        total = Sum(blocks)
-        total.add_energy(self.bending * bending_energy(sheet.intervals), sheet.control)
+        bending = Eased.of(bending_cost(sheet, config), self.bent)
+        total = Sum(blocks, stretching.weight)
+        total.add_energy(bending.weight * config.bending * bending_energy(sheet.intervals), sheet.control)
+        total.cost += stretching.beyond + bending.beyond
         _add_camera(total, sheet, config, config.focal_sigma[len(self.seen.along) > 0])
         for k, (constant, spread) in enumerate(zip(state.constants, self.seen.shared_sigma, strict=True)):
             total.add_prior(total.camera + CAMERA + k, constant / spread, 1.0 / spread)
@@ -155,7 +190,8 @@ def _step(total: Sum, sheet: Sheet, damping: float, config: SheetConfig) -> Floa
     if info != 0:
         raise LinAlgError("the normal equations of the sheet are not positive definite")
     first = -_POTRS(factor, total.right, lower=True)[0]
-    second = -0.5 * _POTRS(factor, strain_curvature(sheet, first, config), lower=True)[0]
+    curved = total.strain_weight * strain_curvature(sheet, first, config)
+    second = -0.5 * _POTRS(factor, curved, lower=True)[0]
     n = total.camera
     ratio = float(np.linalg.norm(second[:n]) / max(np.linalg.norm(first[:n]), 1e-12))
     return first + second * min(1.0, MOST_BENT / max(ratio, 1e-12))
@@ -199,9 +235,9 @@ def strain_curvature(sheet: Sheet, step: Float[np.ndarray, " m"], config: SheetC
     return total / (config.strain**2 * len(a) / 40.0)
 
 
-def bending_cost(sheet: Sheet, weight: float) -> float:
+def bending_cost(sheet: Sheet, config: SheetConfig) -> float:
     """Cost of bending: the mean squared second derivatives of the surface."""
-    return 0.5 * weight * float(np.sum(sheet.control * (bending_energy(sheet.intervals) @ sheet.control)))
+    return 0.5 * config.bending * float(np.sum(sheet.control * (bending_energy(sheet.intervals) @ sheet.control)))
 
 
 def _add_camera(total: Sum, sheet: Sheet, config: SheetConfig, focal_sigma: float) -> None:
@@ -214,4 +250,4 @@ def _add_camera(total: Sum, sheet: Sheet, config: SheetConfig, focal_sigma: floa
     total.add_prior(total.camera + LENS, sheet.distortion / config.distortion, 1.0 / config.distortion)
 
 
-__all__ = ["Problem", "State", "bending_cost", "minimised", "strain", "strain_curvature"]
+__all__ = ["Eased", "Problem", "State", "bending_cost", "minimised", "strain", "strain_curvature"]

@@ -16,6 +16,9 @@ from hybrid.rectify.tps import MAD_TO_SIGMA
 
 NOTHING = Sightings(0, np.zeros((0, 2)), np.zeros(0), np.zeros(0), np.zeros((0, 0)), np.zeros(0))
 """No sightings at all."""
+BEYOND = 0.03
+"""How far beyond the sheet's edges what is seen may lie on the way, in film units: were it held to the edges, the
+constants would grow without end, as nothing would follow from them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,7 +98,7 @@ def slid(
     that what still disagrees tells how exact sightings are."""
     rows = np.arange(len(along))
     place = np.empty((len(along), 2))
-    place[rows, seen.across] = np.clip(seen.known + seen.shared @ constants, 0.0, 1.0)
+    place[rows, seen.across] = np.clip(seen.known + seen.shared @ constants, -BEYOND, 1.0 + BEYOND)
     place[rows, 1 - seen.across] = along
     for _ in range(1 if near else 2):
         points, by_uv = surface(sheet, place)

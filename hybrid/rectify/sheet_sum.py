@@ -7,7 +7,7 @@ point of the film shows has to do with four rows of coefficients alone (SortedDe
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -53,6 +53,11 @@ class Block:
                 else:
                     np.multiply(weights, by_point[:, k : k + 1], out=written)
 
+    def weighed(self, weight: float) -> Block:
+        """Residuals of which the squares count so much."""
+        root = float(np.sqrt(weight))
+        return replace(self, residual=root * self.residual, derivatives=root * self.derivatives)
+
     @property
     def tail(self) -> Float[np.ndarray, "n kinds t"]:
         """Derivatives by the camera and the constants."""
@@ -67,11 +72,13 @@ class Block:
 class Sum:
     """Cost, normal matrix and gradient of all residuals.
 
+    strain_weight: what the squares of strain count among them.
     matrix: its upper triangle; what is below is not all there. camera: index of the camera's first unknown.
     derivatives: whether the blocks have some; else matrix and gradient are empty.
     """
 
-    def __init__(self, blocks: Sequence[Block]) -> None:
+    def __init__(self, blocks: Sequence[Block], strain_weight: float) -> None:
+        self.strain_weight = strain_weight
         tail = blocks[0].tail.shape[2]
         self.cost, self.derivatives = sum(block.cost for block in blocks), tail > 0
         self.camera = 3 * blocks[0].design.width ** 2

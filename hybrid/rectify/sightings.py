@@ -42,7 +42,8 @@ class Sightings:
     shared_sigma: prior standard deviation of these constants around 0, in film units.
     group: a number for each sighting, or None. Sightings of one number show the same thing in different places: a
         text, which is alike everywhere, or anatomy, which is not. How alike is found from how well they agree.
-    has_rule: of one of the sheet's edges, whether a rule is printed along it. has_frame: whether a bright band wider
+    has_rule: of one of the sheet's edges, whether a rule is printed along it. rule_expected: whether one may be that
+        was not told from the edge, so that its place is not known (course.py). has_frame: whether a bright band wider
         than a rule is, so that the print ends inside it.
     along: film coordinate of the things along the other axis, where it is better known than as they are ``seen``.
     """
@@ -55,6 +56,7 @@ class Sightings:
     shared_sigma: Float[np.ndarray, " g"]
     group: Int[np.ndarray, " n"] | None = None
     has_rule: bool = False
+    rule_expected: bool = False
     has_frame: bool = False
     along: Float[np.ndarray, " n"] | None = None
 
