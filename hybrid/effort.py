@@ -66,8 +66,9 @@ class RectifyConfig:
         """The options of an effort.
 
         fast: the network's map, made exact in two rounds and by one unstretched sheet, found by one fit, and the photo
-        read bilinearly. default: the options' own values; sheets that do not explain what is seen are tried otherwise,
-        too, and up to three follow each other; what is in doubt then is refined once more from where that ended.
+        read bilinearly. default: the options' own values; sheets that do not explain what is seen are tried bent the
+        other way round, and up to three follow each other; what is in doubt then is refined once more from where that
+        ended.
         thorough: what still is in doubt is refined from what the network sees from three more sides, too.
 
         Raises:

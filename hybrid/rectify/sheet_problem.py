@@ -90,11 +90,11 @@ class Problem:
         return bool(state.cost < most * len(self.seen.along))
 
     def eased_after(self, state: State) -> Problem:
-        """The same where bending counts ever less, from a cost on that goes with how exactly a state, which may be bent
-        too little yet, has what is seen."""
+        """The same where bending counts ever less: the sooner, the more exactly a state, which may be bent too little
+        yet, has what is seen."""
         curves = slid(self.seen, state.sheet, state.constants, self.seen.along, near=True)
         cost = self._from_sightings(state, curves, derivatives=False).cost
-        return replace(self, bent=self.config.bent * cost)
+        return replace(self, bent=self.config.bent * max(cost, 1.0))
 
     def normal_equations(self, state: State, curves: Curves, derivatives: bool = True) -> Sum:
         """Cost of a state, and the normal equations around it; without the latter where ``derivatives`` is False."""

@@ -54,15 +54,15 @@ class ChanceConfig(FittedWeights):
     The others: as in ``features``.
     """
 
-    constant: float = -9.432
-    limit: float = 1.648
-    seen_beside: float = -1.667
-    stated: float = -0.908
-    edges_beside: float = -0.681
-    unshown: float = -0.632
-    lopsided: float = -14.744
-    no_sheet: float = -0.228
-    doubted: float = -0.88
+    constant: float = -8.903
+    limit: float = 1.676
+    seen_beside: float = -1.699
+    stated: float = -0.901
+    edges_beside: float = -0.634
+    unshown: float = -0.532
+    lopsided: float = -18.558
+    no_sheet: float = -0.601
+    doubted: float = -0.695
 
 
 @dataclass(frozen=True)
@@ -70,12 +70,12 @@ class ErrorConfig(FittedWeights):
     """Which error is to be expected: its logarithm, in parts of the film, as a linear function of the same
     ``features``, fitted by absolute deviations to the same maps."""
 
-    constant: float = 3.94
-    seen_beside: float = 0.612
-    stated: float = 0.503
-    edges_beside: float = 0.431
+    constant: float = 4.025
+    seen_beside: float = 0.662
+    stated: float = 0.52
+    edges_beside: float = 0.388
     unshown: float = 0.357
-    lopsided: float = 4.517
+    lopsided: float = 1.929
 
 
 @dataclass(frozen=True)
