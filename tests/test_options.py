@@ -58,6 +58,8 @@ NAN = float("nan")
         (SplineConfig, {"stiffness": (0.0, 5e5, 5)}),
         (SheetConfig, {"every": (4, 0)}),
         (SheetConfig, {"distortion": 0.0}),
+        (SheetConfig, {"bent": 0.0}),
+        (SheetConfig, {"stretched": 0.0}),
         (OutlineConfig, {"windows_px": (4, 0)}),
         (OutlineConfig, {"sigma_px": 0.0}),
         (MatchConfig, {"shrink": 0}),

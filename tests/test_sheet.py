@@ -15,7 +15,6 @@ from hybrid.rectify.outline import may_shift
 from hybrid.rectify.repeat import Repeats
 from hybrid.rectify.sheet import (
     CAMERA,
-    IN_FULL,
     NODES,
     Frame,
     Sheet,
@@ -155,7 +154,7 @@ def test_a_sheet_stretches_only_where_that_is_seen():
         seen = edges_seen(true, bent, np.random.default_rng(0), 0.1)
         seen += lines_seen(true, bent, {0: [0.2, 0.4, 0.6, 0.8], 1: [0.2, 0.4, 0.6, 0.8]})
         firm, found = (
-            fit_sheet(bent, bent, PHOTO, seen, config) for config in (replace(CONFIG, stretched=IN_FULL), CONFIG)
+            fit_sheet(bent, bent, PHOTO, seen, config) for config in (replace(CONFIG, stretched=np.inf), CONFIG)
         )
         assert firm is not None
         assert found is not None
@@ -197,7 +196,7 @@ def test_a_sheet_that_is_bent_in_one_place_is_found_though_bending_counts_ever_l
     seen += lines_seen(true, true, {0: [0.2, 0.4, 0.6, 0.8], 1: [0.2, 0.4, 0.6, 0.8]})
     full, *eased = (
         fit_sheet(true, true, PHOTO, seen, replace(CONFIG, bent=bent, doubtful=np.inf))
-        for bent in (IN_FULL, CONFIG.bent, 0.2 * CONFIG.bent)
+        for bent in (np.inf, CONFIG.bent, 0.2 * CONFIG.bent)
     )
     assert full is not None
     for found in eased:
@@ -210,7 +209,7 @@ def test_a_sheet_that_is_rolled_is_pulled_flat_by_less():
     true = cylinder(0.4, 45, 0)
     seen = edges_seen(true, true, np.random.default_rng(0), 0.1)
     seen += lines_seen(true, true, {0: [0.2, 0.4, 0.6, 0.8], 1: [0.2, 0.4, 0.6, 0.8]})
-    full, eased = (fit_sheet(true, true, PHOTO, seen, replace(CONFIG, bent=bent)) for bent in (IN_FULL, CONFIG.bent))
+    full, eased = (fit_sheet(true, true, PHOTO, seen, replace(CONFIG, bent=bent)) for bent in (np.inf, CONFIG.bent))
     assert full is not None
     assert eased is not None
     assert error_px(eased.backward, true) < 0.7 * error_px(full.backward, true)

@@ -22,8 +22,6 @@ FOCAL, ASPECT, LENS = range(3)
 """Unknowns beside the surface: logarithms of the focal length and of the ratio of sides, and the distortion."""
 CAMERA = 3
 """Number of these."""
-IN_FULL = 1e9
-"""Stands for the cost from which on more counts ever less, where all counts in full."""
 
 
 @dataclass(frozen=True)
@@ -76,8 +74,8 @@ class SheetConfig:
 
     def __post_init__(self) -> None:
         require_at_least(self, 0.1, "focal", "focal_range")
-        require_at_least(self, 1e-3, "focal_sigma", "beyond_sigma", "distortion")
-        require_at_least(self, 1, "every")
+        require_at_least(self, 1e-3, "focal_sigma", "beyond_sigma", "distortion", "stretched", "bent")
+        require_at_least(self, 1, "every", "intervals")
 
     @property
     def near(self) -> SheetConfig:
@@ -282,7 +280,6 @@ __all__ = [
     "ASPECT",
     "CAMERA",
     "FOCAL",
-    "IN_FULL",
     "LENS",
     "NODES",
     "Frame",
