@@ -41,7 +41,7 @@ class PhotoOptions:
     """Write film and slices as DICOM Secondary Captures, too, into NAME_dicom: without patient, date or spacing."""
 
     effort: Effort = "default"
-    """How much work a photo is worth: fast takes seven eighths of the time for one and a half times the error,
+    """How much work a photo is worth: fast takes seven eighths of the time for a third more error,
     thorough refines films in doubt from four sides. It sets the options of the stages that are not named."""
 
     verbose: Annotated[bool, tyro.conf.arg(aliases=["-v"]), tyro.conf.FlagCreatePairsOff] = False
