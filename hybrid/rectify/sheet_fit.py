@@ -71,8 +71,7 @@ def fit_sheet(
     try:
         if before is not None:
             problem = replace(problem, config=config.near, bent=before.bent)
-            begun = replace(problem.begun(before.sheet), bent=before.bent)
-            state = minimised(problem, begun, config.steps[2], near=True)
+            state = minimised(problem, problem.begun(before.sheet), config.steps[2], near=True)
         else:
             state = _bent_either_way(problem, near, frame)
     except LinAlgError:
@@ -109,8 +108,8 @@ def _found(problem: Problem, start: Sheet, enough: float = np.inf) -> State:
     config = problem.config
     state = minimised(problem, problem.begun(start), FIRM_STEPS)
     eased = problem.eased_after(state)
-    found = minimised(eased, state, config.steps[2] - FIRM_STEPS, near=True, enough=enough)
-    return replace(found, bent=eased.bent)
+    state = replace(state, bent=eased.bent)
+    return minimised(eased, state, config.steps[2] - FIRM_STEPS, near=True, enough=enough)
 
 
 def _mirrored(problem: Problem, blind: Problem, sheet: Sheet, enough: float) -> State | None:

@@ -83,7 +83,7 @@ class Problem:
 
     def begun(self, sheet: Sheet) -> State:
         """A sheet to start from."""
-        return State(sheet, np.zeros(self.seen.shared.shape[1]))
+        return State(sheet, np.zeros(self.seen.shared.shape[1]), bent=self.bent)
 
     def explains(self, state: State, most: float) -> bool:
         """Whether a state's cost is below ``most`` for each point that is seen."""
