@@ -28,7 +28,7 @@ from hybrid.rectify.held_out import held_out_residuals
 from hybrid.rectify.layout import Evidence, Layout, find_layout
 from hybrid.rectify.margins import MarginsConfig, PlacedPrint, in_place, undecided, unfilled, usual_margins
 from hybrid.rectify.match import MatchConfig, match_cells
-from hybrid.rectify.outline import OutlineConfig, find_outline, may_shift
+from hybrid.rectify.outline import OutlineConfig, expecting_rule, find_outline
 from hybrid.rectify.repeat import RepeatConfig, cell_agreement
 from hybrid.rectify.rim import RimConfig, without_background
 from hybrid.rectify.scene import Scene, half_view, phases_along, view_of
@@ -434,7 +434,7 @@ def _as_uncertain(edge: Sightings, layout: Layout, config: RefineConfig) -> Sigh
     comb = layout.combs[edge.axis]
     if len(edge.shared_sigma) or edge.has_frame or comb is None or comb.sign < 0 or not comb.fills_film(config.grid):
         return edge
-    return replace(may_shift(edge, config.rule_width), rule_expected=True)
+    return expecting_rule(edge, config.rule_width)
 
 
 def _spline(progress: Progress, config: RefineConfig) -> SplineConfig:

@@ -247,11 +247,11 @@ def _side_sightings(
     along, depth = strip.along[good], depth[good]
     if end.clipped[good].mean() > config.clipped_share:
         covered, spread = config.covered_px
-        return may_shift(edge_sightings(side, along, depth - covered * strip.pixel, sigma), spread * strip.pixel)
+        return _may_shift(edge_sightings(side, along, depth - covered * strip.pixel, sigma), spread * strip.pixel)
     seen = edge_sightings(side, along, depth, sigma)
     if end.has_frame:
         return replace(seen, has_frame=True)
-    return may_shift(replace(seen, has_rule=True), config.rule_sigma_px * strip.pixel) if end.has_rule else seen
+    return _may_shift(replace(seen, has_rule=True), config.rule_sigma_px * strip.pixel) if end.has_rule else seen
 
 
 def edge_sightings(
@@ -263,9 +263,14 @@ def edge_sightings(
     return Sightings(side.axis, seen, np.full(n, side.edge), sigma, np.zeros((n, 0)), np.zeros(0))
 
 
-def may_shift(edge: Sightings, sigma: float) -> Sightings:
+def _may_shift(edge: Sightings, sigma: float) -> Sightings:
     """An edge of which the place is known no better than that, in film units; its shape is."""
     return replace(edge, shared=np.ones((len(edge), 1)), shared_sigma=np.array([sigma]))
+
+
+def expecting_rule(edge: Sightings, width: float) -> Sightings:
+    """An edge along which a rule so wide (film units) may be printed that was not told from it."""
+    return replace(_may_shift(edge, width), rule_expected=True)
 
 
 def as_seen(edge: Sightings) -> Sightings:
@@ -279,7 +284,7 @@ __all__ = [
     "as_seen",
     "edge_score",
     "edge_sightings",
+    "expecting_rule",
     "find_outline",
-    "may_shift",
     "sample_strip",
 ]
