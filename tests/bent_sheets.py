@@ -16,8 +16,11 @@ PHOTO_SIZE = (1080, 1080)
 
 def bent_sheet(
     bend: float = 0.8, aspect: float = 1.25, tilt: float = 0.3, turn: float = 0.2
-) -> tuple[Callable[[np.ndarray], np.ndarray], Callable[[np.ndarray], np.ndarray]]:
-    """(uv -> photo, uv -> xyz in units of the diagonal) of a sheet rolled by ``bend`` radians about its v axis."""
+) -> Callable[[np.ndarray], np.ndarray]:
+    """Photo points of the film points of a sheet that is rolled by ``bend`` radians about its v axis.
+
+    tilt, turn: about the photo's x axis and in its plane, in radians.
+    """
     width, height = 1.0, aspect
 
     def xyz(uv: np.ndarray) -> np.ndarray:
@@ -34,17 +37,35 @@ def bent_sheet(
         depth = 2.5 + points[..., 2:]
         return 1900.0 * points[..., :2] / depth + 540.0
 
-    return photo, xyz
+    return photo
 
 
-def maps_of(backward: BackwardMap, xyz: Callable[[np.ndarray], np.ndarray] | None = None, n: int = 64) -> CoarseMaps:
+def flat_sheet_seen(
+    aspect: float, focal: float, turns: tuple[float, float, float], size: tuple[int, int]
+) -> Callable[[np.ndarray], np.ndarray]:
+    """Photo points of the film points of a flat sheet, three heights from a camera that looks at the photo's centre.
+
+    aspect: height over width. focal: in sides of the photo of size (height, width). turns: about x, y and z, in
+    radians.
+    """
+    pose, side = cv2.Rodrigues(np.array(turns))[0], max(size)
+
+    def photo(uv: np.ndarray) -> np.ndarray:
+        flat = (uv - 0.5) * np.array([1.0 / aspect, 1.0])
+        points = flat @ pose[:, :2].T + np.array([0.1, -0.05, 3.0 * focal])
+        return side * focal * points[..., :2] / points[..., 2:] + 0.5 * np.array(size[::-1])
+
+    return photo
+
+
+def maps_of(backward: BackwardMap, n: int = 64) -> CoarseMaps:
     """What a perfect network of resolution ``n`` would say about the film of ``backward``."""
     points = pixel_centres((n, n)) * (PHOTO_SIZE[0] / n)
     uv = backward.film_from_photo(points)
     mask = np.isfinite(uv).all(axis=-1)
     uv = np.where(mask[..., None], uv, 0.0)
-    shape = xyz(uv) if xyz is not None else np.zeros((n, n, 3))
-    return CoarseMaps(mask=mask.astype(np.float64), uv=uv, xyz=shape, albedo=np.full((n, n), 0.2), photo_points=points)
+    flat, grey = np.zeros((n, n, 3)), np.full((n, n), 0.2)
+    return CoarseMaps(mask=mask.astype(np.float64), uv=uv, xyz=flat, albedo=grey, photo_points=points)
 
 
 def smooth_noise(rng: np.random.Generator, size: tuple[int, int], sigma: float, std: float) -> np.ndarray:

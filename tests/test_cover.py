@@ -24,7 +24,7 @@ ALL = np.ones(SIZE, bool)
 
 def told(inside: np.ndarray, bend: float = 0.6):
     """What a network sees of a bent film before which something lies where ``inside`` says of film coordinates."""
-    film = BackwardMap.from_function(bent_sheet(bend)[0])
+    film = BackwardMap.from_function(bent_sheet(bend))
     maps = maps_of(film)
     return replace(maps, covered=np.where(inside(maps.uv) & (maps.mask > 0.5), 0.97, 0.01)), film
 

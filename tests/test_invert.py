@@ -27,7 +27,7 @@ def inverted(maps, config: InvertConfig | None = None) -> Inversion:
 
 @pytest.mark.parametrize(("bend", "tilt"), SHEETS)
 def test_a_clean_map_is_inverted(bend: float, tilt: float):
-    true = BackwardMap.from_function(bent_sheet(bend, tilt=tilt)[0])
+    true = BackwardMap.from_function(bent_sheet(bend, tilt=tilt))
     result = inverted(maps_of(true))
     error = end_point_error(result.backward, true.nodes)
     assert error.mean() < CLEAN_PX
@@ -38,14 +38,14 @@ def test_a_clean_map_is_inverted(bend: float, tilt: float):
 
 
 def test_a_plane_sheet_is_exact_to_its_edges():
-    true = BackwardMap.from_function(bent_sheet(0.0)[0])
+    true = BackwardMap.from_function(bent_sheet(0.0))
     assert end_point_error(inverted(maps_of(true)).backward, true.nodes).max() < 1e-3
 
 
 @pytest.mark.parametrize("correlation", [0.0, 2.0])
 def test_noise_is_averaged_out(correlation: float):
     rng = np.random.default_rng(1)
-    true = BackwardMap.from_function(bent_sheet()[0])
+    true = BackwardMap.from_function(bent_sheet())
     maps = maps_of(true)
     noise = rng.normal(0, 0.005, (64, 64, 2)) if correlation == 0 else smooth_noise(rng, (64, 64), correlation, 0.005)
     error = end_point_error(inverted(replace(maps, uv=maps.uv + noise)).backward, true.nodes)
@@ -55,7 +55,7 @@ def test_noise_is_averaged_out(correlation: float):
 
 def test_a_fifth_of_the_pixels_may_be_wrong():
     rng = np.random.default_rng(2)
-    true = BackwardMap.from_function(bent_sheet()[0])
+    true = BackwardMap.from_function(bent_sheet())
     maps = maps_of(true)
     bad = rng.uniform(size=(64, 64)) < 0.2
     uv = np.where(bad[..., None], rng.uniform(size=(64, 64, 2)), maps.uv)
@@ -67,7 +67,7 @@ def test_a_fifth_of_the_pixels_may_be_wrong():
 
 
 def test_a_covered_corner_is_continued_smoothly():
-    true = BackwardMap.from_function(bent_sheet(0.5)[0])
+    true = BackwardMap.from_function(bent_sheet(0.5))
     maps = maps_of(true)
     mask = np.where((maps.uv[..., 0] > 0.75) & (maps.uv[..., 1] > 0.75), 0.0, maps.mask)
     result = inverted(replace(maps, mask=mask))
@@ -77,14 +77,14 @@ def test_a_covered_corner_is_continued_smoothly():
 
 
 def test_moving_and_scaling_the_photo_moves_and_scales_the_map():
-    maps = maps_of(BackwardMap.from_function(bent_sheet()[0]))
+    maps = maps_of(BackwardMap.from_function(bent_sheet()))
     moved = replace(maps, photo_points=3.0 * maps.photo_points + np.array([100.0, -50.0]))
     expected = 3.0 * inverted(maps).backward.nodes + np.array([100.0, -50.0])
     np.testing.assert_allclose(inverted(moved).backward.nodes, expected, atol=1e-6)
 
 
 def test_inputs_are_not_modified():
-    maps = maps_of(BackwardMap.from_function(bent_sheet()[0]))
+    maps = maps_of(BackwardMap.from_function(bent_sheet()))
     before = [maps.mask.copy(), maps.uv.copy(), maps.photo_points.copy()]
     fit_backward(maps)
     for array, copy in zip((maps.mask, maps.uv, maps.photo_points), before, strict=True):
@@ -93,7 +93,7 @@ def test_inputs_are_not_modified():
 
 @pytest.mark.parametrize("kind", ["empty", "constant", "nan"])
 def test_no_film_is_a_reason_and_not_an_exception(kind: str):
-    maps = maps_of(BackwardMap.from_function(bent_sheet()[0]))
+    maps = maps_of(BackwardMap.from_function(bent_sheet()))
     if kind == "empty":
         maps = replace(maps, mask=np.zeros((64, 64)))
     elif kind == "constant":

@@ -35,7 +35,7 @@ def test_pixels_come_from_where_the_map_says():
     photo = np.zeros((256, 256, 3), np.uint8)
     photo[..., 0] = np.arange(256)[None]
     photo[..., 1] = np.arange(256)[:, None]
-    sheet = bent_sheet()[0]
+    sheet = bent_sheet()
     backward = BackwardMap.from_function(lambda uv: sheet(uv) * (256 / 1080))
     image = rectify_photo(photo, backward, (150, 120)).image
     seen = backward.photo_from_film(film_centres((150, 120)))
@@ -67,7 +67,7 @@ def test_shrinking_averages_instead_of_aliasing():
 
 
 def test_resampling_commutes_with_cropping_the_photo():
-    sheet = bent_sheet()[0]
+    sheet = bent_sheet()
     backward = BackwardMap.from_function(sheet)
     photo = pattern((1080, 1080), 40.0)
     whole = rectify_photo(photo, backward, (500, 400)).image.astype(int)

@@ -163,15 +163,16 @@ def test_a_sheet_stretches_only_where_that_is_seen():
 
 
 @pytest.mark.parametrize("cost", [0.0, 0.3, 40.0, 1e4])
-def test_a_cost_that_is_eased_has_the_slope_of_the_weighed_one(cost):
+@pytest.mark.parametrize("firm", [0.0, 5e-4])
+def test_a_cost_that_is_eased_has_the_slope_of_the_weighed_one(cost, firm):
     def eased(q: float) -> float:
-        return Eased.of(q, 40.0).weight * q + Eased.of(q, 40.0).beyond
+        return Eased.of(q, 40.0, firm).weight * q + Eased.of(q, 40.0, firm).beyond
 
     step = 1e-3 * (1.0 + cost)
     slope = (eased(cost + step) - eased(cost)) / step
-    assert slope == pytest.approx(Eased.of(cost + 0.5 * step, 40.0).weight, rel=1e-3)
-    assert 0.0 <= eased(cost) <= cost
-    assert eased(0.04) == pytest.approx(0.04, rel=1e-3)
+    assert slope == pytest.approx(Eased.of(cost + 0.5 * step, 40.0, firm).weight, rel=1e-3)
+    assert firm * cost <= eased(cost) <= (1.0 + firm) * cost
+    assert eased(0.04) == pytest.approx(0.04, rel=2e-3)
 
 
 def bent_at_a_corner(width: float, focal: float = 1.3) -> BackwardMap:

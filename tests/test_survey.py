@@ -7,12 +7,12 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from bent_sheets import bent_sheet, maps_of, smooth_noise
+from bent_sheets import bent_sheet, flat_sheet_seen, maps_of, smooth_noise
 
 from hybrid.backward import BackwardMap
 from hybrid.coords import film_nodes, pixel_centres
 from hybrid.records import CoarseMaps, SliceGrid, StatusCode
-from hybrid.rectify.film_size import FilmSizeConfig, film_aspect, film_size, snap_aspect
+from hybrid.rectify.film_size import FilmSizeConfig, film_size, plane_aspect, snap_aspect
 from hybrid.rectify.invert import apply_homography, fit_backward
 from hybrid.rectify.survey import mask_overlap, survey_light, survey_maps, survey_photo, survey_plane, survey_print
 
@@ -39,7 +39,7 @@ def test_photos_that_show_nothing_are_refused():
 
 @pytest.mark.parametrize("bend", [0.0, 0.9])
 def test_a_film_is_a_film_also_in_a_noisy_map(bend: float):
-    maps = maps_of(BackwardMap.from_function(bent_sheet(bend)[0]))
+    maps = maps_of(BackwardMap.from_function(bent_sheet(bend)))
     assert verdict(maps).ok
     noise = smooth_noise(np.random.default_rng(3), (64, 64), 3.0, 0.01)
     found = verdict(replace(maps, uv=maps.uv + noise))
@@ -47,13 +47,13 @@ def test_a_film_is_a_film_also_in_a_noisy_map(bend: float):
 
 
 def test_a_film_partly_outside_the_picture_is_a_film():
-    photo = bent_sheet(0.5)[0]
+    photo = bent_sheet(0.5)
     assert verdict(maps_of(BackwardMap.from_function(lambda uv: photo(uv) + np.array([260.0, 0.0])))).ok
 
 
 def test_of_a_film_that_lies_largely_outside_the_photo_it_is_said_so():
     """The picture that the network saw reaches beyond the photo, and shows nothing there."""
-    maps = maps_of(BackwardMap.from_function(bent_sheet(0.5)[0]))
+    maps = maps_of(BackwardMap.from_function(bent_sheet(0.5)))
     shown = maps.photo_points[..., 0] < 600
     seen = replace(maps, mask=np.where(shown, maps.mask, 0.0))
     inversion = fit_backward(maps)
@@ -82,7 +82,7 @@ def test_a_face_like_blob_is_not_a_film():
 
 def test_a_folded_map_is_named():
     points = pixel_centres((64, 64)) * 16.0
-    maps = maps_of(BackwardMap.from_function(bent_sheet(0.3)[0]))
+    maps = maps_of(BackwardMap.from_function(bent_sheet(0.3)))
     folded = BackwardMap.from_function(lambda uv: 300 + 500 * np.stack([np.sin(2.2 * uv[..., 0]), uv[..., 1]], -1))
     result = fit_backward(replace(maps, photo_points=points))
     found = survey_maps(replace(maps, photo_points=points), replace(result, backward=folded), (1024, 1024))
@@ -90,7 +90,7 @@ def test_a_folded_map_is_named():
 
 
 def test_overlap_of_the_true_outline_is_nearly_one():
-    true = BackwardMap.from_function(bent_sheet()[0])
+    true = BackwardMap.from_function(bent_sheet())
     maps = maps_of(true)
     assert mask_overlap(maps, true) > 0.93
     assert mask_overlap(maps, true.cropped((400.0, 0.0))) < 0.6
@@ -102,7 +102,7 @@ def test_a_plane_is_found_and_a_bend_is_not_called_one():
     decision, found = survey_plane(flat, 1e-3)
     assert decision.yes
     np.testing.assert_allclose(found.nodes, flat.nodes, atol=1e-6)
-    assert not survey_plane(BackwardMap.from_function(bent_sheet(0.6)[0]), 0.015)[0].yes
+    assert not survey_plane(BackwardMap.from_function(bent_sheet(0.6)), 0.015)[0].yes
 
 
 def test_even_light_is_even():
@@ -114,14 +114,31 @@ def test_even_light_is_even():
 
 
 @pytest.mark.parametrize("aspect", [0.75, 1.0, 1.25, 1.5])
-def test_aspect_comes_from_the_sheet_and_not_from_its_view(aspect: float):
-    photo, xyz = bent_sheet(0.9, aspect=aspect, tilt=0.6)
-    true = BackwardMap.from_function(photo)
-    maps = maps_of(true, xyz)
-    rng = np.random.default_rng(5)
-    noisy = replace(maps, xyz=maps.xyz + rng.normal(0, 0.005, maps.xyz.shape))
-    assert film_aspect(maps, true) == pytest.approx(aspect, rel=0.01)
-    assert film_aspect(noisy, true) == pytest.approx(aspect, rel=0.02)
+@pytest.mark.parametrize("focal", [0.7, 1.1, 2.0])
+def test_the_ratio_of_a_flat_sheets_sides_comes_from_perspective_and_not_from_its_view(aspect: float, focal: float):
+    """Seen aslant from above and from one side, by whatever lens, in a photo of any size."""
+    size = (768, 1024)
+    flat = BackwardMap.from_function(flat_sheet_seen(aspect, focal, (0.6, 0.5, 0.2), size))
+    down, across = flat.mean_film_pixels()
+    assert abs(down / across / aspect - 1) > 0.1  # its view tells another
+    assert plane_aspect(flat, size) == pytest.approx(aspect, rel=0.01)
+    larger = flat.cropped((0.0, 0.0), (3.0, 3.0))
+    assert plane_aspect(larger, (3 * 768, 3 * 1024)) == pytest.approx(plane_aspect(flat, size))
+
+
+def test_the_ratio_of_a_flat_sheets_sides_from_the_front_needs_no_focal_length():
+    """Where no perspective tells the lens, all of them say the same."""
+    size = (1024, 768)
+    for focal in (0.7, 3.0):
+        flat = BackwardMap.from_function(flat_sheet_seen(1.37, focal, (0.0, 0.0, 0.4), size))
+        assert plane_aspect(flat, size) == pytest.approx(1.37, rel=1e-4)
+        height, width = film_size(flat, size, None)
+        assert height / width == pytest.approx(1.37, rel=2e-3)  # it is flat: exact, and no format
+
+
+def test_the_ratio_of_a_bent_sheets_sides_is_nearly_that_of_the_nearest_plane():
+    photo = bent_sheet(0.5, aspect=1.25, tilt=0.4)
+    assert plane_aspect(BackwardMap.from_function(photo), (1024, 1024)) == pytest.approx(1.25, rel=0.06)
 
 
 def test_aspect_snaps_to_square_cells_before_formats():
@@ -140,25 +157,22 @@ def test_a_ratio_of_sides_that_is_known_exactly_is_hardly_changed():
     assert snap_aspect(1.20, None, config) == pytest.approx(1.2)
     assert snap_aspect(1.18, None, config) == pytest.approx(1.2)
     assert snap_aspect(1.18, None, config, exact=True) == 1.18
-    photo, xyz = bent_sheet(0.5)
-    true = BackwardMap.from_function(photo)
-    height, width = film_size(true, maps_of(true, xyz), None, aspect=1.37)
+    true = BackwardMap.from_function(bent_sheet(0.5))
+    height, width = film_size(true, (1024, 1024), None, aspect=1.37)
     assert height / width == pytest.approx(1.37, rel=2e-3)
 
 
 def test_size_holds_the_photo_and_stays_bounded():
-    photo, xyz = bent_sheet(0.5)
-    true = BackwardMap.from_function(photo)
-    maps = maps_of(true, xyz)
-    height, width = film_size(true, maps, None)
+    true, photo_size = BackwardMap.from_function(bent_sheet(0.5)), (1024, 1024)
+    height, width = film_size(true, photo_size, None)
     down, across = true.mean_film_pixels()
     assert height >= down - 1
     assert width >= across - 1
     huge = true.cropped((0.0, 0.0), (50.0, 50.0))
-    assert max(film_size(huge, maps, None)) == FilmSizeConfig().max_side_px
+    assert max(film_size(huge, photo_size, None)) == FilmSizeConfig().max_side_px
     tiny = true.cropped((0.0, 0.0), (0.01, 0.01))
-    assert min(film_size(tiny, maps, None)) == FilmSizeConfig().min_side_px
-    assert max(film_size(huge, maps, None, FilmSizeConfig(min_side_px=64, max_side_px=64))) == 64
+    assert min(film_size(tiny, photo_size, None)) == FilmSizeConfig().min_side_px
+    assert max(film_size(huge, photo_size, None, FilmSizeConfig(min_side_px=64, max_side_px=64))) == 64
 
 
 def test_survey_takes_a_photo_of_any_shape():

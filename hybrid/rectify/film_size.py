@@ -5,15 +5,23 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
 
 from hybrid.backward import BackwardMap
+from hybrid.coords import film_nodes
 from hybrid.errors import require_at_least
-from hybrid.records import CoarseMaps, SliceGrid
-from hybrid.rectify import bspline
+from hybrid.records import SliceGrid
+from hybrid.rectify.invert import fit_homography
+from hybrid.rectify.sheet import Frame, SheetConfig, inner
+from hybrid.rectify.survey import survey_plane
 
 FORMATS_CM = ((35, 43), (28, 35), (25, 30), (20, 25))
 """Sheets on sale; used either way round."""
+
+FOCALS = 60
+"""Focal lengths that are tried, each 3 % longer than the one before."""
+
+RIGHT_ANGLE = 0.01
+"""Standard deviation of the cosine of the angle between a flat film's sides, as a map has it."""
 
 
 @dataclass(frozen=True)
@@ -31,44 +39,34 @@ class FilmSizeConfig:
     snap_grid: float = 0.06
     """The same for square slice cells, which are better evidence than a format."""
     snap_exact: float = 0.01
-    """Both, where the sheet's shape was fitted to its edges and print: its ratio of sides is exact to 0.5 %."""
+    """Both, where the sheet was fitted to its edges and print, or is flat: its ratio of sides is exact to 0.5 %."""
+    flat: float = 0.003
+    """Largest distance from a plane of a film that is flat, as a part of its size."""
 
     def __post_init__(self) -> None:
         require_at_least(self, 1, "min_side_px", "max_aspect")
         require_at_least(self, self.min_side_px, "max_side_px")
-        require_at_least(self, 0.0, "snap", "snap_grid", "snap_exact")
+        require_at_least(self, 0.0, "snap", "snap_grid", "snap_exact", "flat")
 
 
-def film_aspect(maps: CoarseMaps, backward: BackwardMap) -> float:
-    """Height over width of the sheet from its 3D shape; from its size in the photo where that is missing."""
-    with np.errstate(invalid="ignore"):
-        film = maps.film & np.isfinite(maps.uv).all(axis=-1) & np.isfinite(maps.xyz).all(axis=-1)
-        film &= (np.abs(maps.uv - 0.5) < 0.55).all(axis=-1)
-    down, across = backward.mean_film_pixels()
-    if np.count_nonzero(film) >= 60 and np.ptp(maps.xyz[film], axis=0).max() > 1e-3:
-        lengths = _sheet_lengths(maps.uv[film].astype(np.float64), maps.xyz[film].astype(np.float64))
-        if min(lengths) > 0.05 * max(lengths):
-            down, across = lengths
-    return down / across
+def plane_aspect(backward: BackwardMap, size: tuple[int, int], config: SheetConfig | None = None) -> float:
+    """Height over width of the sheet, taken for flat, before a camera that looks at the photo's centre.
 
-
-def _sheet_lengths(uv: Float[np.ndarray, "n 2"], xyz: Float[np.ndarray, "n 3"]) -> tuple[float, float]:
-    """Mean lengths (down, across) of a surface along its film lines, from a stiff smooth fit of xyz over uv.
-
-    Film does not stretch, so every line along v has the same length; averaging them takes out noise. The fit is
-    stiff enough that noise does not lengthen the lines, which a curve through noisy points would.
+    size: (height, width) of the photo. The homography nearest to the map tells both sides' lengths once the focal
+    length is known; which one it is, beside what is usual of phones, the right angle between the sides tells (Zhang and
+    He 2007, "Whiteboard scanning and image enhancement").
     """
-    intervals = 4
-    rows = bspline.design(uv, intervals)
-    weight = np.ones(len(uv))
-    for _ in range(3):
-        fit = bspline.NormalEquations.of(rows, weight, xyz, intervals).solve(1e-5)
-        distance = np.linalg.norm(xyz - rows @ fit, axis=1)
-        weight = 1.0 / np.maximum(distance / max(float(np.median(distance)), 1e-9), 1.0)
-    points = bspline.on_lattice(fit, (17, 17), intervals)
-    down = np.linalg.norm(np.diff(points, axis=0), axis=-1).sum(axis=0)
-    across = np.linalg.norm(np.diff(points, axis=1), axis=-1).sum(axis=1)
-    return float(np.median(down)), float(np.median(across))
+    config = config or SheetConfig()
+    frame, uv = Frame.of(size), film_nodes((17, 17)).reshape(-1, 2)
+    homography = fit_homography(uv, frame.from_photo(backward.photo_from_film(uv)), np.ones(len(uv)))
+    focal = np.geomspace(*config.focal_range, FOCALS)
+    unseen = np.stack([1.0 / focal, 1.0 / focal, np.ones(FOCALS)], axis=1)
+    across, down = (unseen * homography[:, k] for k in (0, 1))
+    squares = inner(across, across), inner(down, down)
+    cosine = inner(across, down) / np.sqrt(squares[0] * squares[1])
+    unusual = np.log(focal / config.focal) / config.focal_sigma[1]
+    best = int(np.argmin((cosine / RIGHT_ANGLE) ** 2 + unusual**2))
+    return float(np.sqrt(squares[1][best] / squares[0][best]))
 
 
 def snap_aspect(aspect: float, grid: SliceGrid | None, config: FilmSizeConfig, exact: bool = False) -> float:
@@ -87,19 +85,20 @@ def snap_aspect(aspect: float, grid: SliceGrid | None, config: FilmSizeConfig, e
 
 def film_size(
     backward: BackwardMap,
-    maps: CoarseMaps,
+    photo_size: tuple[int, int],
     grid: SliceGrid | None,
     config: FilmSizeConfig | None = None,
     aspect: float | None = None,
 ) -> tuple[int, int]:
     """Size (h, w) in pixels of the flat film: nothing that the photo resolves is lost, within the bounds.
 
-    aspect: height over width, where it is known from the sheet that was fitted (refine.py); the network's 3D shape
-    tells it else.
+    photo_size: (height, width). aspect: height over width, where it is known from the sheet that was fitted
+    (refine.py); else it is told by the nearest plane, exactly if the film is one.
     """
     config = config or FilmSizeConfig()
-    measured = film_aspect(maps, backward) if aspect is None else aspect
-    snapped = snap_aspect(measured, grid, config, exact=aspect is not None)
+    exact = aspect is not None or survey_plane(backward, config.flat)[0].yes
+    measured = plane_aspect(backward, photo_size) if aspect is None else aspect
+    snapped = snap_aspect(measured, grid, config, exact)
     return bounded_size(backward, float(np.clip(snapped, 1.0 / config.max_aspect, config.max_aspect)), config)
 
 

@@ -49,6 +49,8 @@ class SheetConfig:
     """Standard deviation of the strain at 40 places: what the splines cannot follow; film itself strains far less."""
     stretched: float = 40.0
     """Cost of strain of a sheet that does stretch, from which on more counts ever less (sheet_problem.py)."""
+    firm: float = 5e-4
+    """Part of all cost of strain that counts even so: cloth stretches by a percent or two, and no sheet is rubber."""
     bending: float = 120.0
     """Weight of the mean squared second derivatives, in units of the film's height, of films that are hardly bent."""
     bent: float = 0.25
@@ -75,6 +77,7 @@ class SheetConfig:
     def __post_init__(self) -> None:
         require_at_least(self, 0.1, "focal", "focal_range")
         require_at_least(self, 1e-3, "focal_sigma", "beyond_sigma", "distortion", "stretched", "bent")
+        require_at_least(self, 0.0, "firm")
         require_at_least(self, 1, "every", "intervals")
 
     @property

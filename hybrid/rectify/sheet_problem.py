@@ -56,19 +56,20 @@ class Eased:
     """A cost of which more counts ever less: one film is hardly bent, another is rolled, and how much a film is bent,
     or stretched, nothing tells beforehand.
 
-    A quadratic cost q becomes ``scale * log(1 + q / scale)``, as of a normal distribution whose width is not known.
-    weight: of the quadratic cost that has the same slope. beyond: what the eased cost is above that one's.
+    A quadratic cost q becomes ``scale * log(1 + q / scale) + firm * q``: the first as of a normal distribution whose
+    width is not known, the second as some widths there are not. weight: of the quadratic cost that has the same slope.
+    beyond: what the eased cost is above that one's.
     """
 
     weight: float
     beyond: float
 
     @staticmethod
-    def of(cost: float, scale: float) -> Eased:
+    def of(cost: float, scale: float, firm: float = 0.0) -> Eased:
         if scale == np.inf:
-            return Eased(1.0, 0.0)
+            return Eased(1.0 + firm, 0.0)
         weight = 1.0 / (1.0 + cost / scale)
-        return Eased(weight, scale * float(np.log1p(cost / scale)) - weight * cost)
+        return Eased(weight + firm, scale * float(np.log1p(cost / scale)) - weight * cost)
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,7 +101,7 @@ class Problem:
         """Cost of a state, and the normal equations around it; without the latter where ``derivatives`` is False."""
         sheet, config, constants = state.sheet, self.config, len(state.constants)
         strained = strain(sheet, config, constants, derivatives)
-        stretching = Eased.of(strained.cost, config.stretched)
+        stretching = Eased.of(strained.cost, config.stretched, config.firm)
         blocks = (
             self._from_network(sheet, constants, derivatives),
             self._from_sightings(state, curves, derivatives),
