@@ -23,6 +23,7 @@ from hybrid.rectify.trust import (
     film_verdict,
     largest_error_px,
     seen_beside,
+    sides_outside,
 )
 
 TOO_FAR = f"px of error expected, {TrustConfig().safety * TrustConfig().limit_px:.1f} allowed"
@@ -40,6 +41,19 @@ def test_what_was_in_doubt_at_first_is_trusted_less() -> None:
     assert expected_error_px(replace(SURE, doubted=True)) == expected_error_px(SURE)
 
 
+def test_sides_outside_the_photo_are_named() -> None:
+    """A corner may lie outside, and a film may end where the photo does, or be read a pixel beyond that."""
+    frame = frame_of((600, 400))
+    assert sides_outside(frame, (600, 400)) == ()
+    assert sides_outside(frame.cropped((1.0, 1.0), (1.0, 1.0)), (598, 398)) == ()
+    assert sides_outside(frame.cropped((0.0, 30.0), (1.0, 1.0)), (570, 400)) == ("top",)
+    assert sides_outside(frame.cropped((-10.0, 0.0), (1.0, 1.0)), (560, 400)) == ("bottom", "right")
+    corner = BackwardMap.from_function(
+        lambda uv: uv @ np.array([[400.0, 90.0], [-90.0, 400.0]]) + np.array([60.0, 30.0])
+    )
+    assert sides_outside(corner, (600, 500)) == ()
+
+
 def test_a_film_that_all_signs_speak_for_is_flattened() -> None:
     found = film_verdict(SURE)
     assert found.ok
@@ -55,6 +69,9 @@ def test_a_film_that_all_signs_speak_for_is_flattened() -> None:
         ({"levels": 13.0}, "only 13 of 255 grey levels"),
         ({"corrected": False}, "did not correct the network"),
         ({"support": 0.3}, "one edge is only 30% likely to be the sheet's"),
+        ({"support": 0.3, "weakest": "the left"}, "the left edge is only 30% likely to be the sheet's"),
+        ({"outside": ("top",)}, "step back, the photo lacks the film's top edge"),
+        ({"outside": ("top", "left")}, "the photo lacks the film's top and left edge"),
         ({"alike": 0.05}, "cells are not alike"),
         ({"in_step": 0.3}, "the network sees other cells"),
         ({"overlap_after": 0.6}, "overlaps the sheet by only 60%"),

@@ -26,7 +26,7 @@ from hybrid.rectify.edge_paths import EdgesRead
 from hybrid.rectify.refine import Refinement
 from hybrid.rectify.repeat import Repeats, cell_agreement
 from hybrid.rectify.survey import Verdict, grey_spread, mask_overlap
-from hybrid.strips import SIDES
+from hybrid.strips import SIDES, Side
 
 REFERENCE_PX = 1080
 """Longer side of the photos that limits in pixels are stated for."""
@@ -39,6 +39,13 @@ UNKNOWN_STATED = 0.01
 
 UNKNOWN_EDGES = 0.02
 """Stands for how far beside the map an edge is read where not all are, in film units."""
+
+OUTSIDE = 0.6
+"""Part of a side that lies outside the photo from which on the whole side does: of 25 such films of 936 17 were over 5
+px off, at the median 13; of 18 of which less of a side does three."""
+
+OUTSIDE_BY = 0.005
+"""How far outside, in parts of the film's size: a film may end where the photo does."""
 
 UNKNOWN_LOPSIDED = 0.05
 """Stands for how unlike opposite margins are where there is no grid, in film units; more than that counts no more."""
@@ -153,7 +160,20 @@ def signs_of(
         lopsided=UNKNOWN_LOPSIDED if grid is None else grid.lopsided,
         sheet=refinement.aspect is not None,
         flat=flat,
+        weakest=f"the {SIDES[int(across.support.argmin())].name}",
+        outside=sides_outside(backward, (pyramid.photo.shape[0], pyramid.photo.shape[1])),
     )
+
+
+def sides_outside(backward: BackwardMap, size: tuple[int, int]) -> tuple[str, ...]:
+    """Names of the sides of the sheet that lie for the most part outside a photo of ``size`` (height, width)."""
+    along, beside = film_centres_1d(32), OUTSIDE_BY * max(backward.mean_film_pixels())
+
+    def outside(side: Side) -> float:
+        at = backward.photo_from_film(side.film_points(along, np.zeros_like(along)))
+        return float(((at < -beside) | (at > np.array(size[::-1]) + beside)).any(axis=1).mean())
+
+    return tuple(side.name for side in SIDES if outside(side) >= OUTSIDE)
 
 
 def expected_error_px(signs: Signs, config: TrustConfig | None = None) -> float:
@@ -212,10 +232,14 @@ def film_verdict(signs: Signs, config: TrustConfig | None = None) -> Verdict:
     doubts = [
         text
         for text, doubtful in (
+            (f"step back, the photo lacks the film's {' and '.join(signs.outside)} edge", bool(signs.outside)),
             (f"{signs.edges} of 4 edges seen", signs.edges < config.min_edges),
             ("no grid seen", not signs.grid),
             (f"only {signs.levels:.0f} of 255 grey levels", signs.levels < config.min_levels),
-            (f"one edge is only {signs.support:.0%} likely to be the sheet's", signs.support < config.min_support),
+            (
+                f"{signs.weakest} edge is only {signs.support:.0%} likely to be the sheet's",
+                signs.support < config.min_support,
+            ),
             (
                 f"what the network sees as film overlaps the sheet by only {signs.overlap_after:.0%}",
                 signs.overlap_after < config.min_overlap,
@@ -315,5 +339,6 @@ __all__ = [
     "floored",
     "largest_error_px",
     "seen_beside",
+    "sides_outside",
     "signs_of",
 ]
