@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
-from benchmarks.photos import load_photos
+from benchmarks.photos import load_photo, load_photos
 from hybrid.backward import BackwardMap, Orientation
 from hybrid.coords import film_nodes, pixel_centres, rescale_points
 from hybrid.draw import resized
@@ -75,6 +75,15 @@ class Case:
         down, across = self.backward.mean_film_pixels()
         scale = min(1.0, FilmSizeConfig().max_side_px / max(down, across))
         return max(1, round(down * scale)), max(1, round(across * scale))
+
+    def sheet_ratio(self) -> float:
+        """Height over width of the sheet itself."""
+        if isinstance(self.source, Path):
+            height, width = load_photo(self.source.with_suffix(".npz")).read_print().shape
+        else:
+            shard, k = self.source
+            height, width = shard.record(k)["size_mm"]
+        return height / width
 
 
 def photo_cases(folder: Path) -> list[Case]:

@@ -59,6 +59,7 @@ def measure(method: Method, case: Case, megapixels: float, repeats: int, warm: b
         grid=result.grid,
         output=None if result.image is None else (result.image.shape[0], result.image.shape[1]),
         claim=result.claim,
+        sides=sides_off(case, result) if scored and method.flatten is not None else None,
     )
 
 
@@ -74,6 +75,16 @@ def film_score(case: Case, result: Flattened) -> FilmScore | None:
         lit_psnr=psnr_after_gain_offset(at_print_size(way.moved(lit)), truth),
         psnr=None if film is None else psnr_after_gain_offset(film, truth),
     )
+
+
+def sides_off(case: Case, result: Flattened) -> float | None:
+    """How far the flat film's ratio of sides is from the sheet's, as the logarithm's size: the end-point error, of film
+    coordinates, does not show it."""
+    if result.image is None or result.backward is None:
+        return None
+    way = read_alike(result.backward, case.backward)[1]
+    height, width = way.moved(result.image[..., 0]).shape
+    return abs(float(np.log(height / width / case.sheet_ratio())))
 
 
 def at_print_size(grey: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "a b"]:

@@ -48,7 +48,7 @@ def size_section(report: Report, megapixels: float) -> str:
     rows = [row for row in rows_of(report, megapixels) if row.method.name not in CONFIGURATIONS]
     floor = next((row for row in rows if row.method.name == FLOOR), None)
     head = ("", "photos", "lost", "upright", "error, px", "worst", "%", "distortion", "PSNR", "SSIM", "MS-SSIM")
-    head += ("film, dB", "seconds", "processor s", "times the floor", "output, MP")
+    head += ("film, dB", "sides, %", "seconds", "processor s", "times the floor", "output, MP")
     shown = [_cells(row, floor) for row in rows]
     if any(row.ok is not None for row in rows):
         head += ("`OK` (wrongly)",)
@@ -71,6 +71,7 @@ def _cells(row: Row, floor: Row | None) -> list[str]:
         number(f.get("distortion_px"), 2),
         *both,
         pair(f.get("film"), f.get("film_lit"), 1),
+        number(f.get("sides_percent"), 2),
         f"{t[0]:.3g} ({t[1]:.3g} to {t[2]:.3g})",
         f"{row.cpu_seconds:.3g}",
         "-" if floor is None else f"{t[0] / floor.seconds[0]:.3g} ({row.cpu_seconds / floor.cpu_seconds:.3g})",

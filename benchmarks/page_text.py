@@ -140,8 +140,9 @@ def _how(report: Report) -> str:
         "photo of 1080 and in percent of the film's diagonal, whichever side of the film a method takes to be up. "
         "*Distortion*: the same distance on the flat film, in pixels of one of 598,400. *PSNR, SSIM, MS-SSIM*: the "
         "paper's protocol, raw and (in brackets) de-shifted, which takes the truth to know. *Film*: dB of the film "
-        "against its print after one gain and offset, without the light and (in brackets) with it. Medians over "
-        "photos; films that were not found are counted, and stay out.",
+        "against its print after one gain and offset, without the light and (in brackets) with it. *Sides*: by how "
+        "many percent the flat film's ratio of sides is off the sheet's; of methods that are told it nothing. Medians "
+        "over photos; films that were not found are counted, and stay out.",
     ]
     limits = sorted({m.claim.limit_px for m in report.measured if m.claim and m.claim.ok and m.claim.limit_px})
     if limits:

@@ -28,7 +28,8 @@ class Measured:
     in memory to the flat film; the second counts what all threads of the process worked. parts: median seconds of the
     parts that the method tells apart. score: None where no film was found or the method is not scored. film: None
     where the print is not known. grid: slices found, ROWSxCOLS. output: (height, width) of the flat film. claim: what
-    the method says of its result; None from methods that say nothing, and in results older than this.
+    the method says of its result; None from methods that say nothing, and in results older than this. sides: logarithm
+    of the flat film's ratio of sides over the sheet's, without sign; None from methods that are told the film's size.
     """
 
     method: str
@@ -45,6 +46,7 @@ class Measured:
     grid: str = ""
     output: tuple[int, int] | None = None
     claim: Claim | None = None
+    sides: float | None = None
 
     @property
     def wrongly_ok(self) -> bool:

@@ -28,6 +28,7 @@ FIGURES: dict[str, Callable[[Measured], float | None]] = {
     "ms_ssim_deshifted": lambda m: m.score and m.score.paper.deshifted.ms_ssim,
     "film_lit": lambda m: m.film and m.film.lit_psnr,
     "film": lambda m: m.film and m.film.psnr,
+    "sides_percent": lambda m: None if m.sides is None else 100 * m.sides,
 }
 """Figures of one photo; None where it has none."""
 

@@ -19,7 +19,7 @@ from benchmarks.measure import measure, peak_memory
 from benchmarks.methods import Method, of_rectifier
 from benchmarks.photos import load_photo, load_photos
 from benchmarks.traits import note_of
-from hybrid.backward import BackwardMap
+from hybrid.backward import BackwardMap, Orientation
 from hybrid.coords import film_nodes, opencv_from_photo, pixel_centres
 from hybrid.errors import DataError
 from hybrid.image_io import write_rgb
@@ -114,7 +114,7 @@ def test_the_truth_scores_perfect(case: Case) -> None:
     assert found.film.psnr > 30  # what JPEG and two resamplings leave
     assert found.film.psnr == pytest.approx(found.film.lit_psnr, abs=0.1)  # even light: one gain takes it away
     assert found.parts["network"] == pytest.approx(0.25)  # the median of 0.5, 0.25, 0.17
-    assert (found.grid, found.output) == ("2x3", FILM_SIZE)
+    assert (found.grid, found.output, found.sides) == ("2x3", FILM_SIZE, 0.0)
     note = note_of(case)
     assert (note.grid, note.style, note.size) == ("2x3", "rules", SIZE)
 
@@ -125,6 +125,23 @@ def test_a_shift_is_measured_as_such(case: Case) -> None:
     px = 5 * 1080 / max(SIZE)  # as in a photo of 1080 px
     assert (found.score.end_point_px, found.score.end_point_p95_px) == pytest.approx((px, px), abs=1e-2)
     assert found.score.paper.deshifted.psnr > found.score.paper.raw.psnr + 20
+
+
+@pytest.mark.parametrize("way", [Orientation(0, False), Orientation(1, False), Orientation(3, True)])
+def test_a_film_that_is_flattened_to_another_shape_is_off_by_that(way: Orientation, case: Case) -> None:
+    """Also one that is given on its side."""
+
+    def rectify(photo: np.ndarray) -> RectifyResult:
+        wide = np.ascontiguousarray(way.moved(np.zeros((400, 500, 3), np.uint8)))
+        return RectifyResult(Status(StatusCode.UNSURE), rectified=wide, backward=true_map().turned(way))
+
+    assert case.sheet_ratio() == 1.0
+    found = measure(of_rectifier("wide", rectify), case, 0.128, repeats=1, warm=True)
+    assert found.score is not None
+    assert found.score.end_point_px < 1e-3  # which does not show it
+    assert found.sides == pytest.approx(np.log(1.25))
+    told = measure(Method("told", lambda photo: true_map()), case, 0.128, repeats=1, warm=True)
+    assert told.sides is None
 
 
 def test_a_film_that_is_not_found_has_no_score_and_a_reason(case: Case) -> None:
