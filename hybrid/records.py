@@ -187,8 +187,8 @@ class Signs:
     sheet: whether a bent sheet explains what was seen.
     flat: whether the photo was found to be the flat film itself; nothing else counts then.
     doubted: whether it was in doubt at first, so that this is the surest of several refinements.
-    weakest: which edge has the least support, as the film lies in the photo: "the top" and so on.
-    outside: sides, named likewise, that lie outside the photo for the most part.
+    weakest: the edge with the least support, as the film lies in the photo: top, bottom, left or right.
+    outside: edges, named likewise, that lie outside the photo for the most part.
     """
 
     overlap_before: float
@@ -210,7 +210,7 @@ class Signs:
     sheet: bool
     flat: bool = False
     doubted: bool = False
-    weakest: str = "one"
+    weakest: str = "weakest"
     outside: tuple[str, ...] = ()
 
 

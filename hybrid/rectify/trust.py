@@ -160,7 +160,7 @@ def signs_of(
         lopsided=UNKNOWN_LOPSIDED if grid is None else grid.lopsided,
         sheet=refinement.aspect is not None,
         flat=flat,
-        weakest=f"the {SIDES[int(across.support.argmin())].name}",
+        weakest=SIDES[int(across.support.argmin())].name,
         outside=sides_outside(backward, (pyramid.photo.shape[0], pyramid.photo.shape[1])),
     )
 
@@ -237,7 +237,7 @@ def film_verdict(signs: Signs, config: TrustConfig | None = None) -> Verdict:
             ("no grid seen", not signs.grid),
             (f"only {signs.levels:.0f} of 255 grey levels", signs.levels < config.min_levels),
             (
-                f"{signs.weakest} edge is only {signs.support:.0%} likely to be the sheet's",
+                f"the {signs.weakest} edge is only {signs.support:.0%} likely to be the sheet's",
                 signs.support < config.min_support,
             ),
             (
