@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -76,6 +77,7 @@ class Case:
         scale = min(1.0, FilmSizeConfig().max_side_px / max(down, across))
         return max(1, round(down * scale)), max(1, round(across * scale))
 
+    @cached_property
     def sheet_ratio(self) -> float:
         """Height over width of the sheet itself."""
         if isinstance(self.source, Path):

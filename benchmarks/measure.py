@@ -84,7 +84,7 @@ def sides_off(case: Case, result: Flattened) -> float | None:
         return None
     way = read_alike(result.backward, case.backward)[1]
     height, width = way.moved(result.image[..., 0]).shape
-    return abs(float(np.log(height / width / case.sheet_ratio())))
+    return abs(float(np.log(height / width / case.sheet_ratio)))
 
 
 def at_print_size(grey: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "a b"]:

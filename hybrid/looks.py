@@ -44,7 +44,7 @@ def see(network: FilmNet, pyramid: Pyramid, config: RectifyConfig, clock: Clock,
     """
     predict = config.predict
     with clock.stage("network") as report:
-        photo, factor = pyramid.reduced(max(pyramid.photo.shape[:2]) / predict.least_px)
+        photo, factor = pyramid.reduced(max(pyramid.size) / predict.least_px)
         (maps,) = look(network, photo, [whole_view((photo.shape[0], photo.shape[1]), wider)])
         inversion, looks, moved = fit_backward(maps, config.invert), 1, np.inf
         view: BackwardMap | None = None
@@ -72,7 +72,7 @@ def see_at(network: FilmNet, pyramid: Pyramid, told: BackwardMap, config: Rectif
     """
     predict = config.predict
     with clock.stage("network") as report:
-        photo, factor = pyramid.reduced(max(pyramid.photo.shape[:2]) / predict.least_px)
+        photo, factor = pyramid.reduced(max(pyramid.size) / predict.least_px)
         told = told.cropped((0.0, 0.0), (1 / factor, 1 / factor))
         view = film_view(told, predict.margin)
         (maps,) = look_from_sides(network, photo, view, predict.sides[:1])
@@ -88,7 +88,7 @@ def see_at(network: FilmNet, pyramid: Pyramid, told: BackwardMap, config: Rectif
 
 def check(pyramid: Pyramid, seen: LastLook, config: SurveyConfig) -> Verdict:
     """Whether what the network saw is one sheet, seen whole, and printed as films are."""
-    verdict = survey_maps(seen.maps, seen.inversion, pyramid.photo.shape, config)
+    verdict = survey_maps(seen.maps, seen.inversion, pyramid.size, config)
     if not verdict.ok or isinstance(seen.inversion, NotInverted):
         return verdict
     printed = survey_print(pyramid, seen.inversion.backward, config)
@@ -108,18 +108,18 @@ def checked(
         if verdict.code in (StatusCode.NO_FILM, StatusCode.CUT_OFF, StatusCode.PAPER):
             other = see(network, pyramid, config, Clock(), WIDER)
             second = check(pyramid, other, config.survey)
-            if second.ok and _lies_within(other.inversion, pyramid.photo.shape):
+            if second.ok and _lies_within(other.inversion, pyramid.size):
                 seen, verdict = other, Verdict(second.code, f"from a wider look: {second.reason}")
         report.reason = verdict.reason
     return seen, verdict
 
 
-def _lies_within(inversion: Inversion | NotInverted, size: tuple[int, ...]) -> bool:
-    """Whether a photo of ``size`` (height, width, ...) shows all of the sheet."""
+def _lies_within(inversion: Inversion | NotInverted, size: tuple[int, int]) -> bool:
+    """Whether a photo of ``size`` (height, width) shows all of the sheet."""
     if isinstance(inversion, NotInverted):
         return False
     nodes = inversion.backward.nodes
-    return bool((nodes >= 0).all() and (nodes <= np.array(size[1::-1])).all())
+    return bool((nodes >= 0).all() and (nodes <= np.array(size[::-1])).all())
 
 
 def see_from_sides(network: FilmNet, seen: LastLook, config: RectifyConfig) -> list[Inversion]:

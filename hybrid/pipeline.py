@@ -237,8 +237,7 @@ class Rectifier:
                 down, across = backward.mean_film_pixels()
                 size = bounded_size(backward, down / across, self.config.size)
             else:
-                height, width = pyramid.photo.shape[:2]
-                size = film_size(backward, (height, width), grid, self.config.size, refinement.aspect)
+                size = film_size(backward, pyramid.size, grid, self.config.size, refinement.aspect)
             flat = rectify_photo(pyramid, backward, size, self.config.resample)
             report.reason = f"to {size[1]} x {size[0]} pixels"
         with clock.stage("upright") as report:

@@ -24,6 +24,11 @@ class Pyramid:
         """The photo itself."""
         return self._copies[0]
 
+    @property
+    def size(self) -> tuple[int, int]:
+        """Its height and width."""
+        return self.photo.shape[0], self.photo.shape[1]
+
     def reduced(self, most: float) -> tuple[Photo, int]:
         """The copy reduced by the largest power of two up to ``most``, and that power; the photo for less than 2."""
         level = 0

@@ -135,7 +135,7 @@ def test_a_film_that_is_flattened_to_another_shape_is_off_by_that(way: Orientati
         wide = np.ascontiguousarray(way.moved(np.zeros((400, 500, 3), np.uint8)))
         return RectifyResult(Status(StatusCode.UNSURE), rectified=wide, backward=true_map().turned(way))
 
-    assert case.sheet_ratio() == 1.0
+    assert case.sheet_ratio == 1.0
     found = measure(of_rectifier("wide", rectify), case, 0.128, repeats=1, warm=True)
     assert found.score is not None
     assert found.score.end_point_px < 1e-3  # which does not show it

@@ -68,7 +68,7 @@ def test_a_film_that_all_signs_speak_for_is_flattened() -> None:
         ({"edges": 3}, "3 of 4 edges seen"),
         ({"levels": 13.0}, "only 13 of 255 grey levels"),
         ({"corrected": False}, "did not correct the network"),
-        ({"support": 0.3}, "edge is only 30% likely to be the sheet's"),
+        ({"support": 0.3}, "the weakest edge is only 30% likely to be the sheet's"),
         ({"support": 0.3, "weakest": "left"}, "the left edge is only 30% likely to be the sheet's"),
         ({"outside": ("top",)}, "step back, the photo lacks the film's top edge"),
         ({"outside": ("top", "left")}, "the photo lacks the film's top and left edge"),

@@ -128,7 +128,7 @@ def with_margins(
                 end
                 for end in new
                 if moved[end] >= config.least
-                and _shown(on_edges, end, pyramid.photo.shape)
+                and _shown(on_edges, end, pyramid.size)
                 and LongerSheet(read, {end: moved[end]}).chance(read) >= config.likely
             ]
             if borne_out == new:
@@ -156,11 +156,11 @@ def _edges_beyond(
     return {side: off for side, (_, off) in found.items()}
 
 
-def _shown(film: BackwardMap, end: Side, size: tuple[int, ...]) -> bool:
-    """Whether a photo of ``size`` (height, width, ...) shows most of one of the film's ends, and ground beyond it."""
+def _shown(film: BackwardMap, end: Side, size: tuple[int, int]) -> bool:
+    """Whether a photo of ``size`` (height, width) shows most of one of the film's ends, and ground beyond it."""
     points = film.photo_from_film(_along(end))
     beside = BESIDE_FRAME * max(film.mean_film_pixels())
-    inside = ((points > beside) & (points < np.array(size[1::-1]) - beside)).all(axis=1)
+    inside = ((points > beside) & (points < np.array(size[::-1]) - beside)).all(axis=1)
     return bool(inside.mean() > MOST)
 
 

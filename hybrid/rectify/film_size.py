@@ -7,11 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from hybrid.backward import BackwardMap
-from hybrid.coords import film_nodes
 from hybrid.errors import require_at_least
 from hybrid.records import SliceGrid
-from hybrid.rectify.invert import fit_homography
-from hybrid.rectify.sheet import Frame, SheetConfig, inner
+from hybrid.rectify.sheet import Frame, SheetConfig, inner, nearest_homography
 from hybrid.rectify.survey import survey_plane
 
 FORMATS_CM = ((35, 43), (28, 35), (25, 30), (20, 25))
@@ -57,8 +55,7 @@ def plane_aspect(backward: BackwardMap, size: tuple[int, int], config: SheetConf
     He 2007, "Whiteboard scanning and image enhancement").
     """
     config = config or SheetConfig()
-    frame, uv = Frame.of(size), film_nodes((17, 17)).reshape(-1, 2)
-    homography = fit_homography(uv, frame.from_photo(backward.photo_from_film(uv)), np.ones(len(uv)))
+    homography = nearest_homography(backward, Frame.of(size))
     focal = np.geomspace(*config.focal_range, FOCALS)
     unseen = np.stack([1.0 / focal, 1.0 / focal, np.ones(FOCALS)], axis=1)
     across, down = (unseen * homography[:, k] for k in (0, 1))

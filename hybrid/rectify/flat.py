@@ -42,7 +42,7 @@ def already_flat(
 
     coarse, refined: the network's map, and what became of it. exactly: refines a map into the photo.
     """
-    size = (pyramid.photo.shape[0], pyramid.photo.shape[1])
+    size = pyramid.size
     frame = frame_of(size)
     if _off(coarse, frame) > NEAR_FRAME:
         return None, "the film does not fill the photo"

@@ -251,10 +251,15 @@ def _plane(intervals: int) -> Float[np.ndarray, "n 3"]:
     return np.stack([u.ravel(), v.ravel(), np.ones(u.size)], axis=1)
 
 
+def nearest_homography(film: BackwardMap, frame: Frame) -> Float[np.ndarray, "3 3"]:
+    """The homography from film points to the units of the frame that comes nearest to a map."""
+    uv = film_nodes((17, 17)).reshape(-1, 2)
+    return fit_homography(uv, frame.from_photo(film.photo_from_film(uv)), np.ones(len(uv)))
+
+
 def flat_sheet(coarse: BackwardMap, frame: Frame, intervals: int, focal: float) -> Sheet:
     """The flat sheet that shows about what a map says, from the homography between film and photo."""
-    uv = film_nodes((17, 17)).reshape(-1, 2)
-    homography = fit_homography(uv, frame.from_photo(coarse.photo_from_film(uv)), np.ones(len(uv)))
+    homography = nearest_homography(coarse, frame)
     pose = np.diag([1.0 / focal, 1.0 / focal, 1.0]) @ homography
     if pose[2] @ np.array([0.5, 0.5, 1.0]) < 0:
         pose = -pose
@@ -292,6 +297,7 @@ __all__ = [
     "at_nodes",
     "flat_sheet",
     "inner",
+    "nearest_homography",
     "project",
     "relief_reversed",
     "slopes",

@@ -149,7 +149,7 @@ def signs_of(
         corrected=refinement.believed,
         edges=refinement.edges,
         film_px=film_px,
-        photo_px=max(pyramid.photo.shape[:2]),
+        photo_px=max(pyramid.size),
         levels=grey_spread(pyramid.photo),
         support=float(across.support.min()),
         in_step=0.0 if grid is None else _in_step(again, backward, grid),
@@ -161,7 +161,7 @@ def signs_of(
         sheet=refinement.aspect is not None,
         flat=flat,
         weakest=SIDES[int(across.support.argmin())].name,
-        outside=sides_outside(backward, (pyramid.photo.shape[0], pyramid.photo.shape[1])),
+        outside=sides_outside(backward, pyramid.size),
     )
 
 
