@@ -24,7 +24,7 @@ from hybrid.rectify.foreshortening import even
 from hybrid.rectify.invert import Inversion
 from hybrid.rectify.plane import flat_film
 from hybrid.rectify.refine import Refinement, refine
-from hybrid.rectify.survey import Verdict
+from hybrid.rectify.survey import Verdict, survey_print
 from hybrid.rectify.trust import chance_right, film_verdict, floored, signs_of
 from hybrid.stages import Clock, Report
 from hybrid.strips import StripReader
@@ -212,15 +212,23 @@ def _with_margins(
 
 def flat_itself(
     pyramid: Pyramid,
-    coarse: BackwardMap,
+    seen: LastLook,
     phases: CellPhases | None,
-    refined: Refinement,
+    refined: Refinement | None,
     config: RectifyConfig,
     clock: Clock,
 ) -> Refinement | None:
-    """The photo's frame as the film's map, if the photo is a scan or a film that was flattened before."""
+    """The photo's frame as the film's map, if the photo is a scan or a film that was flattened before.
+
+    refined: what became of the network's map; None where that is no film's.
+    """
+    coarse = seen.inversion.backward if isinstance(seen.inversion, Inversion) else None
     with clock.stage("flat") as report:
-        flat, report.reason = already_flat(pyramid, coarse, refined, partial(_exactly, pyramid, phases, None, config))
+        exactly = partial(_exactly, pyramid, phases, None, config)
+        flat, report.reason = already_flat(pyramid, coarse, seen.filled, refined, exactly)
+        if flat is not None and refined is None:  # of what is no film the print was not looked at
+            printed = survey_print(pyramid, flat.backward, config.survey)
+            flat, report.reason = (flat if printed.ok else None), f"{report.reason}; {printed.reason}"
         report.ran = flat is not None
     return flat
 
@@ -238,14 +246,13 @@ def judged(
 
     flat: whether the photo was found to be the flat film itself.
     """
-    coarse = seen.inversion
-    assert isinstance(coarse, Inversion)  # else there is nothing to trust
+    coarse = seen.inversion.backward if isinstance(seen.inversion, Inversion) else refinement.backward
     with clock.stage("verdict") as report:
         look_again = seen_through(readers.network, seen, config, refinement.backward)
         across = refinement.across or look_across(pyramid, refinement.backward, readers.edges, config.edges)
         film, grid = refinement.backward, refinement.grid
         shown = 0.0 if grid is None else borders_shown(pyramid, film, grid, readers.borders, config.refine.borders)
-        signs = signs_of(pyramid, seen.maps, coarse.backward, refinement, look_again, across, shown, flat)
+        signs = signs_of(pyramid, seen.maps, coarse, refinement, look_again, across, shown, flat)
         verdict = film_verdict(signs, config.trust)
         report.reason = verdict.reason
     stages = (*refinement.stages, clock.reports[-1])

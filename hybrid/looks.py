@@ -15,7 +15,7 @@ from hybrid.pyramid import Photo, Pyramid
 from hybrid.records import CoarseMaps, StatusCode
 from hybrid.rectify.corners import put_on_corners
 from hybrid.rectify.invert import Inversion, NotInverted, change, fit_backward
-from hybrid.rectify.survey import SurveyConfig, Verdict, expected_error, survey_maps, survey_print
+from hybrid.rectify.survey import SurveyConfig, Verdict, expected_error, film_share, survey_maps, survey_print
 from hybrid.rectify.trust import seen_beside
 from hybrid.stages import Clock
 
@@ -28,6 +28,7 @@ class LastLook:
     """What the network saw in its last look: the maps, the film's map that follows, and the view of the film, if any.
 
     All but ``inversion`` and ``maps`` are of ``photo``, the copy of the photo, ``factor`` times smaller, that it saw.
+    filled: share of the photo that showed film in the first look.
     """
 
     maps: CoarseMaps
@@ -35,6 +36,7 @@ class LastLook:
     view: BackwardMap | None
     photo: Photo
     factor: int
+    filled: float = 0.0
 
 
 def see(network: FilmNet, pyramid: Pyramid, config: RectifyConfig, clock: Clock, wider: float = 1.0) -> LastLook:
@@ -46,6 +48,7 @@ def see(network: FilmNet, pyramid: Pyramid, config: RectifyConfig, clock: Clock,
     with clock.stage("network") as report:
         photo, factor = pyramid.reduced(max(pyramid.size) / predict.least_px)
         (maps,) = look(network, photo, [whole_view((photo.shape[0], photo.shape[1]), wider)])
+        filled = film_share(maps, photo.shape)
         inversion, looks, moved = fit_backward(maps, config.invert), 1, np.inf
         view: BackwardMap | None = None
         while looks < predict.looks and moved > predict.settled:
@@ -62,7 +65,7 @@ def see(network: FilmNet, pyramid: Pyramid, config: RectifyConfig, clock: Clock,
         else:
             inversion = inversion.enlarged(factor)
             report.reason = f"{looks} looks, the last explained to {inversion.residual_px:.1f} px"
-    return LastLook(maps.enlarged(factor), inversion, view, photo, factor)
+    return LastLook(maps.enlarged(factor), inversion, view, photo, factor, filled)
 
 
 def see_at(network: FilmNet, pyramid: Pyramid, told: BackwardMap, config: RectifyConfig, clock: Clock) -> LastLook:

@@ -43,7 +43,7 @@ from hybrid.rectify.fuse import fuse
 from hybrid.rectify.invert import Inversion, agreed
 from hybrid.rectify.refine import Refinement
 from hybrid.rectify.resample import Rectified, rectify_photo
-from hybrid.rectify.survey import survey_photo
+from hybrid.rectify.survey import Verdict, survey_photo
 from hybrid.rectify.trust import expected_error_px, largest_error_px
 from hybrid.stages import Clock, Report
 from hybrid.threads import one_thread
@@ -191,21 +191,23 @@ class Rectifier:
         pyramid, readers, config = Pyramid(photo), self._readers, self.config
         if corners is None:
             seen = see(readers.network, pyramid, config, clock)
-            seen, verdict = checked(readers.network, pyramid, seen, config, clock)
-            if not verdict.ok:
-                return RectifyResult(Status(verdict.code), clock.reports)
+            seen, checks = checked(readers.network, pyramid, seen, config, clock)
         else:
             told = film_at(corners, (photo.shape[0], photo.shape[1]))
             seen = see_at(readers.network, pyramid, told, config, clock)
-        maps, inversion = seen.maps, seen.inversion
-        assert isinstance(inversion, Inversion)  # else there is no film
-        phases = readers.phases_of(maps, config)
-        refinement = shape_of(pyramid, inversion.backward, phases, readers.edges, config, clock)
-        if corners is None:
-            beside = partial(network_beside, readers.network, seen, config)
-            refinement = whole_sheet(pyramid, phases, refinement, readers.edges, beside, config, clock)
-        flat = flat_itself(pyramid, inversion.backward, phases, refinement, config, clock)
-        first = judged(readers, pyramid, seen, flat or refinement, flat is not None, config, clock)
+            checks = Verdict(StatusCode.OK, "its corners are given")
+        phases = readers.phases_of(seen.maps, config)
+        refinement: Refinement | None = None
+        if checks.ok:
+            assert isinstance(seen.inversion, Inversion)  # else there is no film
+            refinement = shape_of(pyramid, seen.inversion.backward, phases, readers.edges, config, clock)
+            if corners is None:
+                beside = partial(network_beside, readers.network, seen, config)
+                refinement = whole_sheet(pyramid, phases, refinement, readers.edges, beside, config, clock)
+        flat = flat_itself(pyramid, seen, phases, refinement, config, clock)
+        if (refinement := flat or refinement) is None:
+            return RectifyResult(Status(checks.code), clock.reports)
+        first = judged(readers, pyramid, seen, refinement, flat is not None, config, clock)
         found = beyond_doubt(readers, pyramid, seen, first, corners is None, config, clock)
         clock.counts(found.stages)
         verdict, signs = found.verdict, found.signs
@@ -213,7 +215,7 @@ class Rectifier:
             if corners is None:
                 return RectifyResult(Status(verdict.code), clock.reports)
             verdict = replace(verdict, code=StatusCode.UNSURE)
-        result = self._finish(pyramid, maps, found.refinement, flat is not None, clock)
+        result = self._finish(pyramid, seen.maps, found.refinement, flat is not None, clock)
         return replace(
             result,
             status=Status(verdict.code, verdict.doubts),

@@ -12,8 +12,7 @@ from hybrid.backward import BackwardMap
 from hybrid.coords import film_centres, film_nodes
 from hybrid.pyramid import Pyramid
 from hybrid.records import CoarseMaps, Signs, SliceGrid, StatusCode
-from hybrid.rectify.flat import already_flat, frame_of
-from hybrid.rectify.refine import Refinement
+from hybrid.rectify.flat import frame_of
 from hybrid.rectify.trust import (
     FLAT_ERROR,
     TrustConfig,
@@ -150,20 +149,6 @@ def test_cells_are_most_alike_through_the_true_map() -> None:
         assert cells_alike(Pyramid(photo), disturbed(true, 6.0, np.random.default_rng(seed)), grid) < alike
     assert 0 <= alike <= 1
     assert cells_alike(Pyramid(photo), true, grid_over(true, 1, 1)) == 0
-
-
-def test_only_a_film_that_fills_the_photo_can_be_flat_already() -> None:
-    photo, true = make_photo(FilmDrawing(), np.random.default_rng(3), 150)
-    nothing = Refinement(true, None, ())
-    found, reason = already_flat(Pyramid(photo), true, nothing, lambda start: nothing)
-    assert found is None
-    assert reason == "the film does not fill the photo"
-
-
-def test_the_frame_of_a_photo_is_the_map_of_what_fills_it() -> None:
-    frame = frame_of((40, 60))
-    uv = np.array([[0.0, 0.0], [1.0, 1.0], [0.5, 0.25]])
-    assert frame.photo_from_film(uv) == pytest.approx(uv * np.array([60.0, 40.0]))
 
 
 def test_a_flat_picture_is_expected_to_be_off_in_proportion_to_its_size() -> None:

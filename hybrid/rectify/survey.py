@@ -171,10 +171,20 @@ def mask_overlap(maps: CoarseMaps, backward: BackwardMap, size: Sequence[int] | 
     outline = np.stack(index_in_grid(maps.photo_points, backward.outline()), axis=-1)
     inside = inside_outline(photo_from_opencv(outline), (mask.shape[0], mask.shape[1]))
     if size is not None:
-        reached = ((maps.photo_points >= 0) & (maps.photo_points <= (size[1], size[0]))).all(axis=-1)
+        reached = _reached(maps, size)
         mask, inside = mask & reached, inside & reached
     union = np.count_nonzero(mask | inside)
     return np.count_nonzero(mask & inside) / union if union else 0.0
+
+
+def film_share(maps: CoarseMaps, size: Sequence[int]) -> float:
+    """Share of a photo of ``size`` (height, width) that shows film, as far as the network saw it."""
+    return float(maps.film[_reached(maps, size)].mean())
+
+
+def _reached(maps: CoarseMaps, size: Sequence[int]) -> Bool[np.ndarray, "h w"]:
+    """Pixels of maps that a photo of ``size`` reaches."""
+    return ((maps.photo_points >= 0) & (maps.photo_points <= (size[1], size[0]))).all(axis=-1)
 
 
 def survey_plane(backward: BackwardMap, max_off: float) -> tuple[Decision, BackwardMap]:
