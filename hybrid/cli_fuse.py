@@ -10,7 +10,7 @@ import tyro
 
 from hybrid.cli_options import PhotoOptions, made_by, parse, photos_among
 from hybrid.image_io import read_photo
-from hybrid.outputs import make_folder, report_lines, write_result
+from hybrid.outputs import make_folder, report_lines, warnings_of, write_result
 from hybrid.pipeline import Rectifier, RectifyConfig
 
 
@@ -19,7 +19,8 @@ class FuseOptions(PhotoOptions):
     """Make one film of two or more photos of it, taken with phone or lamps moved, so that glare vanishes.
 
     Writes what ``hybrid rectify`` writes, named after the first photo: NAME_fused_film.png and so on. Photos in which
-    no film is found are left out. Photos of different films are refused; the exit code is then 1.
+    no film is found are left out. NAME_fused_rectified and the photo beside the film are of the first that shows it,
+    with its glare. Photos of different films are refused; the exit code is then 1.
     """
 
     config: Annotated[RectifyConfig, tyro.conf.arg(name="")] = field(default_factory=RectifyConfig)
@@ -40,7 +41,7 @@ def run(arguments: list[str]) -> int:
     made = made_by(options.effort, RectifyConfig.of(options.effort), options.config)
     shown = photos[result.photo]
     files = write_result(options.out, paths, shown, result, options.rectified_format, made, options.dicom)
-    print("\n".join(report_lines(paths[0], result, files, options.verbose)))
+    print("\n".join(report_lines(paths[0], result, files, warnings_of(result), options.verbose)))
     if not options.verbose:
         print("\n".join(f"  {stage.name}: {stage.reason}" for stage in result.stages if stage.name == "fuse"))
     return 0 if result.status.has_film else 1

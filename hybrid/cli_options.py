@@ -5,17 +5,19 @@ from __future__ import annotations
 import argparse
 import inspect
 import math
+import re
+import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
 import tyro
 
 from hybrid.effort import Effort
-from hybrid.errors import ConfigError, describe
-from hybrid.image_io import READABLE, SUFFIXES
-from hybrid.outputs import RectifiedFormat, is_result
+from hybrid.errors import ConfigError
+from hybrid.image_io import SUFFIXES
+from hybrid.outputs import FOLDERS, RectifiedFormat, is_result
 
 Options = TypeVar("Options")
 
@@ -28,7 +30,7 @@ class PhotoOptions:
     """What most need; the options of the stages come on top."""
 
     photos: tyro.conf.Positional[tuple[Path, ...]]
-    """Photos (JPEG, PNG, TIFF, WebP or HEIC), or folders of them."""
+    """Photos (JPEG, PNG, TIFF, WebP or HEIC), or folders of them; all before the first option."""
 
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("out")
     """Folder for the results; it is made if need be. Results of the same photos there are replaced; other photos of
@@ -41,7 +43,7 @@ class PhotoOptions:
     """Write film and slices as DICOM Secondary Captures, too, into NAME_dicom: without patient, date or spacing."""
 
     effort: Effort = "default"
-    """How much work a photo is worth: fast takes seven eighths of the time for a third more error,
+    """How much work a photo is worth: fast takes nine tenths of the time for a third more error,
     thorough refines films in doubt from four sides. It sets the options of the stages that are not named."""
 
     verbose: Annotated[bool, tyro.conf.arg(aliases=["-v"]), tyro.conf.FlagCreatePairsOff] = False
@@ -67,14 +69,29 @@ def parse(
     except ConfigError:
         effort = "default"
     default: Any = kind(photos=(), effort=effort, config=config_of(effort))  # type: ignore[call-arg]
-    return tyro.cli(kind, args=["--help" if a == ALL else a for a in arguments], prog=prog, default=default)
+    try:
+        return tyro.cli(kind, args=["--help" if a == ALL else a for a in arguments], prog=prog, default=default)
+    except ConfigError as error:
+        print(f"{prog}: {_with_flags(str(error), default.config)}", file=sys.stderr)
+        raise SystemExit(2) from None
+
+
+def _with_flags(message: str, config: Any) -> str:
+    """A message about options (``UprightConfig.mirror``) that calls them what the command line does."""
+    for stage in fields(config):
+        kind = type(getattr(config, stage.name)).__name__
+        message = re.sub(rf"\b{kind}\.(\w+)", lambda found: _flag(stage.name, found[1]), message)  # noqa: B023
+    return message
+
+
+def _flag(*names: str) -> str:
+    return "--" + ".".join(names).replace("_", "-")
 
 
 def photos_among(paths: Sequence[Path]) -> list[Path]:
     """The photos that are named and those in folders that are, without results of earlier runs, which is told.
 
-    Raises:
-        ConfigError: a folder holds no photo.
+    A folder without any stands for itself: it is told as a photo that cannot be read is.
     """
     named = [photo for path in paths for photo in (_photos_in(path) if path.is_dir() else [path])]
     photos = [path for path in named if not is_result(path)]
@@ -84,12 +101,13 @@ def photos_among(paths: Sequence[Path]) -> list[Path]:
 
 
 def _photos_in(folder: Path) -> list[Path]:
-    """The files of a folder, not of those within it, whose suffixes are those of photos."""
-    found = sorted(path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES and path.is_file())
-    if not found:
-        do = "Name the photos themselves, or the folder that they lie in."
-        raise ConfigError(describe(what="Folder", where=folder, got="no photo in it", allowed=READABLE, do=do))
-    return found
+    """The files of a folder, not of those within it, whose suffixes are those of photos, but hidden ones; the folder
+    itself if there are none."""
+    shown = [path for path in sorted(folder.iterdir()) if not path.name.startswith(".")]
+    further = sum(path.is_dir() and not path.name.endswith(FOLDERS) for path in shown)
+    if further:
+        print(f"{folder}: {further} folders within it are left out")
+    return [path for path in shown if path.suffix.lower() in SUFFIXES and path.is_file()] or [folder]
 
 
 def made_by(effort: Effort, usual: Any, config: Any) -> dict[str, Any]:

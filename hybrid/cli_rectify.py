@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Annotated
@@ -18,6 +19,21 @@ from hybrid.pipeline import Rectifier, RectifyConfig
 Point = tuple[float, float]
 
 
+def _points_of(numbers: Sequence[str]) -> tuple[Point, ...]:
+    values = [float(number) for number in numbers]
+    return tuple(zip(values[::2], values[1::2], strict=True))
+
+
+_FOUR_POINTS = tyro.constructors.PrimitiveConstructorSpec(
+    nargs=8,
+    metavar="X Y X Y X Y X Y",
+    instance_from_str=_points_of,
+    is_instance=lambda value: value is None or isinstance(value, tuple),
+    str_from_instance=lambda points: ["None"] if points is None else [str(x) for point in points for x in point],
+)
+"""Eight numbers, no more: what follows them may be a photo."""
+
+
 @dataclass(frozen=True)
 class FewOptions(PhotoOptions):
     """Those of ``PhotoOptions``, and how the photos are shared out."""
@@ -26,7 +42,7 @@ class FewOptions(PhotoOptions):
     """Processes that share the photos: many photos take two of them, on two cores, about two thirds of the time, and
     twice the memory."""
 
-    corners: Annotated[tuple[Point, Point, Point, Point] | None, tyro.conf.arg(metavar="X Y X Y X Y X Y")] = None
+    corners: Annotated[tuple[Point, ...] | None, _FOUR_POINTS] = None
     """The sheet's corners in a single photo, x and y of each in pixels, in any order: for one whose film is not found,
     or is found wrong. A hundredth of the film is exact enough."""
 

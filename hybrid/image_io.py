@@ -33,7 +33,7 @@ BITS, COMPRESSION, PLANES = 258, 259, 284
 """Further tags. Pillow reads uncompressed (1) planes (2) of 16 bits as if they had 8."""
 
 READABLE = "JPEG, PNG, TIFF, WebP or HEIC"
-SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp", ".heic", ".heif")
+SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp", ".heic", ".heif", ".avif", ".bmp", ".jp2")
 _JPEG_START = b"\xff\xd8\xff"
 _JPEG_QUALITY = 95
 _PNG_LEVEL = 3  # drawings shrink to a third of what OpenCV's own options leave; of the film's noise hardly more goes
@@ -86,13 +86,27 @@ def read_photo(path: str | os.PathLike[str]) -> UInt8[np.ndarray, "h w 3"]:
     return _decode_with_pillow(path) if photo is None else photo
 
 
+def pictures_in(path: str | os.PathLike[str]) -> int:
+    """How many pictures the file of a photo holds, as TIFFs of several pages do; of a JPEG one."""
+    with Path(path).open("rb") as file:
+        if file.read(len(_JPEG_START)) == _JPEG_START:
+            return 1
+        try:
+            with _pillow_limits(), Image.open(file) as image:
+                return getattr(image, "n_frames", 1)
+        except Exception:  # the photo itself was read: what Pillow cannot tell of the others hinders nothing
+            return 1
+
+
 def _read_if_jpeg(path: Path) -> bytes:
     """The whole file if it is a JPEG, else its first bytes; PhotoError for what is no file, or an empty one."""
     try:
         if not path.exists():
             _refuse_file("No such file", path, "Check the name and the folder.")
         if path.is_dir():
-            _refuse_file("This is a folder, not a photo", path, "Name the photos in it, for example FOLDER/*.jpg.")
+            _refuse_file(
+                "This is a folder, not a photo", path, f"Name photos, or a folder that holds some ({READABLE})."
+            )
         if not path.is_file():
             _refuse_file("This is no regular file", path, "Save the photo to a file first: it is read more than once.")
         with path.open("rb") as file:
@@ -321,6 +335,7 @@ __all__ = [
     "MIN_SIDE",
     "as_photo",
     "levels_16",
+    "pictures_in",
     "read_photo",
     "write_bytes",
     "write_film",

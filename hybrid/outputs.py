@@ -21,9 +21,10 @@ from jaxtyping import UInt8
 from tqdm import tqdm
 
 from hybrid import __version__
+from hybrid.coords import film_nodes
 from hybrid.draw import annotated, rgb_from_film, side_by_side
 from hybrid.errors import ConfigError, HybridError, describe
-from hybrid.image_io import read_photo, write_bytes, write_film, write_grey, write_rgb
+from hybrid.image_io import pictures_in, read_photo, write_bytes, write_film, write_grey, write_rgb
 from hybrid.records import RectifyResult, StageReport
 from hybrid.workers import shared_out
 
@@ -106,12 +107,17 @@ def _rectified(
         start = time.perf_counter()
         photo = read_photo(path)
         read = StageReport("file", True, f"{path.stat().st_size / 1e6:.1f} MB", time.perf_counter() - start)
+        pictures = pictures_in(path)
         result = rectify(photo)
         result = replace(result, stages=(read, *result.stages))
         files = write_result(out, [path], photo, result, rectified_format, made=made, dicom=dicom)
-        status, warnings = result.status, tuple(warnings_of(result))
+        warnings = (
+            *warnings_of(result),
+            *([f"It is the first of {pictures} pictures in its file."] if pictures > 1 else []),
+        )
+        status = result.status
         outcome = Outcome(path, status.has_film, str(status), files, warnings, status.has_film and not status.ok)
-        return outcome, "\n".join(report_lines(path, result, files, verbose))
+        return outcome, "\n".join(report_lines(path, result, files, warnings, verbose))
     except (HybridError, OSError, MemoryError) as error:
         outcome = Outcome(path, False, str(error) or type(error).__name__)
         return outcome, f"{path}\n  ERROR  {outcome.message}"
@@ -132,7 +138,9 @@ def make_folder(out: Path, option: str = "-o") -> None:
         raise ConfigError(describe(what="Nothing can be written there", where=out, got=got, do=do)) from None
 
 
-def report_lines(path: Path, result: RectifyResult, files: Iterable[Path], verbose: bool = True) -> list[str]:
+def report_lines(
+    path: Path, result: RectifyResult, files: Iterable[Path], warnings: Iterable[str], verbose: bool = True
+) -> list[str]:
     """What is printed for one photo: its status, what to look at, and where the pictures are; with ``verbose`` a line
     for each stage before that."""
     seconds = sum(stage.seconds for stage in result.stages)
@@ -140,7 +148,7 @@ def report_lines(path: Path, result: RectifyResult, files: Iterable[Path], verbo
     grid = f"{result.grid.rows} x {result.grid.cols} slices" if result.grid is not None else "no grid of slices"
     found = f"{grid}, {seconds:.2f} s" if result.status.has_film else f"{seconds:.2f} s"
     lines.append(f"  {status_word(result)}  {result.status}  ({found})")
-    lines += [f"  LOOK  {warning}" for warning in warnings_of(result)]
+    lines += [f"  LOOK  {warning}" for warning in warnings]
     folders = dict.fromkeys(file.parent if file.parent.name.endswith(FOLDERS) else file for file in files)
     return lines + [f"  -> {path}" for path in folders]
 
@@ -159,11 +167,14 @@ def warnings_of(result: RectifyResult) -> list[str]:
         told.append(": ".join(filter(None, ("It may be off", "; ".join(result.status.doubts)))) + ".")
     if result.upright_probability is not None and result.upright_probability < SURE_UPRIGHT:
         said = "; ".join(stage.reason for stage in result.stages if stage.name == "upright")
-        turn = "--upright.turn 90 (or 0, 180, 270; with --upright.mirror seen from behind) gives it otherwise"
+        turn = (
+            "--upright.turn 90 (or 0, 180, 270, from how it lies in the photo; with --upright.mirror seen from behind) "
+        )
+        turn += "gives it otherwise"
         told.append(f"It may lie on its side or mirrored: {said}. {turn}.")
-    for lost, what in ((result.glare, "lost to glare"), (result.covered, "hidden by something before it")):
+    for lost, what in ((result.glare, "lost to glare or darkness"), (result.covered, "hidden by something before it")):
         if lost is not None and lost.mean() > TELL_LOST:
-            told.append(f"{lost.mean():.0%} of it is {what}: black in NAME_confidence.png.")
+            told.append(f"{lost.mean():.0%} of it is {what}: black in the picture of its confidence.")
     return told
 
 
@@ -306,7 +317,8 @@ def write_result(
     paths: of the photos that it was made of; ``photo`` is the one of ``result.photo``. made: of how it was made, for
     the JSON. dicom: whether film and slices are written as DICOM, too. What is there of other photos is left alone.
     Files that an earlier run over the same photos left and this one does not make (slices of another grid) are removed,
-    once the new ones are there; where this one finds no film they stay, and the JSON names them ("earlier_files").
+    once the new ones are there. Where this one finds no film they stay, as DICOM files do where none are asked for, and
+    the JSON names them ("earlier_files").
     """
     about = photo_record(paths)
     name, known = reserved(out, f"{paths[0].stem}{FUSED_SUFFIX if len(paths) > 1 else ''}", about)
@@ -330,13 +342,14 @@ def write_result(
     of = {"map_of": paths[result.photo].name} if len(paths) > 1 else {}
     record = {"hybrid_version": __version__, **(made or {}), **about, **of, **result_record(photo.shape[:2], result)}
     record["files"] = [file.relative_to(out).as_posix() for file in files]
-    if _files_in(known) and not result.status.has_film:
-        record["earlier_files"] = _files_in(known)
+    exported = () if dicom else tuple(f for f in _files_in(known) if f.startswith(f"{name}{DICOM_SUFFIX}/"))
+    kept = exported if result.status.has_film else _files_in(known)
+    if kept:
+        record["earlier_files"] = list(kept)
     files.append(out / f"{name}.json")
     write_bytes(files[-1], _json_bytes(record))
-    if result.status.has_film:
-        for left_over in {out / file for file in _files_in(known)} - set(files):
-            left_over.unlink(missing_ok=True)
+    for left_over in {out / file for file in _files_in(known) if file not in kept} - set(files):
+        left_over.unlink(missing_ok=True)
     return tuple(files)
 
 
@@ -366,9 +379,9 @@ def save_result(
             describe(what="rectified_format", got=repr(rectified_format), allowed=allowed, do="Name one.")
         )
     paths, folder = [Path(one) for one in ([path] if isinstance(path, (str, os.PathLike)) else path)], Path(out)
-    if result.photo >= len(paths):
-        got, do = f"{len(paths)} of its photos", "Name all that were fused, in their order."
-        raise ConfigError(describe(what="A fused film", got=got, allowed=f"{result.photo + 1} or more", do=do))
+    if len(paths) != result.photos:
+        do = "Name the photo that it was made of, or all that were fused, in their order."
+        raise ConfigError(describe(what="Photos of a film", got=len(paths), allowed=str(result.photos), do=do))
     photo = read_photo(paths[result.photo])
     result.of_photo(photo.shape, paths[result.photo])
     make_folder(folder, "the argument out")
@@ -405,6 +418,9 @@ def result_record(photo_size: tuple[int, ...], result: RectifyResult) -> dict[st
     grid = result.grid
     return {
         "photo_size": list(photo_size[:2]),
+        "corners_photo": None
+        if result.backward is None
+        else np.round(result.backward.photo_from_film(film_nodes((2, 2))), 3).reshape(4, 2).tolist(),
         "ok": result.status.ok,
         "status": result.status.code.name,
         "message": str(result.status),

@@ -43,7 +43,7 @@ from hybrid.rectify.fuse import fuse
 from hybrid.rectify.invert import Inversion, agreed
 from hybrid.rectify.refine import Refinement
 from hybrid.rectify.resample import Rectified, rectify_photo
-from hybrid.rectify.survey import Verdict, survey_photo
+from hybrid.rectify.survey import Verdict, survey_photo, survey_print
 from hybrid.rectify.trust import expected_error_px, largest_error_px
 from hybrid.stages import Clock, Report
 from hybrid.threads import one_thread
@@ -119,7 +119,7 @@ class Rectifier:
         results = [self(photo) for photo in photos]
         with one_thread():
             options = self.config.fuse, self.config.light, self.config.resample
-            return fuse(photos, results, self._levels, *options, names)
+            return replace(fuse(photos, results, self._levels, *options, names), photos=len(photos))
 
     def edited(self, source: str | Path | np.ndarray, edit: GridEdit) -> RectifyResult:
         """The film of a photo anew, through the map and grid that a person has edited, of its size and way up.
@@ -215,6 +215,9 @@ class Rectifier:
             if corners is None:
                 return RectifyResult(Status(verdict.code), clock.reports)
             verdict = replace(verdict, code=StatusCode.UNSURE)
+        if corners is not None and not survey_print(pyramid, found.refinement.backward, config.survey).ok:
+            doubts = (*verdict.doubts, "it is printed dark on bright: of a negative, invert the picture first")
+            verdict = replace(verdict, code=StatusCode.UNSURE, doubts=doubts)
         result = self._finish(pyramid, seen.maps, found.refinement, flat is not None, clock)
         return replace(
             result,

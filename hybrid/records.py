@@ -110,11 +110,12 @@ class StatusCode(Enum):
     NO_FILM = (
         "No film was found in the photo. Photograph the whole sheet, edges included, "
         "so that it fills at least a third of the picture; one film to a photo. "
-        "Where there is one, name its corners (--corners)."
+        "Where there is one, name its corners (--corners of hybrid rectify)."
     )
     CUT_OFF = (
         "A film was seen, but a large part of the sheet lies outside the photo. "
-        "Step back, so that all four edges are in the picture."
+        "Step back, so that all four edges are in the picture. "
+        "Where they are, name its corners (--corners of hybrid rectify)."
     )
     PAPER = (
         "What is seen is printed dark on bright, as paper is, and not bright on dark, as CT films are. "
@@ -124,7 +125,8 @@ class StatusCode(Enum):
     BLANK = "The photo shows nothing (it is all of one colour). Check the lens and the exposure and take it again."
     FOLDED = (
         "A film was seen, but its shape could not be made out (the map folds over itself). "
-        "Hold the sheet flatter, photograph it from the front, and avoid covering it."
+        "Hold the sheet flatter, photograph it from the front, and avoid covering it; "
+        "or name its corners (--corners of hybrid rectify)."
     )
 
 
@@ -236,7 +238,7 @@ class RectifyResult:
     signs: what speaks for the map and against it, of which both are told (``rectify/trust.py``).
     photo_size: height and width of the photo in pixels.
     photo: of a film fused from several photos the index of the one that rectified, backward and the grid's vertices in
-        the photo are of: the first in which a film was found.
+        the photo are of: the first in which a film was found. photos: how many it was fused from, 1 of others.
     """
 
     status: Status
@@ -255,6 +257,7 @@ class RectifyResult:
     signs: Signs | None = None
     photo_size: tuple[int, int] | None = None
     photo: int = 0
+    photos: int = 1
 
     def of_photo(self, size: tuple[int, ...], where: object = None) -> None:
         """Refuse a photo of another ``size`` (height, width) than the one that this is the result of.

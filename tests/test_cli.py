@@ -13,6 +13,7 @@ from typing import Literal
 import cv2
 import numpy as np
 import pytest
+from PIL import Image
 
 import hybrid
 from hybrid import cli
@@ -129,6 +130,7 @@ def test_one_photo(photo: Path, tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert (record["grid"]["rows"], record["grid"]["cols"]) == (2, 3)
     assert (record["photo_size"], record["film_size"]) == ([60, 90], [60, 90])
     assert set(record["files"]) == slices | pictures
+    assert record["corners_photo"] == [[0, 0], [90, 0], [0, 60], [90, 60]]
     assert [stage["name"] for stage in record["stages"]] == ["file", "network", "spline"]
     printed = capsys.readouterr().out
     assert "network" not in printed
@@ -169,6 +171,7 @@ def test_corners_are_of_one_photo_and_are_told(photo: Path, tmp_path: Path, caps
     assert cli.main(["rectify", str(photo), "-o", str(tmp_path / "out"), *at]) == 0
     told = json.loads((tmp_path / "out" / "film.json").read_text())["corners"]
     assert told == [[-3, 2], [80, 2.5], [85, 50], [1, 58]]
+    assert cli.main(["rectify", "-o", str(tmp_path / "out"), *at, str(photo)]) == 0  # eight numbers, and no more
     capsys.readouterr()
     assert cli.main(["rectify", str(photo), str(black_photo(tmp_path)), "-o", str(tmp_path / "out"), *at]) == 1
     assert "--corners: got 2 photos; allowed: one photo" in capsys.readouterr().err
@@ -221,11 +224,12 @@ def test_a_result_is_saved_from_python_as_the_command_writes_it(photo: Path, tmp
         if path.is_file() and path.suffix != ".json"
     }
     assert files[-1] == saved / "film.json"
-    fused = hybrid.save_result([photo, black_photo(tmp_path)], StandIn()(read_photo(photo)), saved)
+    of_two = replace(StandIn()(read_photo(photo)), photos=2)
+    fused = hybrid.save_result([photo, black_photo(tmp_path)], of_two, saved)
     assert fused[-1] == saved / "film_fused.json"
     assert json.loads(fused[-1].read_text())["further_photos"] == ["black.png"]
-    with pytest.raises(ConfigError, match="A fused film: got 1 of its photos; allowed: 2 or more"):
-        hybrid.save_result(photo, replace(StandIn()(read_photo(photo)), photo=1), saved)
+    with pytest.raises(ConfigError, match="Photos of a film: got 1; allowed: 2"):
+        hybrid.save_result(photo, of_two, saved)
     with pytest.raises(ConfigError, match=r"Another photo \(.*black.png\): got 64 x 64 pixels; allowed: 90 x 60"):
         hybrid.save_result(black_photo(tmp_path), StandIn()(read_photo(photo)), saved)
     told = hybrid.save_result(black_photo(tmp_path), RectifyResult(Status(StatusCode.NO_FILM)), saved)
@@ -463,12 +467,33 @@ def test_a_folder_stands_for_the_photos_in_it(photo: Path, tmp_path: Path, capsy
         (folder / name).parent.mkdir(exist_ok=True)
         (folder / name).write_bytes(photo.read_bytes())
     (folder / "notes.txt").write_text("no photo")
+    (folder / "._film.png").write_text("what macOS leaves beside a photo")
     assert cli.main(["rectify", str(folder), "-o", str(out)]) == 0
-    assert "2 of 2 photos flattened, in" in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert "2 of 2 photos flattened, in" in printed
+    assert f"{folder}: 1 folders within it are left out" in printed
     assert sorted(path.stem for path in out.glob("*.json")) == ["b", "film"]
+
+
+@pytest.mark.usefixtures("_stand_in")
+def test_a_folder_without_photos_costs_no_others(
+    photo: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     (empty := tmp_path / "empty").mkdir()
-    assert cli.main(["rectify", str(empty), "-o", str(out)]) == 1
-    assert f"hybrid: Folder ({empty}): got no photo in it" in capsys.readouterr().err
+    assert cli.main(["rectify", str(empty), str(photo), "-o", str(tmp_path / "out")]) == 1
+    printed = capsys.readouterr().out
+    assert "1 of 2 photos flattened, in" in printed
+    assert f"This is a folder, not a photo ({empty})" in printed
+
+
+@pytest.mark.usefixtures("_stand_in")
+def test_of_several_pages_the_first_is_used_which_is_told(
+    photo: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    page = Image.fromarray(read_photo(photo))
+    page.save(tmp_path / "pages.tif", save_all=True, append_images=[page])
+    assert cli.main(["rectify", str(tmp_path / "pages.tif"), "-o", str(tmp_path / "out")]) == 0
+    assert "LOOK  It is the first of 2 pictures in its file." in capsys.readouterr().out
 
 
 @pytest.mark.usefixtures("_stand_in")
@@ -498,8 +523,23 @@ def test_user_errors_are_one_line(photo: Path, capsys: pytest.CaptureFixture[str
     message = capsys.readouterr().err
     assert message.startswith("hybrid: Nothing can be written there")
     assert message.count("\n") == 1
-    assert cli.main(["rectify", str(photo), "--workers", "0"]) == 1
-    assert capsys.readouterr().err == "hybrid: --workers: got 0; allowed: 1 or more. Name how many.\n"
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        (["--workers", "0"], "--workers: got 0; allowed: 1 or more. Name how many."),
+        (["--upright.mirror"], "--upright.mirror: got no turn beside it."),
+        (["--size.max-side-px", "0"], "--size.max-side-px: got 0; allowed: >= 64."),
+    ],
+)
+def test_options_that_cannot_be_are_told_by_their_flags(
+    options: list[str], told: str, photo: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as stopped:
+        cli.main(["rectify", str(photo), *options])
+    assert stopped.value.code == 2
+    assert f"hybrid rectify: {told}" in capsys.readouterr().err
 
 
 # ---------------------------------------------------------------- the dispatcher

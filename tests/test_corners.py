@@ -88,6 +88,13 @@ def test_a_film_is_flattened_from_rough_corners(rectifier: Rectifier):
     np.testing.assert_array_equal(again.backward.nodes, result.backward.nodes)
 
 
+def test_a_negative_with_given_corners_is_doubtful(rectifier: Rectifier):
+    it = photographed(film_print(19), Shot())
+    result = rectifier(255 - it.photo, corners_of(it.truth))
+    assert result.status.code is StatusCode.UNSURE
+    assert any("of a negative, invert the picture" in doubt for doubt in result.status.doubts)
+
+
 def test_one_of_two_films_is_chosen_by_its_corners(rectifier: Rectifier):
     """Whichever of two films side by side the network prefers, that one is flattened whose corners are given."""
     small = Shot(fill=0.45, roll=(0.2, 0.2))

@@ -218,7 +218,7 @@ def test_missing_file(tmp_path: Path) -> None:
 
 
 def test_folder(tmp_path: Path) -> None:
-    with pytest.raises(PhotoError, match=r"a folder, not a photo \(.*\)\. Name the photos in it"):
+    with pytest.raises(PhotoError, match=r"a folder, not a photo \(.*\)\. Name photos, or a folder"):
         read_photo(tmp_path)
 
 

@@ -134,8 +134,12 @@ def test_files_can_be_read_and_belong_to_the_result(result: RectifyResult, tmp_p
     before = (tmp_path / "out" / names[0]).read_bytes()
     save_result(photo, result, tmp_path / "out", dicom=True)
     assert (tmp_path / "out" / names[0]).read_bytes() == before
-    save_result(photo, result, tmp_path / "out")
-    assert not any((tmp_path / "out" / name).exists() for name in names)
+    save_result(photo, result, tmp_path / "out")  # asks for none, and costs none
+    assert (tmp_path / "out" / names[0]).read_bytes() == before
+    assert json.loads((tmp_path / "out" / "film.json").read_text())["earlier_files"] == names
+    assert is_result(tmp_path / "out" / names[1])
+    save_result(photo, replace(result, grid=None), tmp_path / "out", dicom=True)
+    assert [name for name in names if (tmp_path / "out" / name).exists()] == names[:1]
 
 
 def test_a_fused_film_belongs_to_the_photo_that_its_map_is_of(result: RectifyResult, tmp_path: Path):
@@ -145,7 +149,7 @@ def test_a_fused_film_belongs_to_the_photo_that_its_map_is_of(result: RectifyRes
     both = [tmp_path / "first.png", tmp_path / "second.jpg"]
     studies = []
     for photo in (0, 1):
-        files = save_result(both, replace(result, photo=photo), tmp_path / f"out{photo}", dicom=True)
+        files = save_result(both, replace(result, photo=photo, photos=2), tmp_path / f"out{photo}", dicom=True)
         of = pydicom.dcmread(next(file for file in files if file.name == "film.dcm"))
         digest = photo_digest(both[photo])
         assert of.StudyInstanceUID == captures(result, replace(FILE, digest=digest))[0].StudyInstanceUID
