@@ -21,12 +21,9 @@ from hybrid.levels import CLIPPED, LEAST_CONTRAST, LevelReader, Levels, grey_tab
 from hybrid.rectify.survey import survey_light
 from hybrid.threads import in_strips
 
-LEAST_READ = 20 / 255
-"""Display grey between black and white, as they are read, below which a place is lost. More than ``LEAST_CONTRAST``:
-where little is left, more is read. Chosen on photos of training scans."""
 CLIPPED_CONTRAST = 50 / 255
 """Display grey between black and white below which what is clipped is lost; above, it is white print. More than
-``LEAST_READ``: what is clipped ends sharply, and levels are read on a coarse lattice."""
+``LEAST_CONTRAST``: what is clipped ends sharply, and levels are read on a coarse lattice."""
 FREE = 245
 """Channel values, at the mean of a small pixel, up to which the print still shows in a channel beside clipped ones."""
 LEAST_SEEN = 0.1
@@ -309,9 +306,9 @@ def _contrast_of_free(
 def _lost(contrast: Float32[np.ndarray, "h w"], clipped: Bool[np.ndarray, "h2 w2"]) -> Bool[np.ndarray, "h2 w2"]:
     """Where too little is left between black and white; of what is clipped, at the mean of what is clipped around."""
     some = bool(clipped.any())
-    if not some and contrast.min() >= LEAST_READ:
+    if not some and contrast.min() >= LEAST_CONTRAST:
         return np.zeros(clipped.shape, bool)
-    lost = cv2.resize(contrast, clipped.shape[::-1], interpolation=cv2.INTER_LINEAR) < LEAST_READ
+    lost = cv2.resize(contrast, clipped.shape[::-1], interpolation=cv2.INTER_LINEAR) < LEAST_CONTRAST
     if some:
         share = share_seen(clipped, contrast.shape[::-1])
         width = (max(contrast.shape) // 25 + 1,) * 2
