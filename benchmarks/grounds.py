@@ -46,7 +46,7 @@ class Sheet:
     @cached_property
     def ground(self) -> UInt8[np.ndarray, "h w"]:
         """Share, of 255, of each pixel that shows no film."""
-        return ground_of(self.nodes, self.photo.shape[:2])
+        return ground_of(BackwardMap(self.nodes).outline(), self.photo.shape[:2])
 
     def on(self, other: Picture, share: UInt8[np.ndarray, "h w"] | None = None) -> Picture:
         """The photo with another picture in place of its ground, or of a share of that."""

@@ -72,27 +72,6 @@ def read_all(path: Path | str) -> DicomReading:
     return DicomReading(tuple(volumes), tuple(refusals), tuple(notes))
 
 
-def read_series(path: Path | str) -> list[CtVolume]:
-    """The axial CT series in a folder, a zip or a file, the one with most slices first.
-
-    Raises DataError where there is none, with the reasons why the files were left out.
-    """
-    reading = read_all(path)
-    if not reading.volumes:
-        reasons = "; ".join(str(refusal) for refusal in reading.refusals[:3]) or "no files"
-        more = f"; and {len(reading.refusals) - 3} more" if len(reading.refusals) > 3 else ""
-        raise DataError(
-            describe(
-                what="DICOM data",
-                where=path,
-                got=f"no axial CT slice ({reasons}{more})",
-                allowed="CT images, axial",
-                do="Export the axial CT series, uncompressed if decoders are missing",
-            )
-        )
-    return list(reading.volumes)
-
-
 def _files(path: Path, refusals: list[Refusal]) -> Iterator[tuple[str, str, bytes]]:
     """(name for messages, container, bytes) of everything that might be DICOM."""
     paths = [p for p in sorted(path.rglob("*")) if p.is_file()] if path.is_dir() else [path]
@@ -178,4 +157,4 @@ def _even_volume(frames: list[Frame], name: str, notes: list[str]) -> CtVolume:
     return CtVolume(hu, (step_mm, *frames[0].spacing_mm), name)
 
 
-__all__ = ["DicomReading", "Refusal", "read_all", "read_series"]
+__all__ = ["DicomReading", "Refusal", "read_all"]

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 import tyro
 
-from data_gen.manifest import deciding, describe_dataset, described_sources, sole_writer
+from data_gen.manifest import deciding, describe_dataset, described_sources, generator_digest, sole_writer
 from data_gen.prints import FilmPrint, make_print
 from data_gen.sources import SourceConfig, draw_volume
 from data_gen.work import source_names, start_worker, write_missing
@@ -47,7 +47,7 @@ def flat_prints(config: FlatPrintsConfig) -> None:
     """
     with sole_writer(config.out):
         sources = described_sources(config.sources, source_names(config.sources))
-        options = deciding(sources=sources, seed=config.seed)
+        options = deciding(generator=generator_digest(), sources=sources, seed=config.seed)
         describe_dataset(config.out, options, max(config.count, sum(1 for _ in config.out.glob("*.jpg"))))
         write_missing(_write_print, config, _path, "print")
 

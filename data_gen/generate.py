@@ -19,6 +19,7 @@ from data_gen.manifest import (
     describe_dataset,
     described_sources,
     finished_shards,
+    generator_digest,
     shard_name,
     sole_writer,
     write_manifest,
@@ -145,7 +146,9 @@ def _options(config: GenerateConfig, names: dict[str, list[str]]) -> dict[str, A
     made_of = config.sample_config()
     sources = described_sources(made_of.sources, names)
     sample = {name: value for name, value in asdict(made_of).items() if name != "sources"}
-    return deciding(seed=config.seed, shard_size=config.shard_size, sources=sources, sample=sample)
+    return deciding(
+        generator=generator_digest(), seed=config.seed, shard_size=config.shard_size, sources=sources, sample=sample
+    )
 
 
 def main() -> None:

@@ -82,7 +82,7 @@ class Light:
     """What lights the film.
 
     box: a light box behind it, or None. front: factor on the environment's light. turn_deg: azimuth by which the room
-    is turned, lying: film on its back. lamps: near the film, in its world.
+    is turned, lying: film on its back, or on its face where ``face_down``. lamps: near the film, in its world.
     """
 
     front: float
@@ -90,6 +90,7 @@ class Light:
     lying: bool
     box: LightBox | None = None
     lamps: tuple[Lamp, ...] = ()
+    face_down: bool = False
 
     @property
     def light_box(self) -> bool:
@@ -103,13 +104,18 @@ class Light:
     @property
     def up(self) -> Float[np.ndarray, "3"]:
         """The room's upward direction in the film's world."""
-        return np.array([0.0, 0.0, -1.0] if self.lying else [0.0, -1.0, 0.0])
+        above = 1.0 if self.face_down else -1.0
+        return np.array([0.0, 0.0, above] if self.lying else [0.0, -1.0, 0.0])
+
+
+TURNED_OVER = np.diag([1.0, -1.0, -1.0])
+"""Half a turn about the film's x axis."""
 
 
 def room_from_film(light: Light) -> Float[np.ndarray, "3 3"]:
     """Rotation from the film's world (x right, y down, z away) to the room's (z up)."""
     upright = np.array([[1.0, 0, 0], [0, 0, 1.0], [0, -1.0, 0]])  # down is the floor, away is horizontal
-    lying = np.array([[1.0, 0, 0], [0, -1.0, 0], [0, 0, -1.0]])  # away is the floor
+    lying = np.eye(3) if light.face_down else TURNED_OVER  # away is the floor, or what is overhead
     turn = np.deg2rad(light.turn_deg)
     azimuth = np.array([[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1]])
     return azimuth @ (lying if light.lying else upright)
@@ -175,6 +181,23 @@ def sample_light(rng: np.random.Generator, light_box_share: float) -> Light:
     for _ in range(int(rng.integers(0 if lamps else 1, 3))):
         lamps.append(kinds[int(rng.integers(len(kinds)))](rng, light.up))
     return replace(light, lamps=tuple(lamps))
+
+
+def over_table(light: Light, camera_mm: Vector3) -> Light:
+    """The light, with all of its room turned over where a film lies and would be seen through the table: on its face.
+
+    The phone's flash stays where it is.
+    """
+    if not light.lying or light.up @ camera_mm > 0:
+        return light
+    lamps = tuple(lamp if lamp.at_camera else _turned(lamp, TURNED_OVER) for lamp in light.lamps)
+    return replace(light, lamps=lamps, face_down=not light.face_down)
+
+
+def _turned(lamp: Lamp, turn: Float[np.ndarray, "3 3"]) -> Lamp:
+    """The lamp turned about the world's origin."""
+    centre, axis, across = np.array([lamp.centre_mm, lamp.axis, lamp.across]) @ turn.T
+    return replace(lamp, centre_mm=_vector(centre), axis=_vector(axis), across=_vector(across))
 
 
 def some_mirrored(light: Light, film: FilmMesh, camera_mm: Vector3, rng: np.random.Generator) -> Light:

@@ -18,7 +18,7 @@ from jaxtyping import Float, UInt8
 
 from data_gen.composite import print_levels
 from data_gen.develop import REFERENCE_SIDE, develop, local_tone, scattered
-from data_gen.manifest import deciding, describe_dataset, described_sources, sole_writer
+from data_gen.manifest import deciding, describe_dataset, described_sources, generator_digest, sole_writer
 from data_gen.prints import make_print
 from data_gen.rooms import prefilter
 from data_gen.sample import SampleConfig, black_and_white, metered, on_sensor, scene_light, sheet_of
@@ -71,7 +71,7 @@ def lit_films(config: LitFilmsConfig) -> None:
     check_open3d()
     with sole_writer(config.out):
         sources = described_sources(config.sources, source_names(config.sources))
-        options = deciding(sources=sources, seed=config.seed, photos=config.photos)
+        options = deciding(generator=generator_digest(), sources=sources, seed=config.seed, photos=config.photos)
         describe_dataset(config.out, options, max(config.count, sum(1 for _ in config.out.glob("*.npz"))))
         write_missing(_write_film, config, _path, "film")
 

@@ -9,6 +9,7 @@ import os
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,12 @@ from hybrid.errors import ConfigError, DataError, describe
 from hybrid.learn.shards import FORMAT, ShardEntry, read_description, read_index, read_manifest, sha256_of
 
 PART = ".part"
+
+SIMULATING = (
+    *("data_gen/*.py", "hybrid/mesh/*.py", "hybrid/backward.py", "hybrid/coords.py", "hybrid/levels.py"),
+    *("hybrid/round_corners.py", "hybrid/learn/coding.py"),
+)
+"""Sources that decide what is simulated and how it is stored."""
 
 
 def shard_name(number: int) -> str:
@@ -157,6 +164,15 @@ def deciding(**options: Any) -> dict[str, Any]:
     return json.loads(json.dumps(versions | options))  # tuples as lists
 
 
+@lru_cache(maxsize=1)
+def generator_digest() -> str:
+    """Of the sources that simulate: others may make other bytes of the same seed."""
+    digest, root = hashlib.sha256(), Path(__file__).parents[1]
+    for path in sorted(path for pattern in SIMULATING for path in root.glob(pattern)):
+        digest.update(path.relative_to(root).as_posix().encode() + b"\0" + path.read_bytes())
+    return digest.hexdigest()[:16]
+
+
 def described_sources(config: SourceConfig, names: dict[str, list[str]]) -> dict[str, Any]:
     """Sources as dataset.json has them: by the names of what was found, without this machine's paths."""
     return {name: value for name, value in asdict(config).items() if name not in ("ct", "hdri")} | names
@@ -166,21 +182,19 @@ def describe_dataset(folder: Path, options: dict[str, Any], count: int) -> None:
     """Write dataset.json, or check that the one there belongs to the same data set and set its count.
 
     Raises:
-        ConfigError: a data set made with other options, or shards without description. DataError: of another version.
+        ConfigError: a data set made with other options or by another generator, or shards without description.
+        DataError: of another version.
     """
     path = folder / "dataset.json"
     if path.exists():
         there = read_description(folder)
         wrong = _differing(there, options | {"count": there.get("count")})
         if wrong:
-            raise ConfigError(
-                describe(
-                    what="--out",
-                    where=folder,
-                    got=f"a data set made with another {', '.join(wrong)}",
-                    do="Give the options in its dataset.json to go on with it, or choose another --out.",
-                )
-            )
+            got = f"a data set made with another {', '.join(wrong)}"
+            do = "Give the options in its dataset.json to go on with it, or choose another --out."
+            if "generator" in wrong:
+                do = "Go on with the version of the sources that began it, or choose another --out."
+            raise ConfigError(describe(what="--out", where=folder, got=got, do=do))
     elif any(folder.glob("shard_*")):
         raise ConfigError(
             describe(what="--out", where=folder, got="shards without dataset.json", do="Choose another --out.")

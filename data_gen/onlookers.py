@@ -20,6 +20,9 @@ PERSON_SHARE = 0.75
 
 PHONE_HALF_MM = (37.0, 76.0)
 
+FLASH_MM = 60.0
+"""A lamp that stands so near to the camera is the flash of its phone, which does not hide it."""
+
 
 @dataclass(frozen=True)
 class Billboard:
@@ -89,10 +92,10 @@ def left_free(
     lamp_mm: Float[np.ndarray, "3"],
 ) -> Float32[np.ndarray, "m n"]:
     """Share of a lamp's reflection that nobody hides who stands between it and the film. lamp_mm: in the world."""
-    depth = float(camera.camera_points(lamp_mm[None])[0, 2])
+    lamp = camera.camera_points(lamp_mm[None])[0]
     free, rays = np.ones(points.shape[:2], np.float32), _rays(camera, points, mirror)
-    for one in onlookers:
-        if one.centre_mm[2] > depth:
+    for one in onlookers if np.linalg.norm(lamp) > FLASH_MM else ():
+        if one.centre_mm[2] > lamp[2]:
             free *= 1 - _share(one, *rays, alpha)
     return free
 

@@ -123,7 +123,8 @@ def load_hdri(path: Path | str, size: tuple[int, int] = HDRI_SIZE) -> Environmen
                 do="Check the path, or leave the option out to use the built-in rooms",
             )
         )
-    rgb = np.maximum(np.nan_to_num(rgb_from_bgr(image[..., :3])), 0.0).astype(np.float32)
+    seen = np.fliplr(image[..., :3])  # files show the room from within, where azimuth grows to the left
+    rgb = np.maximum(np.nan_to_num(rgb_from_bgr(seen)), 0.0).astype(np.float32)
     return scaled_environment(resize_environment(rgb, size), path.stem)
 
 

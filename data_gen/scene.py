@@ -9,7 +9,7 @@ import numpy as np
 
 from data_gen.backdrop import Backdrop, sample_backdrop
 from data_gen.develop import Lens, sample_lens
-from data_gen.lighting import Light, Material, sample_light, sample_material, some_mirrored
+from data_gen.lighting import Light, Material, over_table, sample_light, sample_material, some_mirrored
 from data_gen.onlookers import Billboard, sample_onlookers
 from data_gen.shadows import Shadow, sample_shadows
 from data_gen.things import Thing, sample_things
@@ -61,7 +61,8 @@ class Scene:
 def sample_scene(film: FilmMesh, size: tuple[int, int], rng: np.random.Generator, config: SceneConfig) -> Scene:
     """A random scene for a bent film and a photo of ``size`` (height, width)."""
     camera = sample_camera(film, size, rng, config.view)
-    light = some_mirrored(sample_light(rng, config.light_box_share), film, camera.centre_world, rng)
+    light = over_table(sample_light(rng, config.light_box_share), camera.centre_world)
+    light = some_mirrored(light, film, camera.centre_world, rng)
     backdrop = sample_backdrop(light, rng)
     lying = backdrop.kind in ("table", "wall", "panel") and backdrop.gap_mm < REACH_BEHIND_MM
     things = sample_things(lying, rng) if rng.random() < config.thing_share else ()

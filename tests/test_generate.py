@@ -19,6 +19,7 @@ from simple_samples import CONFIG, generate_simple, simple_film
 
 import data_gen.generate
 import data_gen.work
+from data_gen import manifest
 from data_gen.generate import GenerateConfig, generate
 from data_gen.manifest import sole_writer
 from data_gen.prints import PrintConfig
@@ -209,6 +210,34 @@ def test_a_data_set_made_otherwise_is_not_mixed_in(simple, tmp_path):
     for options in ({"seed": 9}, {"shard_size": 8}, {"size": 64}, {"sources": SourceConfig(phantoms=(3, 4))}):
         with pytest.raises(ConfigError, match="another --out"):
             generate(simple_config(tmp_path, **options))
+
+
+@pytest.mark.parametrize("before", ["other sources", None])
+def test_a_data_set_of_other_sources_is_read_and_not_gone_on_with(simple, tmp_path, before):
+    """None: begun when no digest was kept."""
+    generate(simple_config(tmp_path, count=2))
+    path = tmp_path / "dataset.json"
+    described = json.loads(path.read_text())
+    rest = {name: value for name, value in described.items() if name != "generator"}
+    path.write_text(json.dumps(rest if before is None else rest | {"generator": before}))
+    assert len(open_dataset(tmp_path)) == 1
+    with pytest.raises(ConfigError, match=r"another generator\. Go on with the version.*another --out"):
+        generate(simple_config(tmp_path, count=8))
+
+
+def test_each_source_that_simulates_counts(tmp_path, monkeypatch):
+    for name in ("data_gen/scene.py", "hybrid/mesh/film.py", "hybrid/coords.py", "hybrid/cli.py"):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text("a = 1\n")
+    monkeypatch.setattr(manifest, "__file__", str(tmp_path / "data_gen/manifest.py"))
+    digests = [manifest.generator_digest.__wrapped__()]
+    for name in ("hybrid/cli.py", "hybrid/coords.py", "hybrid/mesh/film.py", "data_gen/scene.py"):
+        (tmp_path / name).write_text("a = 2\n")
+        digests.append(manifest.generator_digest.__wrapped__())
+    assert digests[0] == digests[1]
+    assert len(set(digests)) == 4
+    (tmp_path / "data_gen/new.py").write_text("")
+    assert manifest.generator_digest.__wrapped__() not in digests
 
 
 def test_a_data_set_of_the_old_layout_is_not_mixed_in(simple, tmp_path):

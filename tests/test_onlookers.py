@@ -45,6 +45,16 @@ def test_lamps_behind_somebody_are_not_mirrored_and_those_before_are():
     np.testing.assert_array_equal(left_free((), CAMERA, points, mirror, 0.0, behind), 1)
 
 
+@pytest.mark.parametrize("depth", [-12.0, -1e-6, 12.0])
+def test_a_phone_does_not_hide_its_own_flash(depth):
+    """The film shows it where a mirror shows the phone; a bulb an arm's length behind the phone is hidden there."""
+    points = np.array([[[0.0, 0.0, 400.0]]], np.float32)
+    mirror = np.array([[[0.0, 0.0, -1.0]]], np.float32)
+    flash, bulb = np.array([9.0, 14.0, depth]), np.array([9.0, 14.0, depth - 500.0])
+    np.testing.assert_array_equal(left_free((PHONE,), CAMERA, points, mirror, 0.02, flash), 1)
+    np.testing.assert_array_equal(left_free((PHONE,), CAMERA, points, mirror, 0.02, bulb), 0)
+
+
 def test_what_is_farther_away_looks_smaller_and_a_rough_film_blurs_it():
     behind = replace(PHONE, centre_mm=(0.0, 0.0, -400.0))
     assert mirrored(behind, 12.0, 0.0) == pytest.approx(0.1)  # three lengths of 400 mm for one: at 36 mm

@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
+from data_gen.lighting import Light, room_from_film
 from data_gen.rooms import (
     Environment,
     directions,
@@ -171,7 +172,22 @@ def test_hdr_file_round_trip(tmp_path: Path):
     assert env.radiance.shape == (512, 1024, 3)
     small = load_hdri(tmp_path / "a.hdr", (64, 128)).radiance
     gain = np.median(small / radiance)
-    assert np.allclose(small / gain, radiance, atol=0.02)  # RGBE keeps 8 bits of the brightest channel
+    seen = np.fliplr(radiance)  # azimuth grows to the left
+    assert np.allclose(small / gain, seen, atol=0.02)  # RGBE keeps 8 bits of the brightest channel
+
+
+@pytest.mark.parametrize("lying", [False, True])
+def test_what_is_on_the_right_of_a_picture_is_seen_on_the_right(tmp_path: Path, lying: bool):
+    """A picture that grows to the right, looked at along its horizon with the room's upward direction up."""
+    radiance = np.broadcast_to(np.linspace(0.1, 3.0, 128, dtype=np.float32)[None, :, None], (64, 128, 3))
+    cv2.imwrite(str(tmp_path / "a.hdr"), np.ascontiguousarray(radiance))
+    light = Light(front=1.0, turn_deg=140.0, lying=lying)
+    ahead = np.array([0.0, 1.0, 0.0] if lying else [0.0, 0.0, 1.0])
+    right = np.cross(ahead, light.up)
+    rays = np.stack([ahead + share * right for share in (-0.3, 0.0, 0.3)])
+    rays = rays / np.linalg.norm(rays, axis=1, keepdims=True) @ room_from_film(light).T
+    left, middle, right_of_it = sample_environment(load_hdri(tmp_path / "a.hdr"), rays.astype(np.float32))[:, 0]
+    assert left < middle < right_of_it
 
 
 def test_unreadable_environments_are_refused(tmp_path: Path):

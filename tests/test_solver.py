@@ -14,11 +14,11 @@ from hybrid.mesh.forces import (
     PlaneField,
     PointField,
     gravity,
+    gusts,
     plane_field,
     point_field,
     smooth_noise,
     turbulence,
-    wind,
 )
 from hybrid.mesh.loads import Loads
 from hybrid.mesh.material import STANDARD_GRAVITY, FilmMaterial
@@ -258,7 +258,7 @@ def test_forces_point_where_they_should():
     none = np.zeros(len(x))
     assert (point_field(network, x, PointField(100.0 * DOWN, 2.0, 200.0, 1.0, none))[:, 2] < 0).all()
     assert (plane_field(network, x, PlaneField(100.0 * DOWN, DOWN, 2.0, 200.0, 1.0, none))[:, 2] < 0).all()
-    blown = wind(network, x, np.array([0.0, 0.0, 3.0])).force_n.sum(axis=0)
+    blown = gusts(network, x, np.tile([0.0, 0.0, 3.0], (len(x), 1))).force_n.sum(axis=0)
     np.testing.assert_allclose(blown, [0, 0, 0.5 * 1.2 * 9 * 0.43 * 0.35], atol=1e-9)
     assert smooth_noise(np.random.default_rng(0), (33, 33)).shape == (33 * 33,)
     air = turbulence(np.random.default_rng(0), np.array([0.0, 0.0, 3.0]), 0.3, 500.0)

@@ -32,6 +32,7 @@ from hybrid.learn.losses import masked_mean
 from hybrid.learn.network import FilmNet, FilmNetConfig
 from hybrid.learn.presets import PRESETS
 from hybrid.learn.samples import film_of, photo_of
+from hybrid.learn.shards import data_digest
 from hybrid.learn.train import Plan, Rank, TrainConfig, train
 from hybrid.learn.weights import load_weights, save_weights
 
@@ -99,6 +100,55 @@ def test_a_run_goes_on_only_with_the_options_that_it_began_with(dataset, tmp_pat
         with pytest.raises(ConfigError, match=told):
             train(quick_run(dataset, tmp_path, **other))
     assert (tmp_path / "filmnet.safetensors").read_bytes() == weights
+
+
+@pytest.mark.usefixtures("tiny")
+def test_a_run_goes_on_only_with_the_data_that_it_began_with(dataset, tmp_path):
+    """Twelve samples each time, in another order or in other shards; wherever they lie."""
+    first, second = (simple_dataset(tmp_path / name, 4 * k, 4 * k) for k, name in ((1, "a"), (2, "b")))
+    run = tmp_path / "run"
+    train(quick_run(dataset, run, data=(first, second)))
+    for data in (second, first), (dataset,):
+        with pytest.raises(ConfigError, match=r"got data \w+; allowed: \w+, as the run.*with the data, in the order"):
+            train(quick_run(dataset, run, data=data))
+    moved = first.rename(tmp_path / "moved")
+    train(quick_run(dataset, run, data=(moved, second), passes=20))
+
+
+@pytest.mark.usefixtures("tiny")
+def test_a_run_goes_on_only_in_the_precision_that_it_began_with(dataset, tmp_path, monkeypatch):
+    train(quick_run(dataset, tmp_path))
+    had = train_module._fast_bfloat16("cpu")
+    monkeypatch.setattr(train_module, "_fast_bfloat16", lambda device: not had)
+    with pytest.raises(ConfigError, match=r"got precision (bfloat16|float32); allowed: .*kind of processor"):
+        train(quick_run(dataset, tmp_path))
+
+
+@pytest.mark.parametrize("lacks", ["data", None])
+@pytest.mark.usefixtures("tiny")
+def test_checkpoints_of_earlier_versions_are_refused_in_a_line(dataset, tmp_path, lacks):
+    """None: they did not say at all how they began."""
+    train(quick_run(dataset, tmp_path))
+    path = tmp_path / "checkpoint.pt"
+    stored = torch.load(path, weights_only=True)
+    stored.pop("began") if lacks is None else stored["began"].pop(lacks)
+    torch.save(stored, path)
+    with pytest.raises(ConfigError, match=r"does not say its \w+, made by an earlier version.*another --out.*--start"):
+        train(quick_run(dataset, tmp_path))
+
+
+def test_the_digest_of_data_tells_numbered_files_apart(tmp_path):
+    """As of flat prints and of lit films, which have no manifest."""
+    folders = [tmp_path / name for name in ("a", "b")]
+    for k, folder in enumerate(folders):
+        folder.mkdir()
+        (folder / "dataset.json").write_text(f'{{"seed": {k}}}')
+        (folder / "000000.npz").write_bytes(b"12345")
+    both = data_digest(folders)
+    assert both != data_digest(folders[::-1])
+    assert data_digest(folders[:1]) != data_digest(folders[1:])
+    (folders[1] / "000000.npz").write_bytes(b"123456")
+    assert both != data_digest(folders)
 
 
 def test_curves_of_steps_that_come_again_are_left_out(tmp_path):

@@ -9,23 +9,25 @@ on stripes 26.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
 from hybrid.backward import BackwardMap
-from hybrid.coords import film_nodes, opencv_from_photo
-from hybrid.learn.samples import Place, film_of, photo_of
+from hybrid.coords import film_nodes, linear_from_srgb, opencv_from_photo, srgb_from_linear
+from hybrid.learn.samples import Place, film_of, photo_of, round_corners_of, sheet_outline
 from hybrid.learn.views import film_view, view_image
 
 Picture = UInt8[np.ndarray, "h w 3"]
 Grey = UInt8[np.ndarray, "h w"]
 Square = UInt8[np.ndarray, "s s 3"]
 Nodes = Float[np.ndarray, "n m 2"]
+Outline = Float[np.ndarray, "n 2"]
 
 SHARE = 0.45
-"""Photos that get something behind their film."""
+"""Of the photos that may get something behind their film, those that do."""
 
 KINDS = {"shadow": 0.25, "sheet": 0.3, "films": 0.25, "pattern": 0.2}
 """Of these the shares of what it is."""
@@ -34,25 +36,49 @@ MORE_SHARE = 0.25
 """Of these, those with two such things, one upon the other."""
 
 LENS_PX = 0.8
-"""Sigma of a lens's blur in the data's photos."""
+"""Sigma of the blur at a film's rim in the data's photos where the lens is in focus."""
+
+REFERENCE_SIDE = 1000.0
+"""Longer side of a photo, in pixels, to which the blur in its record refers."""
+
+MOVED_PX = 2.0
+"""Photos that moved by more than this are left as they are: their blur is not the same along all of the rim."""
+
+CLEAR = 0.3
+"""Share of a film's light that passes straight through, from which on what lies behind would be seen through it."""
 
 FILM_PX = 192
 """Side of another film's picture."""
 
 _ALONG = 65
 _FINER = 2
+_LINEAR = linear_from_srgb(np.arange(256) / 255).astype(np.float32)
+_MOST = 2**16 - 1
+_SRGB = np.rint(255 * srgb_from_linear(np.arange(_MOST + 1) / _MOST)).astype(np.uint8)
 
 
 def behind_some(place: Place, photo: Picture, film: BackwardMap, rng: np.random.Generator) -> Picture:
-    """The photo of a sample, of some with something behind the film; the film itself stays as it was."""
+    """The photo of a sample, of some with something behind the film; the film itself stays as it was.
+
+    So does a photo with things over the film, which would be cut off where it ends. Behind a clear film, which would
+    show the rest, only shadows are put.
+    """
     if rng.random() >= SHARE:
         return photo
+    shard, index = place
+    record, scale = shard.record(index), max(photo.shape) / REFERENCE_SIDE
+    lens = record.get("lens", {"defocus_px": 0.0, "motion_px": 0.0})
+    if record.get("things") or scale * lens["motion_px"] > MOVED_PX:
+        return photo
     nodes = film.photo_from_film(film_nodes((_ALONG, _ALONG)))
-    free = ground_of(nodes, photo.shape[:2])
+    outline = sheet_outline(film, round_corners_of(place))
+    free = ground_of(outline, photo.shape[:2], float(np.hypot(LENS_PX, scale * lens["defocus_px"])))
     for _ in range(1 + int(rng.random() < MORE_SHARE)):
         kind = rng.choice(list(KINDS), p=list(KINDS.values()))
         if kind == "shadow":
-            photo = with_shadow(photo, nodes, free, rng)
+            photo = with_shadow(photo, outline, free, rng)
+        elif clear_share(record) > CLEAR:
+            continue
         elif kind == "sheet":
             photo = with_sheet(photo, nodes, free, rng)
         elif kind == "films":
@@ -62,19 +88,26 @@ def behind_some(place: Place, photo: Picture, film: BackwardMap, rng: np.random.
     return photo
 
 
+def clear_share(record: dict[str, Any]) -> float:
+    """Of the light that a sample's film sends on, what passes straight through it; 0 where that is not known."""
+    if "material" not in record:
+        return 0.0
+    clear, *scattered = (record["material"][name] for name in ("clear", "transmission", "diffuse"))
+    return clear / (clear + sum(scattered))
+
+
 def _few(rng: np.random.Generator) -> int:
     """One, mostly; two or three."""
     return 1 + int(rng.choice(3, p=[0.6, 0.25, 0.15]))
 
 
-def with_shadow(photo: Picture, nodes: Nodes, free: Grey, rng: np.random.Generator) -> Picture:
+def with_shadow(photo: Picture, outline: Outline, free: Grey, rng: np.random.Generator) -> Picture:
     """A hard shadow of the film's shape, as a point source throws it of a film that stands off what is behind it.
 
-    nodes: photo points of a lattice of film points, edges included. free: share, of 255, of the ground in each pixel.
+    outline: of the film, in the photo. free: share, of 255, of the ground in each pixel.
     """
-    centre, size = nodes.mean(axis=(0, 1)), _size(nodes)
+    centre, size = outline.mean(axis=0), _size(outline)
     turn, far = rng.uniform(0, 2 * np.pi), size * rng.uniform(0.02, 0.4)
-    outline = BackwardMap(nodes).outline()
     thrown = (outline - centre) * rng.uniform(0.95, 1.15) + centre + far * np.array([np.cos(turn), np.sin(turn)])
     rim = max(size * float(np.exp(rng.uniform(*np.log((0.001, 0.02))))), 0.3)
     shade = cv2.GaussianBlur(filled(thrown, photo.shape[:2]), (0, 0), rim)
@@ -96,7 +129,10 @@ def with_pattern(photo: Picture, free: Grey, rng: np.random.Generator) -> Pictur
 
 
 def with_sheet(photo: Picture, nodes: Nodes, free: Grey, rng: np.random.Generator) -> Picture:
-    """A sheet, larger or smaller than the film, below it: of one colour, which may be near the film's, and shaded."""
+    """A sheet, larger or smaller than the film, below it: of one colour, which may be near the film's, and shaded.
+
+    nodes: photo points of a lattice of film points, edges included.
+    """
     corners, size = _corners(nodes), _size(nodes)
     to = rng.uniform(0, 2 * np.pi)
     shift = size * abs(rng.normal(0, 0.12)) * np.array([np.cos(to), np.sin(to)])
@@ -146,20 +182,22 @@ def another_film(place: Place, rng: np.random.Generator) -> Square:
     return view_image(photo_of(other), film_view(film_of(other), 0.0), FILM_PX)
 
 
-def ground_of(nodes: Nodes, size: tuple[int, ...]) -> Grey:
-    """Share, of 255, of the ground in each pixel of a photo of ``size`` (h, w), of a film whose nodes are seen there.
+def ground_of(outline: Outline, size: tuple[int, ...], lens_px: float = LENS_PX) -> Grey:
+    """Share, of 255, of the ground in each pixel of a photo of ``size`` (h, w), around a film of an outline there.
 
     All of the film's rim counts as ground, for there the lens mixes both: left as it was it would tell film from rest.
+    lens_px: sigma of that blur.
     """
-    soft = cv2.GaussianBlur(filled(BackwardMap(nodes).outline(), size), (0, 0), LENS_PX)
+    soft = cv2.GaussianBlur(filled(outline, size), (0, 0), lens_px)
     return 255 - cv2.LUT(soft, np.clip(2 * np.arange(256) - 255, 0, 255).astype(np.uint8))
 
 
 def _darkened(photo: Picture, share: Grey, rng: np.random.Generator) -> Picture:
     """The photo with some of its light taken, by ``share`` of 255, and a little of its colour: other light is left."""
     taken = np.clip(rng.uniform(0.15, 0.9) + 0.08 * rng.normal(0, 1) * np.array([1.0, 0.0, -1.0]), 0, 0.95)
-    left = np.rint(255 - np.arange(256)[:, None] * taken).astype(np.uint8)
-    return cv2.multiply(photo, cv2.LUT(cv2.merge([share] * 3), left[None]), scale=1 / 255)
+    left = (_MOST * (1 - np.arange(256)[:, None] / 255 * taken)).astype(np.float32)
+    light = cv2.multiply(cv2.LUT(photo, _LINEAR[None]), cv2.LUT(cv2.merge([share] * 3), left[None]))
+    return _SRGB[np.rint(light).astype(np.uint16)]
 
 
 def _laid(photo: Picture, laid: Picture, outline: Float[np.ndarray, "4 2"], free: Grey) -> Picture:
@@ -187,12 +225,12 @@ def _corners(nodes: Nodes) -> Float[np.ndarray, "4 2"]:
     return nodes[[0, 0, -1, -1], [0, -1, -1, 0]]
 
 
-def _size(nodes: Nodes) -> float:
+def _size(points: Float[np.ndarray, "*n 2"]) -> float:
     """Of the film in the photo, in pixels."""
-    return float(np.linalg.norm(np.ptp(nodes, axis=(0, 1))) / np.sqrt(2))
+    return float(np.linalg.norm(np.ptp(points.reshape(-1, 2), axis=0)) / np.sqrt(2))
 
 
-def filled(outline: Float[np.ndarray, "n 2"], size: tuple[int, ...]) -> Grey:
+def filled(outline: Outline, size: tuple[int, ...]) -> Grey:
     """Share, of 255, of each pixel within an outline of photo points, to a quarter of a pixel."""
     mask = np.zeros((size[0] * _FINER, size[1] * _FINER), np.uint8)
     fixed = np.clip(opencv_from_photo(outline * _FINER) * 16, -(2**19), 2**19).round().astype(np.int32)

@@ -97,6 +97,11 @@ def _round_corners(record: dict) -> RoundCorners | None:
     return None if radii is None else RoundCorners(*radii)
 
 
+def sheet_outline(film: BackwardMap, corners: RoundCorners | None) -> Float[np.ndarray, "n 2"]:
+    """Photo points of the edge of a film with round corners, or with sharp ones, once around."""
+    return film.outline() if corners is None else film.photo_from_film(corners.outline())
+
+
 def vertices_of(place: Place) -> Float[np.ndarray, "r c 2"] | None:
     """Film coordinates of the corners of a sample's cells; None where these are not known."""
     shard, index = place
@@ -186,8 +191,7 @@ def _covered(
     """Where a pixel of the maps lies well within the sheet's outline and shows no film, at OpenCV coordinates."""
     mask = film_mask(place)
     size = (mask.shape[0], mask.shape[1])
-    film = film_of(place)
-    edge = film.outline() if corners is None else film.photo_from_film(corners.outline())
+    edge = sheet_outline(film_of(place), corners)
     inside = inside_outline(rescale_points(edge, photo_size, size), size)
     hidden = cv2.erode(inside.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool) & ~mask
     x, y = (np.rint(at[..., k]).astype(np.int64) for k in (0, 1))

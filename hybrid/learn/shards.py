@@ -11,7 +11,7 @@ import hashlib
 import json
 import mmap
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from io import BytesIO
@@ -107,7 +107,7 @@ class Shard:
         return index.places
 
 
-_AGAIN = "Delete it and run python -m data_gen.generate with the options of its data set again."
+_AGAIN = "Delete it and run python -m data_gen.generate of the same version with the options of its data set again."
 
 
 @dataclass(frozen=True, eq=False)
@@ -244,6 +244,20 @@ def open_dataset(folder: Path, verify: bool = False) -> list[Shard]:
         if verify and sha256_of(shard.path) != shard.entry.sha256:
             raise DataError(describe(what="shard", where=shard.path, got="another sha256 than listed", do=_AGAIN))
     return shards
+
+
+def data_digest(folders: Sequence[Path]) -> str:
+    """Of what some folders hold, in their order, wherever they lie: of shards the hashes that their manifest lists, of
+    numbered files the names and sizes, with what their dataset.json says made them."""
+    digest = hashlib.sha256()
+    for folder in folders:
+        held = [f"{entry.name} {entry.sha256}" for entry in read_manifest(folder)]
+        if not held:
+            held = [f"{path.name} {path.stat().st_size}" for path in sorted(folder.glob("[0-9]*"))]
+            described = folder / "dataset.json"
+            held += [described.read_text()] if described.exists() else []
+        digest.update("\n".join([*held, ""]).encode() + b"\0")
+    return digest.hexdigest()[:16]
 
 
 def _without_shards(folder: Path) -> str:

@@ -32,6 +32,7 @@ from hybrid.errors import ConfigError, HybridError, describe
 from hybrid.image_io import write_bytes, write_rgb
 from hybrid.learn.dewarpnet import DewarpNet
 from hybrid.learn.presets import Preset, preset, weighted_sum
+from hybrid.learn.shards import data_digest
 from hybrid.learn.weights import load_into, save_weights
 from hybrid.outputs import make_folder
 
@@ -212,8 +213,8 @@ def train(config: TrainConfig) -> None:
     A run that is resumed with more passes goes on along the longer schedule.
 
     Raises:
-        ConfigError: an option that cannot be, or that is not the one that a run to resume began with; fewer samples
-        than are held out. DataError: data that cannot be read.
+        ConfigError: an option that cannot be, or that is not the one that a run to resume began with, or other data;
+        fewer samples than are held out. DataError: data that cannot be read.
     """
     plan = Plan.of(config)
     places = plan.preset.feed.open(config.data)
@@ -317,7 +318,8 @@ class _State:
         torch.manual_seed(config.seed)
         self.plan, self.rank, self.step = plan, rank, 0
         self.began = {name: str(getattr(plan, name, getattr(config, name, None))) for name in _KEPT}
-        self.began |= {"preset": config.preset, "samples": str(samples)}
+        self.began |= {"preset": config.preset, "samples": str(samples), "data": data_digest(config.data)}
+        self.began["precision"] = "bfloat16" if _fast_bfloat16(config.device) else "float32"
         self.network = plan.preset.network()
         self.path = config.out / "checkpoint.pt"
         if config.start and not self.path.exists():
@@ -366,11 +368,16 @@ class _State:
 
     def _load(self) -> None:
         stored = torch.load(self.path, map_location=self.plan.config.device, weights_only=True)
+        began = stored.get("began", {})
         for name, now in self.began.items():
-            if stored.get("began", self.began)[name] != now:
-                got, do = f"{name} {now}", "Go on with the options it began with, or choose another --out."
-                began = f"{stored['began'][name]}, as the run there began"
-                raise ConfigError(describe(what="train", where=self.path.parent, got=got, allowed=began, do=do))
+            if name not in began:
+                got = f"a checkpoint that does not say its {name}, made by an earlier version"
+                do = "Choose another --out; its weights can be named by --start."
+                raise ConfigError(describe(what="train", where=self.path.parent, got=got, do=do))
+            if began[name] != now:
+                got, allowed = f"{name} {now}", f"{began[name]}, as the run there began"
+                do = f"Go on with the {_AS_BEFORE.get(name, 'options')} it began with, or choose another --out."
+                raise ConfigError(describe(what="train", where=self.path.parent, got=got, allowed=allowed, do=do))
         self.step = stored["step"]
         if self.rank.first:
             _cut_curves(self.curves, self.step * self.plan.batch)
@@ -427,7 +434,10 @@ _KEPT = (
     *("width", "input_px", "start", "coarse_share", "coarse_px", "held_out"),
     *("batch", "learning_rate", "weight_decay", "ema", "seed"),
 )
-"""Options that a run keeps when it is resumed, besides its preset and the number of its samples."""
+"""Options that a run keeps when it is resumed, besides its preset, data and precision."""
+
+_AS_BEFORE = {"data": "data, in the order", "precision": "kind of processor"}
+"""What to go on with, where it is no option."""
 
 
 def _cut_curves(path: Path, passes: int) -> None:

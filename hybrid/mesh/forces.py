@@ -74,13 +74,11 @@ def plane_field(network: MassSpring, vertices: Float[np.ndarray, "v 3"], field: 
     return (_fading(network, field, np.abs(height)) * side)[:, None] * field.normal
 
 
-def wind(network: MassSpring, vertices: Float[np.ndarray, "v 3"], velocity_m_s: Float[np.ndarray, "3"]) -> Air:
-    """Air of a steady velocity: rho / 2 |v . n| (v - x') . n over each vertex's share of the area, along the normal."""
-    return gusts(network, vertices, np.broadcast_to(velocity_m_s, vertices.shape))
-
-
 def gusts(network: MassSpring, vertices: Float[np.ndarray, "v 3"], velocity_m_s: Float[np.ndarray, "v 3"]) -> Air:
-    """Air with a velocity of its own at each vertex; still air resists as if it moved by 0.3 m/s."""
+    """Air with a velocity of its own at each vertex; still air resists as if it moved by 0.3 m/s.
+
+    rho / 2 |v . n| (v - x') . n over each vertex's share of the area, along the normal.
+    """
     normals = lattice_normals(network, vertices.reshape(*network.film.shape, 3)).reshape(-1, 3)
     area_m2 = network.area * network.metres_per_unit**2
     across = np.einsum("vk,vk->v", normals, velocity_m_s)

@@ -1,0 +1,65 @@
+"""Rooms about films that lie: what is seen lies face up in it, whichever side that is."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from surroundings_case import FILM, camera, scene
+
+from data_gen.lamps import Lamp
+from data_gen.lighting import Light, over_table, room_from_film
+from data_gen.rooms import prefilter, procedural_room
+from data_gen.scene import SceneConfig, sample_scene
+from data_gen.shade import film_light
+from data_gen.viewpoint import ViewConfig
+from hybrid.mesh.camera import Camera, look_at
+
+BULB = Lamp("sphere", (300.0, 100.0, -800.0), (0.0, 0.0, 1.0), (1.0, 0.0, 0.0), (30.0, 30.0), (400.0, 400.0, 400.0))
+FLASH = replace(BULB, centre_mm=(5.0, 8.0, 0.0), half_mm=(2.0, 2.0), at_camera=True)
+LYING = Light(1.0, 50.0, True, lamps=(BULB,))
+TURN = np.diag([1.0, -1.0, -1.0])
+
+
+def from_below(view: Camera) -> Camera:
+    """The camera turned over about the film's x axis."""
+    pose = look_at(TURN @ view.centre_world, np.zeros(3), np.array([0.0, -1.0, 0.0]))
+    return Camera(view.intrinsics, pose, view.distortion, view.size)
+
+
+def test_a_lying_film_seen_from_behind_is_lit_as_one_that_is_seen_from_the_front():
+    room, before = prefilter(procedural_room(np.random.default_rng(3), (64, 128))), camera(tilt=0.3)
+    seen = scene("table", 0, LYING)
+    behind = from_below(before)
+    front, back = (
+        film_light(FILM, replace(seen, camera=view, light=over_table(LYING, view.centre_world)), room)
+        for view in (before, behind)
+    )
+    for one, other in ((front.gain, back.gain), (front.veil, back.veil)):
+        np.testing.assert_allclose(np.flip(other, axis=0), one, rtol=2e-3, atol=1e-4 * one.max())
+
+
+@pytest.mark.parametrize("light", [LYING, replace(LYING, lying=False), replace(LYING, face_down=True)])
+def test_the_rooms_upward_direction_is_up(light: Light):
+    turn = room_from_film(light)
+    np.testing.assert_allclose(turn @ light.up, [0, 0, 1], atol=1e-12)
+    np.testing.assert_allclose(turn @ turn.T, np.eye(3), atol=1e-12)
+    assert np.linalg.det(turn) == pytest.approx(1)
+
+
+def test_only_what_lies_is_turned_over_and_the_flash_stays_at_the_camera():
+    above, below = np.array([50.0, 30.0, -700.0]), np.array([50.0, 30.0, 700.0])
+    upright, flashed = replace(LYING, lying=False), replace(LYING, lamps=(FLASH, BULB))
+    assert over_table(LYING, above) is LYING
+    assert over_table(upright, below) is upright
+    over = over_table(flashed, below)
+    assert over.lamps[0] is FLASH
+    np.testing.assert_allclose(over.lamps[1].centre_mm, TURN @ BULB.centre_mm)
+    assert over_table(over, below) is over
+
+
+def test_no_table_is_photographed_from_below():
+    config = SceneConfig(view=ViewConfig(behind_share=0.5))
+    for seed in range(60):
+        drawn = sample_scene(FILM, (96, 96), np.random.default_rng(seed), config)
+        if drawn.light.lying:
+            assert drawn.light.up @ drawn.camera.centre_world > 0
