@@ -184,7 +184,7 @@ def film_share(maps: CoarseMaps, size: Sequence[int]) -> float:
 
 def _reached(maps: CoarseMaps, size: Sequence[int]) -> Bool[np.ndarray, "h w"]:
     """Pixels of maps that a photo of ``size`` reaches."""
-    return ((maps.photo_points >= 0) & (maps.photo_points <= (size[1], size[0]))).all(axis=-1)
+    return np.all((maps.photo_points >= 0) & (maps.photo_points <= (size[1], size[0])), axis=-1)
 
 
 def survey_plane(backward: BackwardMap, max_off: float) -> tuple[Decision, BackwardMap]:
