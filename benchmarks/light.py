@@ -204,9 +204,9 @@ def similarity(a: Grey, b: Grey, seen: Bool[np.ndarray, "h w"]) -> float:
 
 
 def affine(x: Grey, y: Grey, seen: Bool[np.ndarray, "h w"]) -> Grey:
-    """x after the best gain and offset."""
+    """x after the best gain, which is not negative, and offset."""
     spread = float(np.var(x[seen]))
-    gain = float(np.mean((x[seen] - x[seen].mean()) * (y[seen] - y[seen].mean()))) / max(spread, 1e-12)
+    gain = max(float(np.mean((x[seen] - x[seen].mean()) * (y[seen] - y[seen].mean()))) / max(spread, 1e-12), 0.0)
     return gain * (x - x[seen].mean()) + y[seen].mean()
 
 

@@ -78,6 +78,16 @@ def shown_contents(shown: Path | None, *unnamed: Path) -> str:
     return " ".join(filter(None, (shown_sources(shown), _digest_of(shown, *unnamed))))
 
 
+def shown_data(*paths: Path | None) -> str:
+    """Photos and data sets as ``shown_sources`` has them, each with a digest of its contents; empty without any."""
+    return " ".join(shown_contents(path) for path in paths if path is not None)
+
+
+def used_machine() -> str:
+    """Processor and versions of the packages, in a line: times of others are not put together."""
+    return ", ".join((processor(), *(f"{name} {version_of(name)}" for name in PACKAGES)))
+
+
 def _digest_of(*paths: Path | None) -> str:
     """A short digest of the contents of files and folders; empty without any."""
     files = [file for path in paths if path is not None for file in ([path] if path.is_file() else path.rglob("*"))]
@@ -159,4 +169,14 @@ def threads() -> dict[str, int | str | None]:
     }
 
 
-__all__ = ["commit", "describe_run", "memory_mib", "relative_command", "shown_contents", "shown_sources", "use_threads"]
+__all__ = [
+    "commit",
+    "describe_run",
+    "memory_mib",
+    "relative_command",
+    "shown_contents",
+    "shown_data",
+    "shown_sources",
+    "use_threads",
+    "used_machine",
+]

@@ -110,7 +110,8 @@ class CaseNote:
 class Settings:
     """What decides the figures; results made with others are not put together.
 
-    weights: their folder, and a digest of its contents and of the files of added methods.
+    source: photos and data sets, with digests of their contents. weights: their folder, and a digest of its contents
+    and of the files of added methods. machine: processor and packages; empty in reports of before.
     """
 
     sizes: tuple[float, ...]
@@ -121,6 +122,7 @@ class Settings:
     source: str
     weights: str
     commit: str | None
+    machine: str = ""
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ from tqdm import tqdm
 from benchmarks.cases import Case, photo_cases, sample_cases
 from benchmarks.command import run_command
 from benchmarks.lineup import CONFIGURATIONS, lineup
-from benchmarks.machine import commit, describe_run, shown_contents, shown_sources, use_threads
+from benchmarks.machine import commit, describe_run, shown_contents, shown_data, use_threads, used_machine
 from benchmarks.measure import forward_times, measure, peak_memory
 from benchmarks.methods import Method
 from benchmarks.own_photos import make_photos
@@ -183,12 +183,11 @@ def make_methods(options: Options) -> dict[str, Method]:
 
 
 def _settings(options: Options) -> Settings:
-    source = shown_sources(options.photos, *options.data)
+    source = shown_data(options.photos, *options.data)
     weights = shown_contents(options.weights, *options.add)
     sizes, counts = options.sizes, options.counts
-    return Settings(
-        sizes, counts, options.repeats, options.threads, options.seed, source or "made for this", weights, commit()
-    )
+    made_by = source or "made for this", weights, commit(), used_machine()
+    return Settings(sizes, counts, options.repeats, options.threads, options.seed, *made_by)
 
 
 def _all_measured(options: Options, methods: dict[str, Method], cases: Sequence[Case]) -> Iterator[Measured]:

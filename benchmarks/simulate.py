@@ -285,6 +285,7 @@ BOUNDS: dict[str, tuple[tuple[str, Callable[[Any], bool]], ...]] = {
     "elastica": (("max_error", lambda x: x < 0.02), ("falls_with_refinement", bool)),
     "sze": (("max_error", lambda x: x < 0.02),),
     "developability": (("shrinks", bool),),
+    "units": (("max_relative", lambda x: x < 1e-6),),
     "determinism": (("identical", bool),),
     "stress": (("failures", lambda x: x == 0),),
 }

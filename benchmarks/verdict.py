@@ -21,6 +21,7 @@ from tqdm import tqdm
 
 from benchmarks.cases import Case, read_alike, sample_cases
 from benchmarks.command import run_command, write_figures
+from benchmarks.machine import shown_sources
 from benchmarks.scores import LATTICE
 from benchmarks.verdict_fit import Judged, fit_chance, fit_error, trust_of_others
 from hybrid.backward import end_point_error
@@ -111,7 +112,7 @@ def _sheet(case: Case) -> str:
     if "film" not in record:
         do = "Name data sets made by data_gen.generate."
         raise DataError(describe(what="A sample that does not say which sheet it is of", where=folder, do=do))
-    return f"{folder} {record['film']}"
+    return f"{shown_sources(folder)} {record['film']}"
 
 
 def judge_all(options: Options) -> tuple[list[Judged], int]:

@@ -193,13 +193,13 @@ def local_distortion(predicted: BackwardMap, true: BackwardMap, lattice: tuple[i
 def psnr_after_gain_offset(film: Float[np.ndarray, "h w"], truth: Float[np.ndarray, "h w"]) -> float:
     """PSNR in dB of a film against its print, display grey in [0, 1], after the best single gain and offset.
 
-    What remains is what no exposure setting could mend: uneven light, a wrong tone curve, geometry, noise.
+    The gain is not negative: an inverted film is none. What remains is what no exposure setting could mend: uneven light, a wrong tone curve, geometry, noise.
     """
     if film.shape != truth.shape:
         raise ValueError(f"film and print: got shapes {film.shape} and {truth.shape}; allowed: equal shapes")
     x, y = np.asarray(film, dtype=np.float64), np.asarray(truth, dtype=np.float64)
     spread = float(np.var(x))
-    gain = float(np.mean((x - x.mean()) * (y - y.mean()))) / spread if spread > 0 else 0.0
+    gain = max(float(np.mean((x - x.mean()) * (y - y.mean()))) / spread, 0.0) if spread > 0 else 0.0
     error = float(np.mean(np.square(gain * (x - x.mean()) + y.mean() - y)))
     return PSNR_CAP_DB if error == 0.0 else min(PSNR_CAP_DB, float(-10 * np.log10(error)))
 

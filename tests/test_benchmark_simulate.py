@@ -25,6 +25,7 @@ def test_a_bound_that_is_broken_fails_the_command():
         "elastica": {"max_error": 1e-3, "falls_with_refinement": True},
         "sze": {"max_error": 1e-3},
         "developability": {"shrinks": True},
+        "units": {"max_relative": 1e-12},
         "determinism": {"identical": True},
         "stress": {"failures": 0},
     }
@@ -32,7 +33,7 @@ def test_a_bound_that_is_broken_fails_the_command():
     assert broken_bounds({"determinism": {"identical": True}}) == []
     for check, bounds in BOUNDS.items():
         for name, _ in bounds:
-            wrong = {"max_strain": 1.0, "drift_rad": 3.0, "max_error": 0.9, "failures": 1}.get(name, False)
+            wrong = {"max_strain": 1.0, "drift_rad": 3.0, "max_error": 0.9, "failures": 1, "max_relative": 0.5}.get(name, False)
             assert broken_bounds(right | {check: right[check] | {name: wrong}}) == [f"{check}.{name}: {wrong}"]
 
 

@@ -191,6 +191,8 @@ def test_commands_fail_where_something_failed(capsys: pytest.CaptureFixture[str]
     flat = SoakReport({}, 100, 2, 64, 10, (100.0,) * 20, (0.1,) * 100, 0)
     assert benchmarks.soak._verdict(flat) == 0
     assert benchmarks.soak._verdict(replace(flat, different=1)) == 2
+    slower = (0.1,) * 50 + (0.2,) * 50
+    assert benchmarks.soak._verdict(replace(flat, cpu_seconds=slower)) == 2
     assert benchmarks.soak._verdict(replace(flat, memory_mib=tuple(100.0 + k for k in range(20)))) == 2
     assert "1 results differ" in capsys.readouterr().out
 

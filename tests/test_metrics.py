@@ -189,6 +189,7 @@ def test_gain_and_offset_are_free(rng: np.random.Generator) -> None:
     truth = rng.random((64, 64))
     assert psnr_after_gain_offset(0.2 + 0.3 * truth, truth) > 90
     assert psnr_after_gain_offset(truth**2, truth) < 35
+    assert psnr_after_gain_offset(1 - truth, truth) == psnr_after_gain_offset(np.full(truth.shape, 0.5), truth)
     assert psnr_after_gain_offset(np.full((64, 64), 0.4), truth) == pytest.approx(
         -10 * np.log10(truth.var()), abs=1e-9
     )  # nothing is left of the film but its mean
