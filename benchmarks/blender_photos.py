@@ -25,9 +25,11 @@ import tyro
 from tqdm import tqdm
 
 from benchmarks.command import run_command
+from data_gen.manifest import deciding, describe_dataset, described_sources, generator_digest
 from data_gen.prints import FilmPrint, make_print
 from data_gen.sources import SourceConfig, draw_volume, loaded
-from hybrid.errors import DataError, describe, require_at_least
+from data_gen.work import source_names
+from hybrid.errors import ConfigError, DataError, describe, require_at_least
 from hybrid.image_io import write_rgb
 from hybrid.outputs import make_folder
 
@@ -242,12 +244,29 @@ def room_files(sources: SourceConfig) -> list[Path]:
 
 
 def run(options: Options, command: list[str]) -> int:
-    """Make the photos; how many there are."""
+    """Make the photos; how many there are.
+
+    Raises:
+        ConfigError: the folder holds photos that were made with other options.
+    """
     make_folder(options.out / "textures")
+    _keep_options(options)
     rooms = room_files(options.sources)
     for number in tqdm(range(options.count), unit="photo"):
         make_photo(number, rooms, options)
     return options.count
+
+
+def _keep_options(options: Options) -> None:
+    """Write dataset.json with what decides the photos, or check that those there were made alike."""
+    photos = sum(1 for _ in options.out.glob("film_*.npz"))
+    if photos and not (options.out / "dataset.json").exists():
+        do = "Choose another --out."
+        raise ConfigError(describe(what="--out", where=options.out, got="photos without dataset.json", do=do))
+    sources = described_sources(options.sources, source_names(options.sources))
+    drawn = {name: getattr(options, name) for name in ("seed", "side", "samples", "hard_shadows")}
+    decided = deciding(generator=generator_digest(), sources=sources, **drawn)
+    describe_dataset(options.out, decided, max(options.count, photos))
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -46,12 +46,12 @@ EFFORTS: dict[str, tuple[str, RectifyConfig]] = {
 """The pipeline at its efforts, by name: label and options. One line each; all run at every size."""
 
 UNREAD = PathConfig(min_mass=2.0)
-"""No probability reaches 2."""
+"""No probability reaches 2: the network runs, and nothing that it says counts."""
 
 CONFIGURATIONS: dict[str, tuple[str, RectifyConfig]] = {
     "hybrid_two_looks": ("hybrid, two looks", RectifyConfig(predict=PredictConfig(looks=2))),
     "hybrid_no_edges": (
-        "hybrid, edges by contrast alone",
+        "hybrid, EdgeNet unheard (it runs all the same)",
         RectifyConfig(
             edges=EdgeConfig(paths=UNREAD),
             refine=RefineConfig(outline=OutlineConfig(band=0.05)),
@@ -60,7 +60,7 @@ CONFIGURATIONS: dict[str, tuple[str, RectifyConfig]] = {
     "hybrid_read_once": ("hybrid, edges not read again", RectifyConfig(edges=EdgeConfig(doubtful=0.0))),
     "hybrid_refined_once": ("hybrid, nothing refined again", RectifyConfig(tries=0)),
     "hybrid_no_borders": (
-        "hybrid, borders between cells not read",
+        "hybrid, BorderNet unheard (it runs all the same)",
         RectifyConfig(refine=RefineConfig(borders=BorderConfig(paths=UNREAD))),
     ),
     "hybrid_no_phases": ("hybrid, cells by the print alone", RectifyConfig(told_cells=False)),

@@ -193,7 +193,8 @@ def local_distortion(predicted: BackwardMap, true: BackwardMap, lattice: tuple[i
 def psnr_after_gain_offset(film: Float[np.ndarray, "h w"], truth: Float[np.ndarray, "h w"]) -> float:
     """PSNR in dB of a film against its print, display grey in [0, 1], after the best single gain and offset.
 
-    The gain is not negative: an inverted film is none. What remains is what no exposure setting could mend: uneven light, a wrong tone curve, geometry, noise.
+    The gain is not negative: an inverted film is none. What remains is what no exposure setting could mend: uneven
+    light, a wrong tone curve, geometry, noise.
     """
     if film.shape != truth.shape:
         raise ValueError(f"film and print: got shapes {film.shape} and {truth.shape}; allowed: equal shapes")

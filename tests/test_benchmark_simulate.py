@@ -33,7 +33,9 @@ def test_a_bound_that_is_broken_fails_the_command():
     assert broken_bounds({"determinism": {"identical": True}}) == []
     for check, bounds in BOUNDS.items():
         for name, _ in bounds:
-            wrong = {"max_strain": 1.0, "drift_rad": 3.0, "max_error": 0.9, "failures": 1, "max_relative": 0.5}.get(name, False)
+            wrong = {"max_strain": 1.0, "drift_rad": 3.0, "max_error": 0.9, "failures": 1, "max_relative": 0.5}.get(
+                name, False
+            )
             assert broken_bounds(right | {check: right[check] | {name: wrong}}) == [f"{check}.{name}: {wrong}"]
 
 

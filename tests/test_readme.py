@@ -13,15 +13,6 @@ PAGES = ["README.md", "CHANGELOG.md", *sorted(f"docs/{page.name}" for page in (R
 PYTHON_BLOCKS = re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL)
 
 
-def missing_parts() -> str | None:
-    """Why the examples cannot run yet, or None."""
-    if not list((ROOT / "hybrid" / "learn" / "packaged").glob("*.safetensors")):
-        return "hybrid/learn/packaged holds no weights yet"
-    if not (ROOT / "hybrid" / "examples" / "film.jpg").exists():
-        return "hybrid/examples/film.jpg has not been made yet"
-    return None
-
-
 def test_there_are_python_blocks() -> None:
     assert PYTHON_BLOCKS
 
@@ -33,9 +24,6 @@ def test_python_blocks_compile(block: str) -> None:
 
 @pytest.mark.parametrize("block", PYTHON_BLOCKS)
 def test_python_blocks_run(block: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    reason = missing_parts()
-    if reason:
-        pytest.skip(reason)
     monkeypatch.chdir(ROOT)
     names: dict[str, object] = {}
     exec(compile(block, "README.md", "exec"), names)
@@ -64,8 +52,6 @@ def test_links_lead_somewhere(page: str) -> None:
     for link, anchor in re.findall(r"\]\(\s*([^)#\s]*)(?:#([^)\s]+))?\s*\)", path.read_text()):
         if link.startswith("http"):
             continue
-        if link == "docs/images/example.jpg" and not (ROOT / link).exists():
-            pytest.skip("docs/images/example.jpg has not been made yet")
         to = path.parent / link if link else path
         assert to.exists(), link
         assert not anchor or anchor in anchors(to), f"{link}#{anchor}"

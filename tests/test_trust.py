@@ -12,6 +12,7 @@ from hybrid.backward import BackwardMap
 from hybrid.coords import film_centres, film_nodes
 from hybrid.pyramid import Pyramid
 from hybrid.records import CoarseMaps, Signs, SliceGrid, StatusCode
+from hybrid.rectify.edge_paths import EdgesRead
 from hybrid.rectify.flat import frame_of
 from hybrid.rectify.trust import (
     FLAT_ERROR,
@@ -38,6 +39,15 @@ def test_what_was_in_doubt_at_first_is_trusted_less() -> None:
     """What is the surest of several refinements is sure by selection, too."""
     assert chance_right(replace(SURE, doubted=True)) < chance_right(SURE)
     assert expected_error_px(replace(SURE, doubted=True)) == expected_error_px(SURE)
+
+
+@pytest.mark.parametrize("k", range(4))
+def test_the_side_with_the_least_support_is_named(k: int) -> None:
+    chances = np.full((4, 64), 0.9)
+    chances[k] = 0.3
+    read = EdgesRead(frame_of((600, 400)), (), 0.0, chances)
+    assert read.weakest == ("top", "bottom", "left", "right")[k]
+    assert read.support.min() == pytest.approx(0.3)
 
 
 def test_sides_outside_the_photo_are_named() -> None:

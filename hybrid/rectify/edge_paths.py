@@ -125,6 +125,11 @@ class EdgesRead:
         sums = np.where(shown, self.chances, 0.0).sum(axis=1)
         return np.where(seen, sums / np.maximum(shown.sum(axis=1), 1), 1.0)
 
+    @property
+    def weakest(self) -> str:
+        """Name of the side with the least support."""
+        return SIDES[int(self.support.argmin())].name
+
     def seen_through(self, film: BackwardMap) -> tuple[Sightings, ...]:
         """The sightings as if they had been made through a map that is near."""
         return carried(self.sightings, self.through, film)

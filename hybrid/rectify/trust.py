@@ -160,7 +160,7 @@ def signs_of(
         lopsided=UNKNOWN_LOPSIDED if grid is None else grid.lopsided,
         sheet=refinement.aspect is not None,
         flat=flat,
-        weakest=SIDES[int(across.support.argmin())].name,
+        weakest=across.weakest,
         outside=sides_outside(backward, pyramid.size),
     )
 
