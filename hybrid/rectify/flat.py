@@ -25,7 +25,7 @@ it may fill the photo."""
 
 NOTHING_ELSE = 0.7
 """Share of a photo that shows film from which on it may fill the photo, wherever the network sees its ends: of films on
-something they are at most two thirds."""
+something it is 0.68 at most."""
 
 BESIDE_FRAME, SURER = 0.005, 1.2
 """A sheet all of whose edges are seen, and further off the frame than this in parts of its diagonal, has something
