@@ -39,8 +39,8 @@ where what is refined from the frame stays there: of 23 flat films 20 do, of as 
 UNMOVED = 1e-4
 """Up to which distance from the frame, in parts of its diagonal, a map stays there."""
 
-LEAST_ALIKE = 0.2
-"""How alike cells must be in a photo in which the network sees no film, or not all of it."""
+LEAST_ALIKE, LEAST_ALIKE_UNSEEN = 0.1, 0.2
+"""How alike cells must be in any case, and in a photo in which the network sees no film, or not all of it."""
 
 
 def frame_of(size: tuple[int, int]) -> BackwardMap:
@@ -76,7 +76,7 @@ def already_flat(
     bent = [_explained(pyramid, one.backward, one.grid, most) for one in others]
     reason = f"cells are alike to {straight:.0%} as the photo is, to {max(bent):.0%} through a refined map"
     least = max(bent) * (AS_ALIKE_UNMOVED if _off(framed.backward, frame) <= UNMOVED else AS_ALIKE)
-    if straight <= 0 or straight < (least if refined is not None else max(least, LEAST_ALIKE)):
+    if straight < max(least, LEAST_ALIKE_UNSEEN if refined is None else LEAST_ALIKE):
         return None, reason
     if edges_inside and straight < SURER * bent[-1]:
         return None, f"the sheet's edges are seen inside the photo; {reason}"
