@@ -78,14 +78,13 @@ def parse(
 
 def _with_flags(message: str, config: Any) -> str:
     """A message about options (``UprightConfig.mirror``) that calls them what the command line does."""
-    for stage in fields(config):
-        kind = type(getattr(config, stage.name)).__name__
-        message = re.sub(rf"\b{kind}\.(\w+)", lambda found: _flag(stage.name, found[1]), message)  # noqa: B023
-    return message
+    stages = {type(getattr(config, stage.name)).__name__: stage.name for stage in fields(config)}
 
+    def flag(found: re.Match[str]) -> str:
+        stage = stages.get(found[1])
+        return found[0] if stage is None else f"--{stage}.{found[2]}".replace("_", "-")
 
-def _flag(*names: str) -> str:
-    return "--" + ".".join(names).replace("_", "-")
+    return re.sub(r"\b(\w+)\.(\w+)", flag, message)
 
 
 def photos_among(paths: Sequence[Path]) -> list[Path]:
@@ -104,9 +103,9 @@ def _photos_in(folder: Path) -> list[Path]:
     """The files of a folder, not of those within it, whose suffixes are those of photos, but hidden ones; the folder
     itself if there are none."""
     shown = [path for path in sorted(folder.iterdir()) if not path.name.startswith(".")]
-    further = sum(path.is_dir() and not path.name.endswith(FOLDERS) for path in shown)
-    if further:
-        print(f"{folder}: {further} folders within it are left out")
+    within = [path.name for path in shown if path.is_dir() and not path.name.endswith(FOLDERS)]
+    if within:
+        print(f"{folder}: folders within it are left out: {', '.join(within)}")
     return [path for path in shown if path.suffix.lower() in SUFFIXES and path.is_file()] or [folder]
 
 

@@ -107,15 +107,12 @@ def _rectified(
         start = time.perf_counter()
         photo = read_photo(path)
         read = StageReport("file", True, f"{path.stat().st_size / 1e6:.1f} MB", time.perf_counter() - start)
-        pictures = pictures_in(path)
         result = rectify(photo)
         result = replace(result, stages=(read, *result.stages))
         files = write_result(out, [path], photo, result, rectified_format, made=made, dicom=dicom)
-        warnings = (
-            *warnings_of(result),
-            *([f"It is the first of {pictures} pictures in its file."] if pictures > 1 else []),
-        )
-        status = result.status
+        status, warnings = result.status, tuple(warnings_of(result))
+        if (pictures := pictures_in(path)) > 1:
+            warnings = (*warnings, f"It is the first of {pictures} pictures in its file.")
         outcome = Outcome(path, status.has_film, str(status), files, warnings, status.has_film and not status.ok)
         return outcome, "\n".join(report_lines(path, result, files, warnings, verbose))
     except (HybridError, OSError, MemoryError) as error:
@@ -167,11 +164,8 @@ def warnings_of(result: RectifyResult) -> list[str]:
         told.append(": ".join(filter(None, ("It may be off", "; ".join(result.status.doubts)))) + ".")
     if result.upright_probability is not None and result.upright_probability < SURE_UPRIGHT:
         said = "; ".join(stage.reason for stage in result.stages if stage.name == "upright")
-        turn = (
-            "--upright.turn 90 (or 0, 180, 270, from how it lies in the photo; with --upright.mirror seen from behind) "
-        )
-        turn += "gives it otherwise"
-        told.append(f"It may lie on its side or mirrored: {said}. {turn}.")
+        ways = "--upright.turn 90 (or 0, 180, 270, from how it lies in the photo; with --upright.mirror from behind)"
+        told.append(f"It may lie on its side or mirrored: {said}. {ways} gives it otherwise.")
     for lost, what in ((result.glare, "lost to glare or darkness"), (result.covered, "hidden by something before it")):
         if lost is not None and lost.mean() > TELL_LOST:
             told.append(f"{lost.mean():.0%} of it is {what}: black in the picture of its confidence.")

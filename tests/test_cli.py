@@ -471,7 +471,7 @@ def test_a_folder_stands_for_the_photos_in_it(photo: Path, tmp_path: Path, capsy
     assert cli.main(["rectify", str(folder), "-o", str(out)]) == 0
     printed = capsys.readouterr().out
     assert "2 of 2 photos flattened, in" in printed
-    assert f"{folder}: 1 folders within it are left out" in printed
+    assert f"{folder}: folders within it are left out: deeper" in printed
     assert sorted(path.stem for path in out.glob("*.json")) == ["b", "film"]
 
 
