@@ -121,9 +121,11 @@ class BackwardMap:
         target = np.where(finite[:, None], target, 0.0)
         _, nearest = KDTree(self.nodes.reshape(-1, 2)).query(target)
         uv = uv_nodes[nearest]
+        moving = np.arange(len(uv))
         for _ in range(iterations):
-            error = target - self.photo_from_film(uv)
-            jacobian = self.jacobian(uv)
+            at = uv[moving]
+            error = target[moving] - self.photo_from_film(at)
+            jacobian = self.jacobian(at)
             det = np.linalg.det(jacobian)
             safe = np.where(np.abs(det) > 1e-9, det, np.inf)
             step = np.stack(
@@ -133,8 +135,9 @@ class BackwardMap:
                 ],
                 axis=1,
             )
-            uv = np.clip(uv + np.clip(step, -0.2, 0.2), -0.5, 1.5)
-            if np.nanmax(np.abs(step), initial=0.0) < 1e-10:
+            uv[moving] = np.clip(at + np.clip(step, -0.2, 0.2), -0.5, 1.5)
+            moving = moving[np.abs(uv[moving] - at).max(axis=1) > 1e-10]
+            if not moving.size:
                 break
         miss = np.linalg.norm(target - self.photo_from_film(uv), axis=1)
         on_sheet = ((uv >= -1e-6) & (uv <= 1 + 1e-6)).all(axis=1)
@@ -251,7 +254,8 @@ class Orientation:
 
 
 def _from_middle(uv: np.ndarray, matrix: Float[np.ndarray, "2 2"]) -> np.ndarray:
-    """Film coordinates moved by a linear map about the film's middle; keeps the dtype."""
+    """Film coordinates moved by a linear map about the film's middle; keeps the dtype of floats."""
+    uv = np.asarray(uv, np.result_type(uv, np.float32))
     middle = np.asarray(0.5, dtype=uv.dtype)
     return (uv - middle) @ matrix.T.astype(uv.dtype) + middle
 

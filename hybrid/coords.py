@@ -80,13 +80,13 @@ FILM_CORNERS = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
 
 
 def opencv_from_photo(xy: np.ndarray) -> np.ndarray:
-    """OpenCV pixel coordinates (centres at integers) of photo points; keeps dtype and shape."""
-    return xy - np.asarray(0.5, dtype=xy.dtype)
+    """OpenCV pixel coordinates (centres at integers) of photo points; keeps shape, and the dtype of floats."""
+    return xy - np.asarray(0.5, dtype=np.result_type(xy, np.float32))
 
 
 def photo_from_opencv(xy: np.ndarray) -> np.ndarray:
-    """Photo points of OpenCV pixel coordinates; keeps dtype and shape."""
-    return xy + np.asarray(0.5, dtype=xy.dtype)
+    """Photo points of OpenCV pixel coordinates; keeps shape, and the dtype of floats."""
+    return xy + np.asarray(0.5, dtype=np.result_type(xy, np.float32))
 
 
 def grid_sample_from_photo(xy: torch.Tensor, size: tuple[int, int]) -> torch.Tensor:

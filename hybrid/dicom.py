@@ -7,6 +7,7 @@ cannot tell stays out of them: no spacing of pixels, no place in the patient, no
 from __future__ import annotations
 
 import hashlib
+import io
 import uuid
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -14,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
+from PIL import Image
 from pydicom.dataset import Dataset, FileMetaDataset
 from pydicom.uid import ExplicitVRLittleEndian, SecondaryCaptureImageStorage
 
@@ -21,8 +23,12 @@ from hybrid import __version__
 from hybrid.image_io import levels_16
 from hybrid.records import RectifyResult
 
-JPEG, HEVC, WEBP = "ISO_10918_1", "ISO_23008_2", "RFC_9649"
-"""How photos are compressed with loss, in DICOM's terms (PS3.3 C.7.6.1.1.5.1), and WebP, for which it has none."""
+JPEG, JPEG_2000, HEVC, WEBP, AV1 = "ISO_10918_1", "ISO_15444_1", "ISO_23008_2", "RFC_9649", "AOM_AV1"
+"""How photos are compressed with loss, in DICOM's terms (PS3.3 C.7.6.1.1.5.1), and WebP and AVIF, for which it has
+none."""
+
+JPEG_IN_TIFF = (6, 7)
+"""Values of TIFF's tag 259."""
 
 NOT_DIAGNOSTIC = "Made of a photo of a film. Not for diagnosis: greys are not Hounsfield units, geometry is the film's."
 
@@ -52,6 +58,8 @@ def lossy_method(data: bytes) -> str | None:
         return JPEG
     if data[4:8] == b"ftyp":
         brands = data[8 : int.from_bytes(data[:4], "big")]
+        if any(brand in brands for brand in (b"avif", b"avis")):
+            return AV1
         return HEVC if any(brand in brands for brand in (b"heic", b"heix", b"hevc", b"heim")) else None
     if data[:4] == b"RIFF" and data[8:12] == b"WEBP":
         at = 12
@@ -60,6 +68,12 @@ def lossy_method(data: bytes) -> str | None:
                 return WEBP
             size = int.from_bytes(data[at + 4 : at + 8], "little")
             at += 8 + size + size % 2
+    if data[4:8] == b"jP  ":
+        style = data.find(b"\xff\x52")  # of coding: its last byte but for what follows is the wavelet, 0 loses
+        return JPEG_2000 if style >= 0 and data[style + 13 : style + 14] == b"\0" else None
+    if data[:4] in (b"II*\0", b"MM\0*"):
+        with Image.open(io.BytesIO(data)) as tiff:
+            return JPEG if tiff.tag_v2.get(259) in JPEG_IN_TIFF else None  # pyright: ignore[reportAttributeAccessIssue]
     return None
 
 
@@ -70,7 +84,9 @@ def secondary_captures(result: RectifyResult, photo: PhotoFile) -> Iterator[Data
     """
     if result.film is None:
         return
-    of = hashlib.sha256(f"{__version__} {result.status.doubts}".encode() + result.film.tobytes()).hexdigest()
+    cells = b"" if result.grid is None else result.grid.vertices.tobytes()
+    said = f"{__version__} {result.status.doubts} {result.film.shape}".encode()
+    of = hashlib.sha256(said + result.film.tobytes() + cells).hexdigest()
     yield _capture(result, photo, result.film, of, (FILM, 1), "Film, flattened")
     for number, cell in enumerate(filter(np.size, result.slices()), start=1):
         yield _capture(result, photo, cell, of, (SLICES, number), "Slices of a film, row by row")

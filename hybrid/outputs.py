@@ -342,7 +342,8 @@ def write_result(
         record["earlier_files"] = list(kept)
     files.append(out / f"{name}.json")
     write_bytes(files[-1], _json_bytes(record))
-    for left_over in {out / file for file in _files_in(known) if file not in kept} - set(files):
+    ours = set(_files_in(known)) & set(_files_of(out, name))  # a JSON may name anything
+    for left_over in {out / file for file in ours.difference(kept)} - set(files):
         left_over.unlink(missing_ok=True)
     return tuple(files)
 

@@ -242,7 +242,8 @@ class Rectifier:
                 down, across = backward.mean_film_pixels()
                 size = bounded_size(backward, down / across, self.config.size)
             else:
-                size = film_size(backward, pyramid.size, grid, self.config.size, refinement.aspect)
+                camera = self.config.refine.sheet
+                size = film_size(backward, pyramid.size, grid, self.config.size, refinement.aspect, camera)
             flat = rectify_photo(pyramid, backward, size, self.config.resample)
             report.reason = f"to {size[1]} x {size[0]} pixels"
         with clock.stage("upright") as report:

@@ -316,6 +316,22 @@ def test_an_effort_that_does_not_exist_is_refused(photo: Path, capsys: pytest.Ca
 
 
 @pytest.mark.usefixtures("_stand_in")
+def test_nothing_but_a_result_s_own_files_is_removed(photo: Path, tmp_path: Path) -> None:
+    """Whatever a JSON says that came from elsewhere."""
+    out = tmp_path / "out"
+    assert cli.main(["rectify", str(photo), "-o", str(out), "--rows", "3"]) == 0
+    foreign = [tmp_path / "precious.txt", out / "other.png"]
+    for path in foreign:
+        path.write_text("not of this result")
+    record = record_of(out)
+    record["files"] += ["../precious.txt", str(foreign[0]), "other.png"]
+    (out / "film.json").write_text(json.dumps(record))
+    assert cli.main(["rectify", str(photo), "-o", str(out)]) == 0
+    assert all(path.exists() for path in foreign)
+    assert not (out / "film_slices" / "09.png").exists()
+
+
+@pytest.mark.usefixtures("_stand_in")
 def test_again_over_the_same_photo_leaves_no_slices_of_the_old_grid(photo: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     assert cli.main(["rectify", str(photo), "-o", str(out), "--rows", "3"]) == 0

@@ -118,6 +118,7 @@ def test_convention_3_grid_sample_bridge(size: tuple[int, int]) -> None:
 def test_convention_3_opencv_round_trip(size: tuple[int, int]) -> None:
     xy = points_inside(size).astype(np.float64)
     assert np.allclose(coords.photo_from_opencv(coords.opencv_from_photo(xy)), xy, atol=FLOAT64_PX)
+    assert coords.opencv_from_photo(np.array([[10, 20]])).tolist() == [[9.5, 19.5]]
     first = coords.opencv_from_photo(coords.pixel_centres(size)[0, 0])
     assert tuple(first) == (0.0, 0.0)
 

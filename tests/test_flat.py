@@ -12,9 +12,10 @@ from synthetic_film import FilmDrawing, make_photo
 from data_gen.prints import FilmPrint
 from hybrid.backward import BackwardMap
 from hybrid.pyramid import Pyramid
-from hybrid.records import SliceGrid
+from hybrid.records import CoarseMaps, SliceGrid
 from hybrid.rectify.flat import NEAR_FRAME, NOTHING_ELSE, already_flat, frame_of
 from hybrid.rectify.refine import Refinement
+from hybrid.rectify.survey import film_share
 
 
 @lru_cache(maxsize=1)
@@ -87,3 +88,12 @@ def test_a_film_that_goes_on_beyond_the_photo_is_not_flat() -> None:
     cut, whole = np.ascontiguousarray(shown[:, :kept]), frame_of((height, width))
     found, _ = already_flat(Pyramid(cut), whole, 1.0, with_grid(whole), unmoved)
     assert found is None
+
+
+def test_a_photo_too_narrow_for_the_network_s_lattice_shows_no_film() -> None:
+    points = np.stack(np.meshgrid(np.linspace(-2400.0, 2464.0, 48), np.linspace(50.0, 4950.0, 48)), axis=-1)
+    whole, zeros = np.ones((48, 48), np.float32), np.zeros((48, 48, 3), np.float32)
+    maps = CoarseMaps(whole, zeros[..., :2], zeros, whole, points.astype(np.float32))
+    assert not ((points[..., 0] >= 0) & (points[..., 0] <= 64)).any()
+    assert film_share(maps, (5000, 64)) == 0.0
+    assert film_share(maps, (5000, 5000)) == 1.0

@@ -175,7 +175,7 @@ def test_an_unsure_map_does_not_move_a_sure_one():
         assert result.status.ok
         assert result.expected_error_px == pytest.approx(0.5, rel=0.02)  # in pixels of the first photo
         assert ("itself unsure" in result.stages[-1].reason) == (shown[0] is sure)
-        assert result.signs is sure[1].signs  # what speaks for the status that is given
+        assert result.signs == sure[1].signs  # what speaks for the status that is given
     result = fused(other, unsure(sure))
     assert result.status.code is StatusCode.UNSURE
     assert result.expected_error_px == pytest.approx(9.0, rel=0.02)

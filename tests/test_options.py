@@ -140,5 +140,8 @@ def test_a_training_that_cannot_be_is_refused(options: dict) -> None:
 
 
 def test_the_command_line_says_which(capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["rectify", "a.jpg", "--size.max-side-px", "0"]) == 1
-    assert capsys.readouterr().err == "hybrid: FilmSizeConfig.max_side_px: got 0; allowed: >= 64. Choose another.\n"
+    with pytest.raises(SystemExit) as stopped:
+        cli.main(["rectify", "a.jpg", "--size.max-side-px", "0"])
+    assert stopped.value.code == 2
+    told = "hybrid rectify: --size.max-side-px: got 0; allowed: >= 64. Choose another.\n"
+    assert capsys.readouterr().err == told

@@ -12,11 +12,11 @@ from PIL import Image
 from pydicom.dataset import Dataset
 from test_cli import StandIn
 
-from hybrid.dicom import PhotoFile, secondary_captures
+from hybrid.dicom import AV1, JPEG, JPEG_2000, PhotoFile, lossy_method, secondary_captures
 from hybrid.errors import HybridError
 from hybrid.image_io import levels_16, read_photo, write_rgb
 from hybrid.outputs import is_result, photo_digest, save_result
-from hybrid.records import RectifyResult, Status, StatusCode
+from hybrid.records import RectifyResult, SliceGrid, Status, StatusCode
 
 FILE = PhotoFile("0" * 64, 12.5, "ISO_10918_1")
 INVENTED = (
@@ -115,6 +115,29 @@ def test_identifiers_follow_from_what_they_are_of(result: RectifyResult):
 def test_without_a_grid_the_film_alone_and_without_a_film_nothing(result: RectifyResult):
     assert len(captures(replace(result, grid=None))) == 1
     assert captures(RectifyResult(Status(StatusCode.NO_FILM))) == []
+
+
+def test_slices_of_another_grid_have_other_identifiers(result: RectifyResult):
+    grid = result.grid
+    other = SliceGrid(1, 1, grid.vertices[[0, -1]][:, [0, -1]], grid.vertices_photo[[0, -1]][:, [0, -1]], 1.0)
+    first, others = captures(result), captures(replace(result, grid=other))
+    assert not {it.SOPInstanceUID for it in first[1:]} & {it.SOPInstanceUID for it in others[1:]}
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "method"),
+    [
+        ("a.avif", {"quality": 60}, AV1),
+        ("a.jp2", {"irreversible": True, "quality_layers": [40]}, JPEG_2000),
+        ("b.jp2", {}, None),
+        ("a.tif", {"compression": "jpeg"}, JPEG),
+        ("b.tif", {}, None),
+    ],
+)
+def test_files_say_how_they_were_compressed_with_loss(name: str, options: dict, method: str | None, tmp_path: Path):
+    picture = np.random.default_rng(0).integers(0, 255, (64, 64, 3), np.uint8)
+    Image.fromarray(picture).save(tmp_path / name, **options)
+    assert lossy_method((tmp_path / name).read_bytes()) == method
 
 
 def test_files_can_be_read_and_belong_to_the_result(result: RectifyResult, tmp_path: Path):

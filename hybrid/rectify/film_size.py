@@ -86,15 +86,17 @@ def film_size(
     grid: SliceGrid | None,
     config: FilmSizeConfig | None = None,
     aspect: float | None = None,
+    camera: SheetConfig | None = None,
 ) -> tuple[int, int]:
     """Size (h, w) in pixels of the flat film: nothing that the photo resolves is lost, within the bounds.
 
     photo_size: (height, width). aspect: height over width, where it is known from the sheet that was fitted
-    (refine.py); else it is told by the nearest plane, exactly if the film is one.
+    (refine.py); else it is told by the nearest plane, exactly if the film is one. camera: which focal
+    lengths are usual.
     """
     config = config or FilmSizeConfig()
     exact = aspect is not None or survey_plane(backward, config.flat)[0].yes
-    measured = plane_aspect(backward, photo_size) if aspect is None else aspect
+    measured = plane_aspect(backward, photo_size, camera) if aspect is None else aspect
     snapped = snap_aspect(measured, grid, config, exact)
     return bounded_size(backward, float(np.clip(snapped, 1.0 / config.max_aspect, config.max_aspect)), config)
 

@@ -393,10 +393,13 @@ def fuse(
         for one, length, counted in zip(found_in, lengths, counts, strict=True)
         if counted and one.expected_error_px is not None
     ]
+    signs = asked[0].signs
+    if signs is not None and base.signs is not None:  # of another photo, perhaps of another size
+        signs = replace(signs, film_px=base.signs.film_px, photo_px=base.signs.photo_px)
     return replace(
         base,
         status=asked[0].status,
-        signs=asked[0].signs,
+        signs=signs,
         expected_error_px=float(np.mean(errors)) if errors else None,
         film=fused.film,
         rectified=flats[0].image,

@@ -9,7 +9,12 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float32
 
+from hybrid.threads import in_strips
+
 Film = Float32[np.ndarray, "h w"]
+
+STRIP_ROWS = 64
+"""Rows of the films whose middle is sought at a time, so that all of them stay in the processor's cache."""
 
 
 @dataclass(frozen=True)
@@ -105,14 +110,24 @@ def _blurred_where(film: Film, known: Bool[np.ndarray, "h w"], sigma: float) -> 
 def _middle(values: Sequence[Film], lost: Sequence[Bool[np.ndarray, "h w"]], trust: Sequence[Film]) -> Film:
     """The lower median at each pixel of the values that are not lost, weighted by their squared trust; of all where all
     are lost: so several veiled photos do not outvote a clear one, and of two counts the one that is trusted more."""
-    weight = np.stack(
-        [np.where(gone, np.float32(1e-9), sure**2 + 1e-6) for gone, sure in zip(lost, trust, strict=True)]
-    )
-    stack = np.stack(values)
-    order = np.argsort(stack, axis=0)
-    below = np.cumsum(np.take_along_axis(weight, order, axis=0), axis=0)
-    rank = np.argmax(below >= 0.5 * below[-1], axis=0)
-    return np.take_along_axis(stack, np.take_along_axis(order, rank[None], axis=0), axis=0)[0]
+    middle = np.empty_like(values[0])
+
+    def find(part: slice) -> None:
+        weights = [
+            np.where(gone[part], np.float32(1e-9), np.square(sure[part]) + np.float32(1e-6))
+            for gone, sure in zip(lost, trust, strict=True)
+        ]
+        half, least = np.float32(0.5) * sum(weights), np.full(weights[0].shape, np.inf, np.float32)
+        for value in values:
+            below = sum(
+                np.where(other[part] <= value[part], weight, np.float32(0))
+                for other, weight in zip(values, weights, strict=True)
+            )
+            least = np.where(below >= half, np.minimum(least, value[part]), least)
+        middle[part] = least
+
+    in_strips(find, len(middle), STRIP_ROWS)
+    return middle
 
 
 def _sharpness(film: Film, gone: Bool[np.ndarray, "h w"], side: int) -> float:

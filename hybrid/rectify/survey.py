@@ -179,7 +179,8 @@ def mask_overlap(maps: CoarseMaps, backward: BackwardMap, size: Sequence[int] | 
 
 def film_share(maps: CoarseMaps, size: Sequence[int]) -> float:
     """Share of a photo of ``size`` (height, width) that shows film, as far as the network saw it."""
-    return float(maps.film[_reached(maps, size)].mean())
+    reached = _reached(maps, size)
+    return float(maps.film[reached].mean()) if reached.any() else 0.0
 
 
 def _reached(maps: CoarseMaps, size: Sequence[int]) -> Bool[np.ndarray, "h w"]:
