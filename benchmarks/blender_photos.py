@@ -11,6 +11,7 @@ so that a run that was stopped goes on.
 
 from __future__ import annotations
 
+import hashlib
 import json
 import subprocess
 import sys
@@ -265,8 +266,14 @@ def _keep_options(options: Options) -> None:
         raise ConfigError(describe(what="--out", where=options.out, got="photos without dataset.json", do=do))
     sources = described_sources(options.sources, source_names(options.sources))
     drawn = {name: getattr(options, name) for name in ("seed", "side", "samples", "hard_shadows")}
-    decided = deciding(generator=generator_digest(), sources=sources, **drawn)
+    decided = deciding(generator=_makers(), sources=sources, **drawn)
     describe_dataset(options.out, decided, max(options.count, photos))
+
+
+def _makers() -> str:
+    """A digest of the sources that make prints, draw jobs and set the scene."""
+    scene = b"".join(path.read_bytes() for path in (Path(__file__), SCENE))
+    return hashlib.sha256(generator_digest().encode() + scene).hexdigest()[:16]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

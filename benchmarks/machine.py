@@ -91,8 +91,14 @@ def used_machine() -> str:
 def _digest_of(*paths: Path | None) -> str:
     """A short digest of the contents of files and folders; empty without any."""
     files = [file for path in paths if path is not None for file in ([path] if path.is_file() else path.rglob("*"))]
-    contents = [file.read_bytes() for file in sorted(files) if file.is_file()]
-    return hashlib.sha256(b"".join(hashlib.sha256(c).digest() for c in contents)).hexdigest()[:8] if contents else ""
+    contents = [_sha256_of(file) for file in sorted(files) if file.is_file()]
+    return hashlib.sha256(b"".join(contents)).hexdigest()[:8] if contents else ""
+
+
+def _sha256_of(file: Path) -> bytes:
+    """Read piece by piece: data sets are larger than memory may be."""
+    with file.open("rb") as opened:
+        return hashlib.file_digest(opened, "sha256").digest()
 
 
 def _git(*arguments: str) -> str | None:

@@ -257,12 +257,17 @@ def dewarpnet_published(weights: Path | None) -> Method | None:
         return None
     return Method(
         "dewarpnet_published",
-        lambda photo: published_map(dewarpnet_map(known.network, photo, cv2.INTER_LINEAR), photo.shape[:2]),
+        lambda photo: map_as_published(known.network, photo),
         flatten=lambda photo: flatten_as_published(known.network, photo),
         parameters=known.parameters,
         label=known.label(DEWARPNET_PUBLISHED),
         training=known.training,
     )
+
+
+def map_as_published(network: DewarpNet, photo: UInt8[np.ndarray, "h w 3"]) -> BackwardMap:
+    """Where the released inference reads the photo, without the picture that it makes."""
+    return published_map(dewarpnet_map(network, photo, cv2.INTER_LINEAR), (photo.shape[0], photo.shape[1]))
 
 
 def flatten_as_published(network: DewarpNet, photo: UInt8[np.ndarray, "h w 3"]) -> Flattened:
@@ -343,6 +348,7 @@ __all__ = [
     "configured",
     "flatten_as_published",
     "flattened",
+    "map_as_published",
     "of_rectifier",
     "path_in",
     "photo_of_case",

@@ -189,9 +189,13 @@ def _warnings(report: Report) -> list[str]:
 
 
 def _surroundings_text(surroundings: SurroundingsReport) -> str:
+    alone = "what refinement starts from"
+    if surroundings.sides > 1:
+        alone = f"the mean of what it sees from {surroundings.sides} sides; refinement starts from one"
     return (
         "Photos with truth, changed around their film, which stays as it was photographed. Errors are geometric means, "
-        "over the films found, of end-point errors in pixels of the photo before it was changed, had it 1080.\n\n"
+        "over the films found, of end-point errors in pixels of the photo before it was changed, had it 1080. "
+        f"The network alone: {alone}.\n\n"
         f"```bash\n{surroundings.run['command']}\n```\n\n{_made(surroundings.run).capitalize()}.\n\n"
         + surroundings_table(surroundings)
     )

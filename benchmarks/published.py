@@ -24,6 +24,7 @@ from benchmarks.methods import (
     Flattened,
     Method,
     flatten_as_published,
+    map_as_published,
     millions,
 )
 from hybrid.backward import BackwardMap
@@ -122,16 +123,16 @@ def full_dewarpnet_published(weights: Path | None) -> Method:
     """DewarpNet run as released."""
     network = DewarpNet(DewarpNetConfig()).eval()
 
-    def flatten(prompt: Prompt) -> Flattened:
-        return flatten_as_published(PromptedDewarpNet(network, prompt.answer), prompt.photo)
+    def answering(prompt: Prompt) -> DewarpNet:
+        return PromptedDewarpNet(network, prompt.answer)
 
     return _timed(
         "dewarpnet_published_full",
         DEWARPNET_PUBLISHED,
         network,
-        lambda prompt: flatten(prompt).backward,
+        lambda prompt: map_as_published(answering(prompt), prompt.photo),
         true_dewarpnet_answer,
-        flatten,
+        lambda prompt: flatten_as_published(answering(prompt), prompt.photo),
     )
 
 

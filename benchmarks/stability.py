@@ -26,7 +26,7 @@ from tqdm import tqdm
 from benchmarks.cases import Case, read_alike, sample_cases
 from benchmarks.command import run_command
 from benchmarks.damage import CUT_OFF, Damaged, cut_file, damaged, visible_error_px
-from benchmarks.machine import commit, describe_run, shown_contents, shown_data, use_threads
+from benchmarks.machine import commit, describe_run, shown_contents, shown_data, use_threads, used_machine
 from benchmarks.own_photos import make_photos
 from benchmarks.problems import PROBLEMS, ended, part_of
 from benchmarks.schema import keep_settings, kept, write_record
@@ -107,11 +107,12 @@ def run(options: Options, command: list[str]) -> StabilityReport:
     """Try everything that was not tried yet; write and return the report.
 
     Raises:
-        ConfigError: the results in ``options.out`` were made with other settings, or at another commit.
+        ConfigError: the results in ``options.out`` were made with other settings, at another commit, or elsewhere.
         DataError: photos or weights that cannot be read.
     """
     source = shown_data(*options.data) or "made for this"
-    settings = StressSettings(options.seed, options.threads, source, shown_contents(options.weights), commit())
+    made_by = source, shown_contents(options.weights), commit(), used_machine()
+    settings = StressSettings(options.seed, options.threads, *made_by)
     keep_settings(options.out / "stability_settings.json", settings, options.out / "parts", options.out / "damaged")
     folders = _readable_photos(options)
     parts = tuple(_part(options, name) for name in PROBLEMS) if options.problems else ()

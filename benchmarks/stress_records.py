@@ -16,13 +16,18 @@ GOOD = OUTCOMES[:3]
 
 @dataclass(frozen=True)
 class StressSettings:
-    """What decides the results; those of others are not put together. How many there are does not count."""
+    """What decides the results; those of others are not put together. How many there are does not count.
+
+    source: data sets, with digests of their contents. machine: processor and packages, which decide seconds and the
+    last bits.
+    """
 
     seed: int
     threads: int
     source: str
     weights: str
     commit: str | None
+    machine: str = ""
 
 
 @dataclass(frozen=True)

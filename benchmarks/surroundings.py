@@ -1,8 +1,8 @@
 """What a film lies on, and what that costs: ``python -m benchmarks.surroundings --photos DIR [DIR ...] --json OUT``.
 
 Photos with truth are changed around their film (grounds.py), which stays as it was, and flattened again: by the network
-alone and by the whole pipeline. Errors are mean end-point errors in pixels of the photo before, had it 1080. The JSON
-file, named surroundings.json, may lie beside run.json for ``benchmarks.page``.
+alone, as refinement starts from it, and by the whole pipeline. Errors are mean end-point errors in pixels of the photo
+before, had it 1080. The JSON file, named surroundings.json, may lie beside run.json for ``benchmarks.page``.
 """
 
 from __future__ import annotations
@@ -102,7 +102,21 @@ class Task:
         return CHANGES[self.change][1](sheet, other, rng)
 
 
-def tried(whole: bool, rectifier: Rectifier, task: Task) -> Ended:
+@dataclass(frozen=True, eq=False)
+class Rectifiers:
+    """alone: its network looks from one side, as refinement starts from it. whole: does what its effort says."""
+
+    alone: Rectifier
+    whole: Rectifier
+
+    @staticmethod
+    def of(config: RectifyConfig) -> Rectifiers:
+        """Those of the options."""
+        predict = replace(config.predict, sides=config.predict.sides[:1])
+        return Rectifiers(Rectifier(replace(config, predict=predict)), Rectifier(config))
+
+
+def tried(whole: bool, rectifiers: Rectifiers, task: Task) -> Ended:
     """A changed photo, flattened."""
     it = task.made()
     to_reference = REFERENCE_PX / max(task.case.photo().shape[:2]) / it.scale
@@ -113,10 +127,10 @@ def tried(whole: bool, rectifier: Rectifier, task: Task) -> Ended:
         near = read_alike(found, it.backward)[0]
         return to_reference * float(end_point_error(near, it.backward.lattice(LATTICE)).mean())
 
-    network = error_px(rectifier.network_map(it.photo))
+    network = error_px(rectifiers.alone.network_map(it.photo))
     if not whole:
         return Ended(task.change, task.case.name, network)
-    result = rectifier(it.photo)
+    result = rectifiers.whole(it.photo)
     found = error_px(result.backward)
     limit = np.inf if result.limit_px is None else to_reference * result.limit_px
     wrong = result.status.ok and found is not None and found > limit
@@ -182,7 +196,7 @@ def run(options: Options, command: list[str]) -> SurroundingsReport:
     if options.pictures is not None:
         _draw(options.pictures, tasks, Rectifier(config))
     ended = tuple(tqdm(_each(options, tasks, config), total=len(tasks), unit="photo"))
-    report = SurroundingsReport(describe_run(command), not options.network_alone, counted(ended), ended)
+    report = SurroundingsReport(describe_run(command), not options.network_alone, counted(ended), ended, sides=1)
     write_record(options.json_path, report)
     print(surroundings_table(report))
     return report
@@ -190,7 +204,7 @@ def run(options: Options, command: list[str]) -> SurroundingsReport:
 
 def _each(options: Options, tasks: Sequence[Task], config: RectifyConfig) -> Iterator[Ended]:
     for answer in shared_out(
-        partial(tried, not options.network_alone), partial(Rectifier, config), tasks, options.workers
+        partial(tried, not options.network_alone), partial(Rectifiers.of, config), tasks, options.workers
     ):
         if isinstance(answer, HybridError):
             raise answer
@@ -214,7 +228,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return run_command("benchmarks.surroundings", Options, run, arguments)
 
 
-__all__ = ["Options", "counted", "main", "run", "tasks_of", "tried"]
+__all__ = ["Options", "Rectifiers", "counted", "main", "run", "tasks_of", "tried"]
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -41,12 +41,17 @@ class ChangeCount:
 
 @dataclass(frozen=True)
 class SurroundingsReport:
-    """A whole run. run: benchmarks.machine.describe_run. whole: whether the pipeline was run, too."""
+    """A whole run.
+
+    run: benchmarks.machine.describe_run. whole: whether the pipeline was run, too. sides: of how many sides of the film
+    the network's map is the mean; four in reports of before.
+    """
 
     run: dict[str, Any]
     whole: bool
     counts: tuple[ChangeCount, ...]
     photos: tuple[Ended, ...]
+    sides: int = 4
 
 
 __all__ = ["ChangeCount", "Ended", "SurroundingsReport"]

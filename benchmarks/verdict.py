@@ -102,7 +102,7 @@ def _record(case: Case) -> dict[str, Any]:
 
 
 def _sheet(case: Case) -> str:
-    """Which sheet, bent once, a data set's photo is of.
+    """Which sheet, bent once, a data set's photo is of; far data sets of one name are told apart by their seed.
 
     Raises:
         DataError: it is of none that data_gen.generate made.
@@ -112,7 +112,7 @@ def _sheet(case: Case) -> str:
     if "film" not in record:
         do = "Name data sets made by data_gen.generate."
         raise DataError(describe(what="A sample that does not say which sheet it is of", where=folder, do=do))
-    return f"{shown_sources(folder)} {record['film']}"
+    return f"{shown_sources(folder)} {record.get('seed', '-')} {record['film']}"
 
 
 def judge_all(options: Options) -> tuple[list[Judged], int]:

@@ -77,13 +77,19 @@ def test_photos_are_read_as_others_and_made_once(tmp_path, blender):
     assert photos[0].meta["seed"] != photos[1].meta["seed"]
 
 
-def test_photos_made_with_other_options_are_left_alone(tmp_path, blender, capsys):
+def test_photos_made_with_other_options_are_left_alone(tmp_path, blender, capsys, monkeypatch):
     out = tmp_path / "photos"
     words = ["--out", str(out), "--python", str(blender), "--side", "64", "--count"]
     assert main([*words, "1"]) == 0
     assert main([*words, "2", "--seed", "5"]) == 1
     assert main([*words, "2", "--hard-shadows"]) == 1
     assert "another seed" in capsys.readouterr().err
+    scene = tmp_path / "scene.py"
+    scene.write_text("# another scene\n")
+    with monkeypatch.context() as changed:
+        changed.setattr("benchmarks.blender_photos.SCENE", scene)
+        assert main([*words, "2"]) == 1
+    assert "another generator" in capsys.readouterr().err
     (out / "dataset.json").unlink()
     assert main([*words, "2"]) == 1
     assert "photos without dataset.json" in capsys.readouterr().err

@@ -47,6 +47,12 @@ def test_what_is_alike_after_gain_and_offset_scores_no_less_than_its_rounding():
     assert decibels(affine(spoilt, truth, SEEN), truth, SEEN) < 20
 
 
+def test_an_inverted_film_is_no_better_than_an_even_one():
+    truth = printed()
+    inverted = decibels(affine(1 - truth, truth, SEEN), truth, SEEN)
+    assert inverted == pytest.approx(decibels(np.full_like(truth, truth.mean()), truth, SEEN), abs=1e-3)
+
+
 def test_the_best_curve_undoes_a_curve_and_stays_monotone():
     truth = printed()
     curved = truth**2.2

@@ -5,12 +5,15 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from simple_samples import simple_dataset
+from threadpoolctl import threadpool_info, threadpool_limits
 
 import benchmarks.lineup
+import benchmarks.machine
 import benchmarks.methods
 import benchmarks.page_tables
 import benchmarks.published
@@ -35,6 +38,7 @@ from benchmarks.traits import _coverage
 from hybrid.backward import BackwardMap, end_point_error
 from hybrid.coords import film_nodes, pixel_centres
 from hybrid.errors import ConfigError, DataError
+from hybrid.image_io import read_photo
 from hybrid.learn.baselines import recover
 from hybrid.learn.dewarpnet import DewarpNetConfig
 from hybrid.learn.firenet import FiReNet, FiReNetConfig
@@ -42,7 +46,15 @@ from hybrid.learn.network import FilmNet, FilmNetConfig
 from hybrid.learn.presets import PRESETS
 from hybrid.learn.samples import truth_at
 from hybrid.learn.weights import save_weights
+from hybrid.looks import see
+from hybrid.pipeline import Rectifier
+from hybrid.pyramid import Pyramid
+from hybrid.rectify.invert import Inversion
+from hybrid.rectify.resample import rectify_photo
 from hybrid.rectify.trust import REFERENCE_PX
+from hybrid.stages import Clock
+
+EXAMPLE = Path(__file__).parents[1] / "hybrid/examples/film.jpg"
 
 MINE = '''"""A method in one small file: it takes every film to fill the middle of the photo."""
 
@@ -104,6 +116,32 @@ def test_the_truth_is_perfect_at_any_size(cases: list[Case]) -> None:
         assert found.score.paper.deshifted.ms_ssim == pytest.approx(1)
         assert len(found.seconds) == 2
         assert set(found.parts) == {"map", "resample"}
+
+
+def test_every_photo_is_read_with_one_thread_of_linear_algebra_each(
+    cases: list[Case], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In strips side by side, that is; the thread pool that BLAS has of its own would wait for them."""
+    seen: dict[str, set[int]] = {}
+
+    def blas(at: str) -> None:
+        seen[at] = {pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"}
+
+    def find(photo: np.ndarray) -> BackwardMap:
+        blas("map")
+        return cases[0].backward
+
+    def read(*arguments: Any) -> Any:
+        blas("resample")
+        return rectify_photo(*arguments)
+
+    monkeypatch.setattr(benchmarks.methods, "rectify_photo", read)
+    photo = cases[0].photo()
+    with threadpool_limits(limits=2, user_api="blas"):
+        blas("before")
+        assert set(flattened(Method("map", find), photo, photo, (48, 48)).parts) == {"map", "resample"}
+        blas("after")
+    assert seen == {"before": {2}, "map": {1}, "resample": {1}, "after": {2}}
 
 
 def test_a_lost_film_has_no_score(cases: list[Case]) -> None:
@@ -176,6 +214,13 @@ def test_trained_networks_are_scored_and_say_how_they_were_trained(
     found = measure(method, cases[0], 0.002, repeats=1, warm=True)
     assert found.score is not None
     assert found.output == cases[0].photo().shape[:2]  # as released: of the photo's size
+    photo = cases[0].photo()
+    made = flattened(method, photo, photo, (48, 48)).backward
+    monkeypatch.setattr(benchmarks.methods, "published_image", None)  # the map alone needs no picture
+    alone = method.find(photo)
+    assert made is not None
+    assert alone is not None
+    np.testing.assert_array_equal(alone.nodes, made.nodes)
 
 
 def test_methods_without_weights_stay_out_unless_they_are_named(
@@ -186,6 +231,20 @@ def test_methods_without_weights_stay_out_unless_they_are_named(
     assert list(make_methods(Options(tmp_path))) == ["here"]
     with pytest.raises(ConfigError, match=r"gone.*--weights"):
         make_methods(Options(tmp_path, methods=("gone",)))
+
+
+def test_the_network_alone_is_what_refinement_starts_from() -> None:
+    """Its last look from one side; the mean of all sides is another map."""
+    method, photo = LINEUP["filmnet"](None), read_photo(EXAMPLE)
+    assert method is not None
+    alone, rectifier = method.find(photo), Rectifier()
+    start = see(rectifier._readers.network, Pyramid(photo), rectifier.config, Clock()).inversion
+    mean = rectifier.network_map(photo)
+    assert alone is not None
+    assert mean is not None
+    assert isinstance(start, Inversion)
+    np.testing.assert_array_equal(alone.nodes, start.backward.nodes)
+    assert np.abs(mean.nodes - alone.nodes).max() > 0
 
 
 def test_own_methods_are_efforts_and_parts() -> None:
@@ -285,6 +344,34 @@ def test_a_run_goes_on_where_it_was_cut_off(made: tuple[Options, Report]) -> Non
     assert len(again.measured) == len(report.measured) == 3 * 3 + 3 * 2
     with pytest.raises(ConfigError, match="other settings"):
         run(replace(options, repeats=3), ["x"])
+
+
+def test_results_of_other_photos_or_elsewhere_are_not_put_together(
+    tmp_path: Path, mine: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Data sets of the same name, one in the place of the other; then another processor."""
+    data = simple_dataset(tmp_path / "data")
+    options = Options(
+        tmp_path / "out",
+        data=(data,),
+        sizes=(0.003,),
+        counts=(1,),
+        repeats=1,
+        add=(mine,),
+        methods=("middle",),
+        memory=(),
+        networks=(),
+    )
+    first = run(options, ["x"])
+    assert run(options, ["x"]).measured == first.measured
+    with monkeypatch.context() as elsewhere:
+        elsewhere.setattr(benchmarks.machine, "processor", lambda: "another")
+        with pytest.raises(ConfigError, match="other settings"):
+            run(options, ["x"])
+    (shard,) = data.glob("*.tar")
+    shard.write_bytes(shard.read_bytes()[:-1] + b"x")  # in what fills a tar up
+    with pytest.raises(ConfigError, match="other settings"):
+        run(options, ["x"])
 
 
 def test_the_page_and_the_readme_come_from_the_figures(made: tuple[Options, Report]) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 from simple_samples import simple_dataset
 
+import benchmarks.machine
 import benchmarks.soak
 import benchmarks.stability
 from benchmarks.cases import sample_cases
@@ -233,8 +235,9 @@ def test_random_sheets_do_not_fold() -> None:
 # ---------------------------------------------------------------- the commands
 
 
-def test_a_stability_run_is_whole_and_goes_on(dataset: Path, tmp_path: Path) -> None:
-    options = Options(tmp_path, data=(dataset,), damaged=2, problems=3, threads=1)
+def test_a_stability_run_is_whole_and_goes_on(dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    copy = Path(shutil.copytree(dataset, tmp_path / "data"))
+    options = Options(tmp_path, data=(copy,), damaged=2, problems=3, threads=1)
     report = run(options, ["python -m benchmarks.stability"])
     value = json.loads((tmp_path / "stability.json").read_text())
     assert problems(value, schema_of(StabilityReport)) == []
@@ -246,6 +249,14 @@ def test_a_stability_run_is_whole_and_goes_on(dataset: Path, tmp_path: Path) -> 
     assert again.photos == report.photos[:1]
     with pytest.raises(ConfigError, match="results of other settings"):
         run(replace(options, seed=1), ["x"])
+    with monkeypatch.context() as elsewhere:
+        elsewhere.setattr(benchmarks.machine, "processor", lambda: "another")
+        with pytest.raises(ConfigError, match="results of other settings"):
+            run(options, ["x"])
+    (shard,) = copy.glob("*.tar")
+    shard.write_bytes(shard.read_bytes()[:-1] + b"x")  # in what fills a tar up
+    with pytest.raises(ConfigError, match="results of other settings"):
+        run(options, ["x"])
     with pytest.raises(ConfigError, match="--damaged -1"):
         Options(tmp_path, damaged=-1)
 

@@ -15,10 +15,11 @@ from benchmarks.cases import Case
 from benchmarks.grounds import CHANGES, Sheet
 from benchmarks.page_tables import surroundings_table
 from benchmarks.schema import read_record
-from benchmarks.surroundings import Options, Task, counted, main, tasks_of, tried
+from benchmarks.surroundings import Options, Rectifiers, Task, counted, main, tasks_of, tried
 from benchmarks.surroundings_records import Ended, SurroundingsReport
 from hybrid.backward import BackwardMap
 from hybrid.coords import film_nodes, sample_bilinear
+from hybrid.effort import RectifyConfig
 from hybrid.errors import ConfigError, DataError
 from hybrid.pipeline import Rectifier
 from hybrid.records import RectifyResult, Status, StatusCode
@@ -126,6 +127,11 @@ class Finds(Rectifier):
         return BackwardMap(true.nodes + np.array([off, 0.0]))
 
 
+def both(finds: Finds) -> Rectifiers:
+    """One for the network alone, and for the pipeline."""
+    return Rectifiers(finds, finds)
+
+
 def task(change: str = "plain") -> Task:
     one, other = sheet(), sheet(5)
     return Task(change, *(Case("a", Path("a"), s.backward, held=lambda s=s: s.photo) for s in (one, other)))
@@ -135,11 +141,11 @@ def task(change: str = "plain") -> Task:
 def test_errors_are_in_pixels_of_the_photo_before(change: str) -> None:
     told = task(change)
     scale = told.made().scale
-    ended = tried(True, Finds(told, 1.0), told)
+    ended = tried(True, both(Finds(told, 1.0)), told)
     assert ended.film_px == pytest.approx(1080 / 300 / scale)
     assert ended.network_px == pytest.approx(2 * 1080 / 300 / scale)
     assert not ended.wrong
-    assert tried(False, Finds(told, 1.0), told) == Ended(change, "a", ended.network_px)
+    assert tried(False, both(Finds(told, 1.0)), told) == Ended(change, "a", ended.network_px)
 
 
 @pytest.mark.parametrize(("off", "code", "wrong"), [
@@ -147,12 +153,21 @@ def test_errors_are_in_pixels_of_the_photo_before(change: str) -> None:
 ])  # fmt: skip
 def test_a_film_called_ok_is_wrong_beyond_its_limit(off: float, code: StatusCode, wrong: bool) -> None:
     told = task("small")
-    assert tried(True, Finds(told, off, code), told).wrong == wrong
+    assert tried(True, both(Finds(told, off, code)), told).wrong == wrong
 
 
 def test_a_photo_without_a_film_is_lost() -> None:
     told = task()
-    assert tried(True, Finds(told, 0.0, StatusCode.NO_FILM), told) == Ended("plain", "a", None, None, "NO_FILM")
+    assert tried(True, both(Finds(told, 0.0, StatusCode.NO_FILM)), told) == Ended("plain", "a", None, None, "NO_FILM")
+
+
+def test_the_network_alone_looks_from_one_side_and_the_pipeline_as_it_always_does() -> None:
+    rectifiers = Rectifiers.of(RectifyConfig.of("thorough"))
+    assert rectifiers.whole.config == RectifyConfig.of("thorough")
+    assert rectifiers.alone.config.predict.sides == rectifiers.whole.config.predict.sides[:1]
+    told = task()
+    ended = tried(True, Rectifiers(Finds(told, 1.0), Finds(told, 3.0)), told)
+    assert (ended.network_px, ended.film_px) == (pytest.approx(2 * 3.6), pytest.approx(3 * 3.6))
 
 
 def test_counts_are_of_each_change() -> None:

@@ -121,6 +121,7 @@ def test_a_photo_is_judged_by_its_true_map(tmp_path: Path) -> None:
     found = judged(Rectifiers(Told(case, None), Told(case, sure)), case)
     assert found is not None
     assert (found.error_px, found.signs, found.first) == (pytest.approx(2.0), sure, None)
+    assert found.sheet == ".../data - 0"  # without this machine's folders
     assert judged(Rectifiers(Told(case, sure), Told(case, None)), case) is None
 
 

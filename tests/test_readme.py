@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+import importlib
 import re
+import shlex
+import sys
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
+import tyro
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text()
@@ -38,6 +44,65 @@ def test_commands_exist(page: str) -> None:
     assert set(named) <= targets
     for module in re.findall(r"python -m ([\w.]+)", text):
         assert (ROOT / Path(*module.split("."))).with_suffix(".py").exists(), f"python -m {module}"
+
+
+COMMAND = re.compile(r"(?:^|[\s/])(?:python -m ((?:benchmarks|data_gen)\.\w+)|hybrid(?:\.cli)?(?= \w))(?: (.*))?$")
+"""A command of the project, by its module (none for ``hybrid``), and its words."""
+
+WHOLE = re.compile(r"`(python -m [^`]* --[^`]*|(?:\.venv/bin/)?hybrid \w[^`]* (?:-o|--out) [^`]*)`")
+"""A command within a line that can be run as it stands there; others name an option only."""
+
+
+def documented_commands(page: str) -> Iterator[tuple[str, str]]:
+    """Modules and words of the commands of a page: those of its code blocks, and whole ones within its lines."""
+    text = (ROOT / page).read_text()
+    blocks = re.findall(r"```bash\n(.*?)```", text, flags=re.DOTALL)
+    lines = [line for block in blocks for line in looped(block.replace("\\\n", " ")).splitlines()]
+    prose = re.sub(r"```.*?```", "", text, flags=re.DOTALL)
+    lines += [" ".join(code.split()) for code in WHOLE.findall(prose)]
+    for line in lines:
+        found = COMMAND.search(line)
+        if found:
+            yield found[1] or "hybrid.cli", found[2] or ""
+
+
+def looped(block: str) -> str:
+    """Shell lines with each loop unrolled: names of networks have words of their own."""
+
+    def unrolled(loop: re.Match[str]) -> str:
+        return "\n".join(loop[3].replace(f"${loop[1]}", value) for value in loop[2].split())
+
+    return re.sub(r"for (\w+) in ([^;]*); do\n(.*?)\ndone", unrolled, block, flags=re.DOTALL)
+
+
+class Parsed(BaseException):
+    """The words were understood."""
+
+
+def parsing_alone(cli: Callable[..., Any]) -> Callable[..., Any]:
+    """tyro's ``cli``, which ends the command once its words are understood."""
+
+    def parse(*arguments: Any, **named: Any) -> Any:
+        raise Parsed(cli(*arguments, **named))
+
+    return parse
+
+
+DOCUMENTED = sorted({command for page in PAGES if page != "CHANGELOG.md" for command in documented_commands(page)})
+
+
+def test_there_are_documented_commands() -> None:
+    assert {"hybrid.cli", "benchmarks.run", "data_gen.generate"} <= {module for module, _ in DOCUMENTED}
+
+
+@pytest.mark.parametrize(("module", "words"), DOCUMENTED)
+def test_documented_options_are_understood(module: str, words: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing is run, so files need not be there; ``N`` stands for a number, other capitals for paths."""
+    given = ["1" if word == "N" else word for word in shlex.split(words, comments=True)]
+    monkeypatch.setattr(sys, "argv", [module, *given])
+    monkeypatch.setattr(tyro, "cli", parsing_alone(tyro.cli))
+    with pytest.raises(Parsed):
+        importlib.import_module(module).main()
 
 
 def anchors(page: Path) -> set[str]:
