@@ -115,7 +115,9 @@ class Told(Rectifier):
         return RectifyResult(Status(StatusCode.OK), backward=shifted, signs=self.signs)
 
 
-def test_a_photo_is_judged_by_its_true_map(tmp_path: Path) -> None:
+def test_a_photo_is_judged_by_its_true_map(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (elsewhere := tmp_path / "far" / "away" / "from").mkdir(parents=True)
+    monkeypatch.chdir(elsewhere)
     case = sample_cases([simple_dataset(tmp_path / "data")])[1]
     sure = replace(drawn_signs(np.random.default_rng(4)), **SURE)
     found = judged(Rectifiers(Told(case, None), Told(case, sure)), case)
