@@ -69,8 +69,8 @@ def lossy_method(data: bytes) -> str | None:
             size = int.from_bytes(data[at + 4 : at + 8], "little")
             at += 8 + size + size % 2
     if data[4:8] == b"jP  ":
-        style = data.find(b"\xff\x52")  # of coding: its last byte but for what follows is the wavelet, 0 loses
-        return JPEG_2000 if style >= 0 and data[style + 13 : style + 14] == b"\0" else None
+        coding = data.find(b"\xff\x52")  # the marker COD; 13 bytes on it tells the wavelet, of which 9-7 (0) loses
+        return JPEG_2000 if coding >= 0 and data[coding + 13 : coding + 14] == b"\0" else None
     if data[:4] in (b"II*\0", b"MM\0*"):
         with Image.open(io.BytesIO(data)) as tiff:
             return JPEG if tiff.tag_v2.get(259) in JPEG_IN_TIFF else None  # pyright: ignore[reportAttributeAccessIssue]

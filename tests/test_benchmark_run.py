@@ -346,13 +346,10 @@ def test_a_run_goes_on_where_it_was_cut_off(made: tuple[Options, Report]) -> Non
         run(replace(options, repeats=3), ["x"])
 
 
-def test_results_of_other_photos_or_elsewhere_are_not_put_together(
-    tmp_path: Path, mine: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Data sets of the same name, one in the place of the other; then another processor."""
-    data = simple_dataset(tmp_path / "data")
-    options = Options(
-        tmp_path / "out",
+def one_photo(out: Path, data: Path, mine: Path) -> Options:
+    """The least run: a method of one's own on a single small photo of a data set."""
+    return Options(
+        out,
         data=(data,),
         sizes=(0.003,),
         counts=(1,),
@@ -362,6 +359,14 @@ def test_results_of_other_photos_or_elsewhere_are_not_put_together(
         memory=(),
         networks=(),
     )
+
+
+def test_results_of_other_photos_or_elsewhere_are_not_put_together(
+    tmp_path: Path, mine: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Data sets of the same name, one in the place of the other; then another processor."""
+    data = simple_dataset(tmp_path / "data")
+    options = one_photo(tmp_path / "out", data, mine)
     first = run(options, ["x"])
     assert run(options, ["x"]).measured == first.measured
     with monkeypatch.context() as elsewhere:
@@ -522,17 +527,7 @@ def test_kept_results_are_not_made_twice(made: tuple[Options, Report], tmp_path:
 
 
 def test_a_run_that_failed_before_its_first_photo_decides_nothing(dataset: Path, mine: Path, tmp_path: Path) -> None:
-    wrong = Options(
-        tmp_path / "out",
-        data=(tmp_path,),
-        sizes=(0.003,),
-        counts=(1,),
-        repeats=1,
-        add=(mine,),
-        methods=("middle",),
-        memory=(),
-        networks=(),
-    )
+    wrong = one_photo(tmp_path / "out", tmp_path, mine)
     with pytest.raises(DataError):
         run(wrong, ["x"])
     assert len(run(replace(wrong, data=(dataset,)), ["x"]).measured) == 1
