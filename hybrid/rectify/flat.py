@@ -69,11 +69,11 @@ def already_flat(
     framed = exactly(frame)
     if framed.grid is None:
         return None, "no grid tells whether the photo is the flat film itself"
-    others = [one for one in (framed, refined) if one is not None and one.grid is not None]
-    grids = [grid for one in others for grid in _in_frame(one, frame, pyramid.size)]
+    seen = [(one.backward, one.grid) for one in (framed, refined) if one is not None and one.grid is not None]
+    grids = [on_frame for _, grid in seen for on_frame in _in_frame(grid, frame, pyramid.size)]
     most = max(grid.rows * grid.cols for grid in grids)
     straight, grid = max(((_explained(pyramid, frame, grid, most), grid) for grid in grids), key=lambda one: one[0])
-    bent = [_explained(pyramid, one.backward, one.grid, most) for one in others]
+    bent = [_explained(pyramid, backward, grid, most) for backward, grid in seen]
     reason = f"cells are alike to {straight:.0%} as the photo is, to {max(bent):.0%} through a refined map"
     least = max(bent) * (AS_ALIKE_UNMOVED if _off(framed.backward, frame) <= UNMOVED else AS_ALIKE)
     if straight < max(least, LEAST_ALIKE_UNSEEN if refined is None else LEAST_ALIKE):
@@ -88,16 +88,14 @@ def _has_edges_inside(refined: Refinement, frame: BackwardMap) -> bool:
     return refined.believed and refined.edges == len(SIDES) and _off(refined.backward, frame) > BESIDE_FRAME
 
 
-def _explained(pyramid: Pyramid, backward: BackwardMap, grid: SliceGrid | None, most: int) -> float:
+def _explained(pyramid: Pyramid, backward: BackwardMap, grid: SliceGrid, most: int) -> float:
     """How alike cells are, in proportion to their number, of at most so many: of few cells more is easily alike."""
-    return 0.0 if grid is None else cells_alike(pyramid, backward, grid) * grid.rows * grid.cols / most
+    return cells_alike(pyramid, backward, grid) * grid.rows * grid.cols / most
 
 
-def _in_frame(seen: Refinement, frame: BackwardMap, size: tuple[int, int]) -> Iterator[SliceGrid]:
+def _in_frame(grid: SliceGrid, frame: BackwardMap, size: tuple[int, int]) -> Iterator[SliceGrid]:
     """A grid that was seen through another map as it lies in a photo of ``size`` (h, w) that is the film: where the
     photo shows it, and where that map has it on the film."""
-    grid = seen.grid
-    assert grid is not None
     for vertices in (np.clip(grid.vertices_photo / np.array(size[::-1]), 0.0, 1.0), grid.vertices):
         yield replace(grid, vertices=vertices, vertices_photo=frame.photo_from_film(vertices))
 
