@@ -11,6 +11,7 @@ from jaxtyping import Float, Float32
 
 from data_gen.shade import FilmLight
 from hybrid.coords import linear_from_srgb, opencv_from_photo
+from hybrid.gsdf import light_through
 from hybrid.mesh.raycast import PixelView
 
 LEAST_SAMPLING = 2.0
@@ -19,7 +20,7 @@ LEAST_SAMPLING = 2.0
 _LONGEST = 16384
 """Points looked up at once: OpenCV's remap takes no side longer than 32767."""
 
-_SRGB_LINEAR = linear_from_srgb(np.arange(256) / 255).astype(np.float32)
+_GREYS = np.arange(256) / 255
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,10 +35,12 @@ class PrintLevels:
     grey: tuple[Float32[np.ndarray, "_ _"], ...]
 
 
-def print_levels(image: Float[np.ndarray, "h w"]) -> PrintLevels:
-    """The levels of a print (display grey)."""
+def print_levels(image: Float[np.ndarray, "h w"], densest: float | None = None) -> PrintLevels:
+    """The levels of a print (display grey). densest: optical density of its black, printed as medical printers do
+    (``hybrid.gsdf``); None for a print with a display's greys (sRGB)."""
     grey = image.astype(np.float32)
-    reflectance = cv2.LUT(cv2.convertScaleAbs(grey, alpha=255), _SRGB_LINEAR[None])
+    table = linear_from_srgb(_GREYS) if densest is None else light_through(_GREYS, densest)
+    reflectance = cv2.LUT(cv2.convertScaleAbs(grey, alpha=255), table.astype(np.float32)[None])
     return PrintLevels(_halved(reflectance), _halved(grey))
 
 

@@ -21,7 +21,7 @@ from data_gen.develop import REFERENCE_SIDE, develop, local_tone, scattered
 from data_gen.manifest import deciding, describe_dataset, described_sources, generator_digest, sole_writer
 from data_gen.prints import make_print
 from data_gen.rooms import prefilter
-from data_gen.sample import SampleConfig, black_and_white, metered, on_sensor, scene_light, sheet_of
+from data_gen.sample import SampleConfig, black_and_white, densest_of, metered, on_sensor, scene_light, sheet_of
 from data_gen.scene import Scene, passes, sample_scene
 from data_gen.shade import FilmLight
 from data_gen.sources import SourceConfig, draw_environment, draw_volume
@@ -82,7 +82,7 @@ def lit_film(seed: int, number: int, photos: int, sources: SourceConfig) -> LitF
     film_print = make_print(draw_volume(sources, rng), rng, made_of.prints)
     _, frames = bend(sheet_of(film_print), rng, made_of.bend)
     room = prefilter(draw_environment(sources, rng))
-    full = print_levels(film_print.image)
+    full = print_levels(film_print.image, densest_of([seed, number, 2], made_of))
     reflectance, flat = (
         cv2.resize(x[0], (px, px), interpolation=cv2.INTER_AREA)
         for x, px in ((full.reflectance, FLAT_PX), (full.grey, FILM_PX))

@@ -24,7 +24,7 @@ PART = ".part"
 
 SIMULATING = (
     *("data_gen/*.py", "hybrid/mesh/*.py", "hybrid/backward.py", "hybrid/coords.py", "hybrid/levels.py"),
-    *("hybrid/round_corners.py", "hybrid/learn/coding.py"),
+    *("hybrid/gsdf.py", "hybrid/round_corners.py", "hybrid/learn/coding.py"),
 )
 """Sources that decide what is simulated and how it is stored."""
 

@@ -49,8 +49,8 @@ METERED_EVERY = 3
 COLOUR_TAKEN_OUT = 0.6
 """Power by which white balance follows the light's colour."""
 
-_CORNERS = 7
-"""Tells the random numbers of corners from those of the rest of a film."""
+_CORNERS, _DENSITY = 7, 8
+"""Tell the random numbers of corners, and of the print's greys, from those of the rest of a film."""
 
 PLACES = (32, 32)
 """Film points whose place in the photo, and so their vignetting, is looked up; it varies slowly."""
@@ -62,7 +62,8 @@ class SampleConfig:
 
     size: side of the photo in pixels. map_size: side of the maps.
     photos_per_film: photos taken of one bent film. round_share: sheets whose corners are round. corner_mm: range of
-    their radius. sources: of CT volumes and of light. The rest: of each stage.
+    their radius. gsdf_share: films printed by DICOM's display function; the others have a display's greys. densities:
+    range of the optical density of their black. sources: of CT volumes and of light. The rest: of each stage.
     """
 
     size: int = 256
@@ -70,6 +71,8 @@ class SampleConfig:
     photos_per_film: int = 8
     round_share: float = 0.4
     corner_mm: tuple[float, float] = (2.0, 14.0)
+    gsdf_share: float = 0.5
+    densities: tuple[float, float] = (2.0, 3.4)
     sources: SourceConfig = field(default_factory=SourceConfig)
     prints: PrintConfig = field(default_factory=PrintConfig)
     bend: BendConfig = field(default_factory=BendConfig)
@@ -107,7 +110,8 @@ def film_samples(seed: int, number: int, config: SampleConfig) -> Iterator[Sampl
     film_print = make_print(draw_volume(config.sources, rng), rng, config.prints)
     recipe, frames = bend(sheet_of(film_print), rng, config.bend)
     room = prefilter(draw_environment(config.sources, rng))
-    levels = print_levels(film_print.image)
+    densest = densest_of([seed, number], config)
+    levels = print_levels(film_print.image, densest)
     corners = corners_of(film_print.size_mm, [seed, number], config)
     casters: dict[int, FilmCaster] = {}
     for k in range(config.photos_per_film):
@@ -119,7 +123,7 @@ def film_samples(seed: int, number: int, config: SampleConfig) -> Iterator[Sampl
         sample = _photograph(casters[chosen], film_print, levels, scene, room, rng, (config.map_size, config.map_size))
         sample.parameters.update(
             seed=seed, film=number, photo=k, recipe=recipe, frame=chosen, room=room.environment.name,
-            round_corners=None if corners is None else (corners.u, corners.v),
+            round_corners=None if corners is None else (corners.u, corners.v), densest=densest,
         )  # fmt: skip
         yield sample
 
@@ -131,6 +135,12 @@ def corners_of(size_mm: tuple[float, float], seeds: Sequence[int], config: Sampl
         return None
     radius = float(rng.uniform(*config.corner_mm))
     return RoundCorners(radius / size_mm[1], radius / size_mm[0])
+
+
+def densest_of(seeds: Sequence[int], config: SampleConfig) -> float | None:
+    """Optical density of the black of some films; None for those with a display's greys. Drawn apart, as corners."""
+    rng = np.random.default_rng([*seeds, _DENSITY])
+    return float(rng.uniform(*config.densities)) if rng.random() < config.gsdf_share else None
 
 
 def _photograph(

@@ -21,8 +21,9 @@ LEAST_CONTRAST = 12 / 255
 """Display grey between print black and print white below which nothing can be recovered: noise and coding eat it."""
 
 
-USUAL_ROOT_SHARE = 0.85
-"""``Levels.root_share`` of films of which nothing better is known."""
+USUAL_ROOT_SHARE, MOST_ROOT_SHARE = 0.85, 2.0
+"""``Levels.root_share`` of films of which nothing better is known, and the most that it can be: with more, a tone curve
+would fall before white. Films printed by DICOM's display function need 1.8 (``hybrid.gsdf``)."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,6 +16,7 @@ from data_gen.sources import SourceConfig
 from hybrid.coords import linear_from_srgb, linear_from_srgb_tensor, srgb_from_linear
 from hybrid.errors import ConfigError, DataError
 from hybrid.learn.light import (
+    SURE_STEP,
     Attention,
     LightNet,
     LightNetConfig,
@@ -38,7 +39,7 @@ from hybrid.learn.light_data import (
     toned,
 )
 from hybrid.learn.weights import packaged_light_net, parameter_count
-from hybrid.levels import USUAL_ROOT_SHARE, grey_table
+from hybrid.levels import LEAST_CONTRAST, USUAL_ROOT_SHARE, grey_table
 
 PX = 128
 
@@ -85,6 +86,21 @@ def test_losses_by_hand() -> None:
     assert float(terms["black"]) == pytest.approx(black, abs=1e-4)
     shown = np.diff(srgb_from_linear(np.array([[0.3, 0.7], [0.1, 0.5]])), axis=1)
     assert float(terms["contrast"]) == pytest.approx(abs(shown[0, 0] - shown[1, 0]), abs=1e-4)
+
+
+def test_glare_that_is_not_read_costs_what_it_is_off_by() -> None:
+    """Print and glare half and half: read rightly, and with contrast of 20 levels read where none is."""
+    truth = targets()
+    lost = torch.zeros_like(truth.contrast).bool()
+    lost[..., : lost.shape[-1] // 2] = True
+    black, white = (torch.where(lost, 1.0, x) for x in (truth.black, truth.white))
+    truth = replace(truth, black=black, white=white, contrast=torch.where(lost, 0.0, truth.contrast))
+    right = float(light_losses(output_of(black, white - black), truth)["glare"])
+    assert right == pytest.approx(0.5 * np.log1p(np.exp(-LEAST_CONTRAST / SURE_STEP)), abs=1e-3)
+    dark = float(linear_from_srgb(np.array(235 / 255)))
+    read = output_of(torch.where(lost, dark, black), torch.where(lost, 1 - dark, white - black))
+    off = (20 / 255 - LEAST_CONTRAST) / SURE_STEP
+    assert float(light_losses(read, truth)["glare"]) == pytest.approx(0.5 * np.log1p(np.exp(off)), abs=2e-3)
 
 
 def test_a_wrong_tone_costs_film_and_a_right_one_nothing() -> None:

@@ -19,7 +19,7 @@ from hybrid.learn.border_data import BorderAugment, border_view, open_borders
 from hybrid.learn.data import AugmentConfig, batch_of, training_view
 from hybrid.learn.edge_data import EdgeAugment, EdgePlace, edge_view, open_edges
 from hybrid.learn.edges import EdgeNetConfig, EdgeTargets, strips_tensor
-from hybrid.learn.light import LightTargets, film_error, light_losses
+from hybrid.learn.light import LightTargets, displayed_contrast, film_error, light_losses
 from hybrid.learn.light_data import (
     UNDISTURBED,
     LightAugment,
@@ -38,6 +38,7 @@ from hybrid.learn.slice_data import SliceAugment, slice_view, sliced_prints
 from hybrid.learn.slices import SliceNetConfig
 from hybrid.learn.upright import UprightNetConfig
 from hybrid.learn.upright_data import PrintAugment, print_paths, read_print, upright_view
+from hybrid.levels import LEAST_CONTRAST
 
 TEST_BATCH = 32
 _UNDISTURBED = replace(AugmentConfig(), empty_share=0.0, colours=False)
@@ -317,8 +318,9 @@ def _light_batch(places: Sequence[Any], px: int, rngs: Sequence[np.random.Genera
 
 @torch.inference_mode()
 def _light_test(network: nn.Module, places: Sequence[Any], px: int, device: str) -> dict[str, float]:
-    """Terms of the loss, and mean dB of the recovered films after one gain and offset."""
-    rows, sizes, decibels = [], [], []
+    """Terms of the loss, mean dB of the recovered films after one gain and offset, and overlap (intersection over
+    union) of what is lost to glare."""
+    rows, sizes, decibels, overlaps = [], [], [], []
     for part in _test_batches(places):
         rngs = [np.random.default_rng(k) for k in range(len(part))]
         images, truth = _light_views(part, px, rngs, UNDISTURBED)
@@ -326,10 +328,18 @@ def _light_test(network: nn.Module, places: Sequence[Any], px: int, device: str)
         terms = light_losses(output, truth)
         error, enough = film_error(output, truth)
         decibels.append((-10 * error.clamp(min=1e-10).log10())[enough > 0].cpu())
+        found, lost = (contrast < LEAST_CONTRAST for contrast in (displayed_contrast(output), truth.contrast))
+        overlaps.append([int((found & lost).sum()), int((found | lost).sum())])
         rows.append([float(terms["black"]), float(terms["gain"])])
         sizes.append(len(part))
     black, gain = np.average(rows, axis=0, weights=sizes).tolist()
-    return {"test_black": black, "test_gain": gain, "test_decibels": float(torch.cat(decibels).mean())}
+    both, either = np.sum(overlaps, axis=0).tolist()
+    return {
+        "test_black": black,
+        "test_gain": gain,
+        "test_decibels": float(torch.cat(decibels).mean()),
+        "test_glare": both / max(either, 1),
+    }
 
 
 LIGHT_FEED = Feed(open_lit_films, _light_batch, _light_test, split=split_films)

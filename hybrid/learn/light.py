@@ -19,7 +19,15 @@ from torch.nn import functional
 from hybrid.coords import linear_from_srgb_tensor, srgb_from_linear_tensor
 from hybrid.learn.network import ConvNorm, Residual, view_coordinates
 from hybrid.learn.tensors import Tensors, image_batch
-from hybrid.levels import CHANNEL_SHARES, CLIPPED, USUAL_ROOT_SHARE, LevelReader, Levels
+from hybrid.levels import (
+    CHANNEL_SHARES,
+    CLIPPED,
+    LEAST_CONTRAST,
+    MOST_ROOT_SHARE,
+    USUAL_ROOT_SHARE,
+    LevelReader,
+    Levels,
+)
 
 
 @dataclass(frozen=True)
@@ -101,7 +109,7 @@ class LightNet(nn.Module):
         fields = _larger(self.head16(x16).float(), 8) + _larger(self.head4(y4).float(), 2) + self.head2(y2).float()
         black, gain = functional.softplus(fields[:, 0] - 2), torch.exp(fields[:, 1].clamp(-5, 4))
         tone = self.tone(x16.mean(dim=(2, 3), keepdim=True)).float().flatten()
-        return LightNetOutput(unit * black, unit * gain, (USUAL_ROOT_SHARE + tone).clamp(0, 1.5))
+        return LightNetOutput(unit * black, unit * gain, (USUAL_ROOT_SHARE + tone).clamp(0, MOST_ROOT_SHARE))
 
 
 def _silent(conv: nn.Conv2d) -> nn.Conv2d:
@@ -146,6 +154,12 @@ class LightTargets(Tensors):
 SURE_CONTRAST = 0.1
 """Display grey between black and white from which on their ratio counts in full: below, noise and coding blur it."""
 
+SURE_STEP = 4 / 255
+"""Display grey by which contrast that is read must differ from ``LEAST_CONTRAST`` to say clearly what is glare."""
+
+UNHEARD = 12.0
+"""Steps above ``LEAST_CONTRAST`` from which on what is lost is another loss's business."""
+
 LEAST_ERROR = 3e-4
 """Mean square error of the film below which a further gain counts for little."""
 
@@ -155,19 +169,24 @@ FEWEST_PIXELS = 800
 
 def light_losses(output: LightNetOutput, truth: LightTargets) -> dict[str, Tensor]:
     """black: mean difference of the square roots, in units of the film's mean white. gain: mean difference of the logs.
-    contrast: mean difference of what is displayed between black and white, which is nothing where both clip. slope: of
-    the first two, that of their differences from pixel to pixel, so that no print shows in them. film: log of the mean
-    square error of the recovered film, after one gain and offset."""
+    contrast: mean difference of what is displayed between black and white, which is nothing where both clip. glare:
+    cross entropy of where that is too little for print to be recovered. slope: of the first two, that of their
+    differences from pixel to pixel, so that no print shows in them. film: log of the mean square error of the recovered
+    film, after one gain and offset."""
     unit = truth.white.mean(dim=(1, 2), keepdim=True).clamp(min=1e-4)
     gain = ((truth.white - truth.black) / unit).clamp(min=1e-3)
     roots = [(black / unit + 1e-3).sqrt() for black in (output.black, truth.black)]
     black, off = roots[0] - roots[1], (output.gain / unit).clamp(min=1e-3).log() - gain.log()
     sure = (truth.contrast / SURE_CONTRAST).clamp(0, 1)
     error, enough = film_error(output, truth)
+    contrast, lost = displayed_contrast(output), (truth.contrast < LEAST_CONTRAST).float()
     return {
         "black": black.abs().clamp(max=2).mean(),
         "gain": ((off.abs().clamp(max=3) * sure).sum(dim=(1, 2)) / sure.sum(dim=(1, 2)).clamp(min=50)).mean(),
-        "contrast": (displayed_contrast(output) - truth.contrast).abs().mean(),
+        "contrast": (contrast - truth.contrast).abs().mean(),
+        "glare": functional.binary_cross_entropy_with_logits(
+            ((LEAST_CONTRAST - contrast) / SURE_STEP).clamp(min=-UNHEARD), lost
+        ),
         "slope": _steps(black, torch.ones_like(sure)) + 0.3 * _steps(off, sure),
         "film": ((error + LEAST_ERROR).log() * enough).sum() / enough.sum().clamp(min=1),
     }

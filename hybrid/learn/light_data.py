@@ -21,6 +21,7 @@ from torch.nn import functional
 from hybrid.backward import Orientation
 from hybrid.coords import film_centres, linear_from_srgb, srgb_from_linear
 from hybrid.errors import NPZ_ERRORS, DataError, describe
+from hybrid.gsdf import light_through
 from hybrid.learn.light import LightTargets, films_tensor, linear_grey
 from hybrid.levels import CHANNEL_SHARES, LEAST_CONTRAST
 
@@ -59,8 +60,8 @@ class LightAugment:
     other_print: share of views in which the print is another one. Of these alone: patterns, cropped, joined, windowed,
     milder, shares in which it is a test pattern, in which it is cut out of a film, in which a side of it is a third
     film's, in which its darkest and brightest greys are cut off, and in which the light is evened out by some part;
-    print_gamma, one sigma of the log of a power of the print's light; tint, one sigma of the log of the channels of
-    veil and gain.
+    print_gamma, one sigma of the log of a power of the print; gsdf, share that is printed by DICOM's display function;
+    densities, range of the optical density of its black; tint, one sigma of the log of the channels of veil and gain.
     uneven, reflected: shares of views with a further smooth factor, and a further smooth veil; most of the log of the
     one, and of the other in parts of white.
     toned: share of views that a further tone curve is applied to; tones, least and most of its strength, above 0 where
@@ -79,6 +80,8 @@ class LightAugment:
     windowed: float = 0.4
     milder: float = 0.6
     print_gamma: float = 0.2
+    gsdf: float = 0.5
+    densities: tuple[float, float] = (2.0, 3.4)
     tint: float = 0.2
     uneven: tuple[float, float] = (0.4, 0.5)
     reflected: tuple[float, float] = (0.35, 0.5)
@@ -95,9 +98,9 @@ class LightAugment:
 
 
 UNDISTURBED = LightAugment(
-    other_print=0.0, patterns=0.0, cropped=0.0, joined=0.0, windowed=0.0, milder=0.0, print_gamma=0.0, tint=0.0,
-    uneven=(0.0, 0.0), reflected=(0.0, 0.0), toned=0.0, spots=0.0, bars=0.0, exposure=0.0, cast=0.0, noise=0.0,
-    covered=0.0, told=0.0, cut=0.0,
+    other_print=0.0, patterns=0.0, cropped=0.0, joined=0.0, windowed=0.0, milder=0.0, print_gamma=0.0, gsdf=0.0,
+    tint=0.0, uneven=(0.0, 0.0), reflected=(0.0, 0.0), toned=0.0, spots=0.0, bars=0.0, exposure=0.0, cast=0.0,
+    noise=0.0, covered=0.0, told=0.0, cut=0.0,
 )  # fmt: skip
 
 
@@ -215,17 +218,25 @@ def _in_light(
     flat: UInt8[np.ndarray, "h w"], black: Float32[np.ndarray, "n n"], white: Float32[np.ndarray, "n n"],
     rng: np.random.Generator, augment: LightAugment,
 ) -> tuple[Float32[np.ndarray, "n n"], Float32[np.ndarray, "n n 3"]]:  # fmt: skip
-    """A print (display grey), and its linear light between black and white; some printers are darker than others."""
+    """A print (display grey), and its linear light between black and white; some prints are darker than others."""
     if rng.random() < augment.cropped:
         sides = [round(n * rng.uniform(0.5, 1)) for n in flat.shape]
         top, left = (int(rng.integers(n - side + 1)) for n, side in zip(flat.shape, sides, strict=True))
         flat = cv2.resize(flat[top : top + sides[0], left : left + sides[1]], black.shape, interpolation=cv2.INTER_AREA)
-    grey = _resized(flat, black.shape)
     power = np.float32(np.exp(rng.normal(0, augment.print_gamma)))
+    grey = (_resized(flat, black.shape).astype(np.float32) / 255) ** power
+    printed = _printed(grey, float(rng.uniform(*augment.densities)) if rng.random() < augment.gsdf else None)
     tints = np.exp(rng.normal(0, augment.tint, (2, 3))).astype(np.float32)
     veil, gain = tints / (tints @ np.array(CHANNEL_SHARES, np.float32))[:, None]
-    light = black[..., None] * veil + ((white - black) * _LINEAR[grey] ** power)[..., None] * gain
-    return (grey.astype(np.float32) / 255) ** power, light
+    return grey, black[..., None] * veil + ((white - black) * printed)[..., None] * gain
+
+
+def _printed(grey: Float32[np.ndarray, "n n"], densest: float | None) -> Float32[np.ndarray, "n n"]:
+    """Light of a print, white: 1, printed by DICOM's display function, or with a display's greys."""
+    if densest is None:
+        return linear_from_srgb(grey).astype(np.float32)
+    table = light_through(np.arange(256) / 255, densest)
+    return np.interp(grey, np.arange(256) / 255, table).astype(np.float32)
 
 
 def drawn_pattern(px: int, rng: np.random.Generator) -> UInt8[np.ndarray, "n n"]:
