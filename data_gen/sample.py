@@ -24,6 +24,7 @@ from data_gen.through import behind_film
 from data_gen.viewpoint import view_parameters
 from hybrid.backward import BackwardMap
 from hybrid.coords import film_centres_1d, opencv_from_photo
+from hybrid.gsdf import USUAL_DENSITIES
 from hybrid.levels import LEAST_CONTRAST
 from hybrid.mesh.camera import Camera
 from hybrid.mesh.film import FilmMesh, base_lines, film_mesh
@@ -72,7 +73,7 @@ class SampleConfig:
     round_share: float = 0.4
     corner_mm: tuple[float, float] = (2.0, 14.0)
     gsdf_share: float = 0.5
-    densities: tuple[float, float] = (2.0, 3.4)
+    densities: tuple[float, float] = USUAL_DENSITIES
     sources: SourceConfig = field(default_factory=SourceConfig)
     prints: PrintConfig = field(default_factory=PrintConfig)
     bend: BendConfig = field(default_factory=BendConfig)

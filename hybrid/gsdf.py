@@ -16,6 +16,9 @@ annex C)."""
 CLEAR_DENSITY = 0.2
 """Optical density of a film where print is white."""
 
+USUAL_DENSITIES = (2.0, 3.4)
+"""Least and greatest optical density of print black, by the printer and its film."""
+
 _ABOVE = (-1.3011877, 8.0242636e-2, 1.3646699e-1, -2.5468404e-2, 1.3635334e-3)
 _BELOW = (1.0, -2.5840191e-2, -1.0320229e-1, 2.8745620e-2, -3.1978977e-3, 1.2992634e-4)
 """Coefficients, by powers of an index's logarithm, of equation (1) of PS3.14."""

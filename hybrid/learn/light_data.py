@@ -21,7 +21,7 @@ from torch.nn import functional
 from hybrid.backward import Orientation
 from hybrid.coords import film_centres, linear_from_srgb, srgb_from_linear
 from hybrid.errors import NPZ_ERRORS, DataError, describe
-from hybrid.gsdf import light_through
+from hybrid.gsdf import USUAL_DENSITIES, light_through
 from hybrid.learn.light import LightTargets, films_tensor, linear_grey
 from hybrid.levels import CHANNEL_SHARES, LEAST_CONTRAST
 
@@ -81,7 +81,7 @@ class LightAugment:
     milder: float = 0.6
     print_gamma: float = 0.2
     gsdf: float = 0.5
-    densities: tuple[float, float] = (2.0, 3.4)
+    densities: tuple[float, float] = USUAL_DENSITIES
     tint: float = 0.2
     uneven: tuple[float, float] = (0.4, 0.5)
     reflected: tuple[float, float] = (0.35, 0.5)
@@ -235,8 +235,8 @@ def _printed(grey: Float32[np.ndarray, "n n"], densest: float | None) -> Float32
     """Light of a print, white: 1, printed by DICOM's display function, or with a display's greys."""
     if densest is None:
         return linear_from_srgb(grey).astype(np.float32)
-    table = light_through(np.arange(256) / 255, densest)
-    return np.interp(grey, np.arange(256) / 255, table).astype(np.float32)
+    greys = np.linspace(0, 1, 256)
+    return np.interp(grey, greys, light_through(greys, densest)).astype(np.float32)
 
 
 def drawn_pattern(px: int, rng: np.random.Generator) -> UInt8[np.ndarray, "n n"]:
