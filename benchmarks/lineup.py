@@ -127,6 +127,7 @@ LINEUP: dict[str, Maker] = {
     "dewarpnet_published": METHODS["dewarpnet_published"],
     "dewarpnet": METHODS["dewarpnet"],
     "firenet": METHODS["firenet"],
+    "firenet_uv": METHODS["firenet_uv"],
     "filmnet_one_look": METHODS["filmnet_one_look"],
     "filmnet": METHODS["filmnet"],
     **{name: _pipeline(name, label, config) for name, (label, config) in (EFFORTS | CONFIGURATIONS).items()},

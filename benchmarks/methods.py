@@ -21,7 +21,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import torch
 from jaxtyping import Float, UInt8
@@ -31,7 +30,15 @@ from benchmarks.cases import Case, TrueShape, true_shape
 from benchmarks.claims import Claim, claim_of
 from hybrid.backward import BackwardMap
 from hybrid.errors import PhotoError
-from hybrid.learn.baselines import corrected, dewarpnet_map, in_pixels, published_image, published_map, recover
+from hybrid.learn.baselines import (
+    Recovery,
+    corrected,
+    dewarpnet_map,
+    in_pixels,
+    published_image,
+    published_map,
+    recover,
+)
 from hybrid.learn.dewarpnet import DewarpNet, joined
 from hybrid.learn.predict import PredictConfig
 from hybrid.learn.presets import PRESETS, PaperConfig
@@ -73,16 +80,17 @@ class Flattened:
 class Method:
     """One way from a photo to a backward map, and on to the flat film.
 
-    find: the map, in pixels of the photo, or None (or a PhotoError) where no film is found. given: what ``find`` and
-    ``flatten`` take, read from a case before the clock starts: the photo, if nothing else is said. flatten: the whole
-    way; None for those whose photo is read through their map as everyone's. says_up: whether the map is meant to
-    be of the film that reads right, and not of the film as it lies. parameters: of its network. label: for people.
-    training: of its network, in words. unscored: why only its run time means anything; empty for methods that are
-    scored. steady: whether the run time hardly depends on the photo, so that a few calls tell it.
+    find: the map, in pixels of the photo, with the print where the method makes one at the map's resolution (a
+    Recovery), or None (or a PhotoError) where no film is found. given: what ``find`` and ``flatten`` take, read from a
+    case before the clock starts: the photo, if nothing else is said. flatten: the whole way; None for those whose photo
+    is read through their map as everyone's. says_up: whether the map is meant to be of the film that reads right, and
+    not of the film as it lies. parameters: of its network. label: for people. training: of its network, in words.
+    unscored: why only its run time means anything; empty for methods that are scored. steady: whether the run time
+    hardly depends on the photo, so that a few calls tell it.
     """
 
     name: str
-    find: Callable[[Any], BackwardMap | None]
+    find: Callable[[Any], BackwardMap | Recovery | None]
     given: Callable[[Case], Any] = photo_of_case
     flatten: Callable[[Any], Flattened] | None = None
     says_up: bool = False
@@ -93,11 +101,12 @@ class Method:
     steady: bool = False
 
     def find_or_lose(self, given: Any) -> BackwardMap | None:
-        """As ``find``, with None for a photo in which no film is found."""
+        """The map alone; None for a photo in which no film is found."""
         try:
-            return self.find(given)
+            found = self.find(given)
         except PhotoError:
             return None
+        return found.backward if isinstance(found, Recovery) else found
 
 
 def flattened(method: Method, given: Any, photo: UInt8[np.ndarray, "h w 3"], size: tuple[int, int]) -> Flattened:
@@ -107,13 +116,16 @@ def flattened(method: Method, given: Any, photo: UInt8[np.ndarray, "h w 3"], siz
             return method.flatten(given)
         with one_thread():  # as hybrid does: everyone's photo is read equally fast
             start = time.perf_counter()
-            backward = method.find(given)
-            found = time.perf_counter()
-            if backward is None:
-                return Flattened(parts={"map": found - start}, message="no film")
+            found = method.find(given)
+            until_map = time.perf_counter()
+            if found is None:
+                return Flattened(parts={"map": until_map - start}, message="no film")
+            recovery = found if isinstance(found, Recovery) else None
+            backward = found.backward if isinstance(found, Recovery) else found
             image = rectify_photo(photo, backward, size).image
-            parts = {"map": found - start, "resample": time.perf_counter() - found}
-        return Flattened(backward, image, parts=parts)
+            film = None if recovery is None else recovery.film(size)
+            parts = {"map": until_map - start, "resample": time.perf_counter() - until_map}
+        return Flattened(backward, image, film, parts)
     except PhotoError as error:
         return Flattened(message=str(error))
 
@@ -223,6 +235,8 @@ def of_rectifier(name: str, rectify: Callable[[Any], RectifyResult], label: str 
 DEWARPNET_DUE = "DewarpNet, its map read rightly"
 """Label of DewarpNet without what its published inference does to its map."""
 DEWARPNET_PUBLISHED = "DewarpNet as published"
+FIRENET_UV = "FiReNet, by its uv map alone"
+"""Label of FiReNet without what its deformation map adds."""
 
 
 def firenet(folder: Path | None, name: str = "firenet") -> Method | None:
@@ -230,7 +244,16 @@ def firenet(folder: Path | None, name: str = "firenet") -> Method | None:
     known = trained(folder, name)
     if known is None:
         return None
-    return _of_network(name, "FiReNet", known, lambda photo: recover(known.network, photo).backward)
+    return _of_network(name, "FiReNet", known, lambda photo: recover(known.network, photo))
+
+
+def firenet_uv(folder: Path | None) -> Method | None:
+    """FiReNet by its uv map alone: its deformation map needs more training than there was, and costs more than it
+    gives."""
+    known = trained(folder, "firenet")
+    if known is None:
+        return None
+    return _of_network("firenet_uv", FIRENET_UV, known, lambda photo: recover(known.network, photo, outline=False))
 
 
 def trained_dewarpnet(folder: Path | None) -> Trained | None:
@@ -267,12 +290,12 @@ def dewarpnet_published(weights: Path | None) -> Method | None:
 
 def map_as_published(network: DewarpNet, photo: UInt8[np.ndarray, "h w 3"]) -> BackwardMap:
     """Where the released inference reads the photo, without the picture that it makes."""
-    return published_map(dewarpnet_map(network, photo, cv2.INTER_LINEAR), (photo.shape[0], photo.shape[1]))
+    return published_map(dewarpnet_map(network, photo), (photo.shape[0], photo.shape[1]))
 
 
 def flatten_as_published(network: DewarpNet, photo: UInt8[np.ndarray, "h w 3"]) -> Flattened:
     """The released inference: the map's mean and resize, and a lookup in double precision at the photo's size."""
-    backward = dewarpnet_map(network, photo, cv2.INTER_LINEAR)
+    backward = dewarpnet_map(network, photo)
     image = published_image(backward, photo)
     found = published_map(backward, (image.shape[0], image.shape[1]))
     return Flattened(found, np.rint(image * 255).astype(np.uint8))
@@ -318,7 +341,7 @@ def _of_network(
     name: str,
     label: str,
     known: Trained,
-    find: Callable[[Any], BackwardMap | None],
+    find: Callable[[Any], BackwardMap | Recovery | None],
     given: Callable[[Case], Any] = photo_of_case,
 ) -> Method:
     """A method that is a trained network and what finds the map of its answer."""
@@ -330,6 +353,7 @@ METHODS: dict[str, Callable[[Path | None], Method | None]] = {
     "filmnet": filmnet,
     "hybrid": hybrid_pipeline,
     "firenet": firenet,
+    "firenet_uv": firenet_uv,
     "firenet_multimap": lambda folder: firenet(folder, "firenet_multimap"),
     "firenet_uv_only": lambda folder: firenet(folder, "firenet_uv_only"),
     "dewarpnet": dewarpnet,

@@ -28,11 +28,12 @@ from benchmarks.methods import (
     millions,
 )
 from hybrid.backward import BackwardMap
-from hybrid.coords import film_nodes, pixel_centres, rescale_points
+from hybrid.coords import film_nodes, rescale_points
 from hybrid.learn.baselines import corrected, recover
 from hybrid.learn.dewarpnet import NODES, BackwardOutput, DewarpNet, DewarpNetConfig
 from hybrid.learn.firenet import FiReNet, FiReNetConfig, FiReNetOutput
 from hybrid.learn.tensors import map_batch
+from hybrid.learn.views import whole_view
 from hybrid.learn.weights import parameter_count
 
 TIME_ONLY = "time only: random weights"
@@ -67,29 +68,38 @@ class Prompt:
     answer: Any
 
 
+def true_squeezed_answer(case: Case) -> BackwardOutput:
+    """The true map on DewarpNet's nodes, of a photo that is squeezed into the network's square, as released."""
+    size = case.photo().shape[:2]
+    return BackwardOutput(map_batch([rescale_points(_true_nodes(case, NODES), size, (1, 1)).astype(np.float32)]))
+
+
 def true_dewarpnet_answer(case: Case) -> BackwardOutput:
-    """The true map on DewarpNet's nodes, in units of the photo's sides."""
-    return BackwardOutput(map_batch([_in_units(case, NODES)]))
+    """The true map on DewarpNet's nodes, of the square around the photo."""
+    return BackwardOutput(map_batch([_in_square(case, NODES)]))
 
 
 def true_firenet_answer(case: Case, px: int) -> FiReNetOutput:
-    """The true mask, uv map and deformation map at px x px; the other maps are zero."""
-    height, width = case.photo().shape[:2]
-    uv = case.backward.film_from_photo(rescale_points(pixel_centres((px, px)), (px, px), (height, width)))
+    """The true mask, uv map and deformation map at px x px of the square around the photo; the other maps are zero."""
+    uv = case.backward.film_from_photo(whole_view(case.photo().shape[:2]).dense((px, px)))
     film = torch.from_numpy(np.isfinite(uv).all(axis=-1))[None]
     return FiReNetOutput(
         mask_logit=torch.where(film, 9.0, -9.0),
         xyz=torch.zeros(1, 3, px, px),
         uv=map_batch([np.nan_to_num(uv).astype(np.float32)]),
         albedo=torch.zeros(1, px, px),
-        deformation=map_batch([_in_units(case, px) - film_nodes((px, px)).astype(np.float32)]),
+        deformation=map_batch([_in_square(case, px) - film_nodes((px, px)).astype(np.float32)]),
     )
 
 
-def _in_units(case: Case, n: int) -> np.ndarray:
-    """The true map on n x n nodes, in units of the photo's sides."""
-    height, width = case.photo().shape[:2]
-    return rescale_points(case.backward.resized((n, n)).nodes, (height, width), (1, 1)).astype(np.float32)
+def _in_square(case: Case, n: int) -> np.ndarray:
+    """The true map on n x n nodes, in units of the smallest square around the photo."""
+    size = case.photo().shape[:2]
+    return ((_true_nodes(case, n) - whole_view(size).nodes[0, 0]) / max(size)).astype(np.float32)
+
+
+def _true_nodes(case: Case, n: int) -> np.ndarray:
+    return case.backward.resized((n, n)).nodes
 
 
 # ---------------------------------------------------------------- methods
@@ -102,7 +112,7 @@ def full_firenet(weights: Path | None) -> Method:
         "firenet_full",
         "FiReNet",
         network,
-        lambda prompt: recover(PromptedFiReNet(network, prompt.answer), prompt.photo).backward,
+        lambda prompt: recover(PromptedFiReNet(network, prompt.answer), prompt.photo),
         lambda case: true_firenet_answer(case, network.config.input_px),
     )
 
@@ -131,7 +141,7 @@ def full_dewarpnet_published(weights: Path | None) -> Method:
         DEWARPNET_PUBLISHED,
         network,
         lambda prompt: map_as_published(answering(prompt), prompt.photo),
-        true_dewarpnet_answer,
+        true_squeezed_answer,
         lambda prompt: flatten_as_published(answering(prompt), prompt.photo),
     )
 

@@ -144,6 +144,23 @@ def test_every_photo_is_read_with_one_thread_of_linear_algebra_each(
     assert seen == {"before": {2}, "map": {1}, "resample": {1}, "after": {2}}
 
 
+def test_a_method_that_makes_the_print_itself_gives_it_at_the_films_size(cases: list[Case]) -> None:
+    case = cases[0].at(0.05)
+    network = FiReNet(FiReNetConfig(width=0.03, input_px=64)).eval()
+    answer, photo = true_firenet_answer(case, 64), case.photo()
+    method = Method("firenet", lambda photo: recover(PromptedFiReNet(network, answer), photo))
+    made, alone = flattened(method, photo, photo, (40, 48)), method.find_or_lose(photo)
+    assert made.film is not None
+    assert made.film.shape == (40, 48)
+    assert made.backward is not None
+    assert alone is not None
+    np.testing.assert_array_equal(alone.nodes, made.backward.nodes)
+    by_uv = recover(PromptedFiReNet(network, answer), photo, outline=False).backward
+    assert (
+        0 < end_point_error(by_uv, alone.lattice((9, 9))).mean() < 1.0
+    )  # the corners are carried outwards by uv alone
+
+
 def test_a_lost_film_has_no_score(cases: list[Case]) -> None:
     found = measure(Method("none", lambda photo: None), cases[0], 0.002, repeats=1, warm=True)
     assert (found.found, found.score, found.message) == (False, None, "no film")

@@ -14,7 +14,9 @@ from safetensors.torch import load_file
 
 from data_gen.generate import GenerateConfig, generate
 from data_gen.sample import SampleConfig
-from hybrid.backward import BackwardMap, Orientation
+from data_gen.scene import SceneConfig
+from data_gen.viewpoint import ViewConfig
+from hybrid.backward import BackwardMap, Orientation, orientation
 from hybrid.coords import film_centres, film_nodes, pixel_centres, rescale_points
 from hybrid.errors import ConfigError, DataError
 from hybrid.learn import behind
@@ -38,7 +40,7 @@ from hybrid.learn.network import STRIDE, FilmNet, FilmNetConfig, FilmNetOutput
 from hybrid.learn.paper_data import PaperView, paper_batch
 from hybrid.learn.predict import as_in_view, look, look_from_sides
 from hybrid.learn.presets import PRESETS, weighted_sum
-from hybrid.learn.samples import film_of, open_places, photo_of
+from hybrid.learn.samples import film_of, open_places, photo_of, truth_at
 from hybrid.learn.train import TrainConfig, train
 from hybrid.learn.upright import UprightNet, UprightNetConfig
 from hybrid.learn.views import film_from_view, film_view, output_points, square_view, view_image
@@ -353,6 +355,18 @@ def test_windows_for_the_papers_networks_agree_with_their_own_backward_map(datas
         assert np.median(np.linalg.norm(film.photo_from_film(uv) - at, axis=-1)) < 0.002
         lengths = targets.normal[k].norm(dim=0).numpy()[mask]
         assert np.quantile(np.abs(lengths - 1), 0.9) < 0.01
+
+
+@pytest.mark.parametrize("behind", [False, True])
+def test_normals_point_to_the_side_that_is_seen(behind, tmp_path):
+    """A network sees a film from behind as any other sheet, and cannot know that its normal lies on the other side."""
+    view = ViewConfig(behind_share=float(behind))
+    sample = SampleConfig(photos_per_film=2, scene=SceneConfig(view=view))
+    generate(GenerateConfig(count=2, out=tmp_path, seed=3, size=64, map_size=32, workers=0, sample=sample))
+    for place in open_places([tmp_path]):
+        assert orientation(film_of(place)).mirrored == behind
+        seen = truth_at(place, pixel_centres((64, 64)), (64, 64))
+        assert np.median(seen.normal[seen.mask][:, 2]) < -0.5  # towards the camera, which looks along z
 
 
 # ---------------------------------------------------------------- looking

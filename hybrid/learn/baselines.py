@@ -23,19 +23,22 @@ from hybrid.learn.dewarpnet import NODES, DewarpNet
 from hybrid.learn.firenet import FiReNet
 from hybrid.learn.tensors import first_map, image_batch
 from hybrid.learn.uv_recovery import interpolated, joined, points_of_deformation, points_of_uv
+from hybrid.learn.views import view_image, whole_view
 
 # ---------------------------------------------------------------- DewarpNet
 
 
-def dewarpnet_map(network: DewarpNet, photo: UInt8[np.ndarray, "H W 3"], interpolation: int) -> BackwardMap:
-    """The network's backward map in units of the photo's sides; ``interpolation`` (OpenCV's) shrinks the photo."""
-    output = _forward(network, network.config.input_px, photo, interpolation)
-    return BackwardMap(first_map(output.backward))
+def dewarpnet_map(network: DewarpNet, photo: UInt8[np.ndarray, "H W 3"]) -> BackwardMap:
+    """The network's map of a photo squeezed into its square input, as released, in units of the photo's sides."""
+    px = network.config.input_px
+    return BackwardMap(first_map(_answer(network, cv2.resize(photo, (px, px))).backward))
 
 
 def corrected(network: DewarpNet, photo: UInt8[np.ndarray, "H W 3"]) -> BackwardMap:
-    """DewarpNet given its due: the photo shrunk without aliasing, its nodes read as nodes (convention 5), in pixels."""
-    return in_pixels(dewarpnet_map(network, photo, cv2.INTER_AREA), (photo.shape[0], photo.shape[1]))
+    """DewarpNet given its due, in pixels: the photo shown as in training, its nodes read as nodes (convention 5)."""
+    view = whole_view((photo.shape[0], photo.shape[1]))
+    output = _answer(network, view_image(photo, view, network.config.input_px))
+    return _in_photo(BackwardMap(first_map(output.backward)), view)
 
 
 def published_points(backward: BackwardMap, size: tuple[int, int]) -> Float[np.ndarray, "h w 2"]:
@@ -77,46 +80,55 @@ def published_map(backward: BackwardMap, size: tuple[int, int]) -> BackwardMap:
 
 @dataclass(frozen=True, eq=False)
 class Recovery:
-    """What FiReNet makes of a photo.
+    """What FiReNet makes of a photo, which it is shown as in training: the smallest square around it.
 
-    backward: in pixels of the photo, on as many nodes as the network's maps have pixels. albedo: the print as the
-    photo shows it, display grey, the photo squeezed into the network's square. photo_size: (height, width).
+    seen: its map in units of the square's sides, on as many nodes as the network's maps have pixels. albedo: the print
+    as the square shows it, display grey. view: the square, in pixels of the photo.
     """
 
-    backward: BackwardMap
+    seen: BackwardMap
     albedo: Float[np.ndarray, "n n"]
-    photo_size: tuple[int, int]
+    view: BackwardMap
+
+    @property
+    def backward(self) -> BackwardMap:
+        """The map in pixels of the photo."""
+        return _in_photo(self.seen, self.view)
 
     def film(self, size: tuple[int, int]) -> Float[np.ndarray, "h w"]:
         """The paper's final output D_ab: the albedo map unwarped, display grey, no finer than the network's maps."""
         n = self.albedo.shape[0]
-        return sample_bilinear(self.albedo, rescale_points(self.backward.dense(size), self.photo_size, (n, n)))
+        return sample_bilinear(self.albedo, rescale_points(self.seen.dense(size), (1, 1), (n, n)))
 
 
-def recover(network: FiReNet, photo: UInt8[np.ndarray, "H W 3"]) -> Recovery:
-    """FiReNet with its recovery.
+def recover(network: FiReNet, photo: UInt8[np.ndarray, "H W 3"], outline: bool = True) -> Recovery:
+    """FiReNet with its recovery. outline: by the points of its deformation map, too, if it has one.
 
     Raises:
         PhotoError: the network finds no film.
     """
-    px = network.config.input_px
-    output = _forward(network, px, photo, cv2.INTER_AREA)
+    px, view = network.config.input_px, whole_view((photo.shape[0], photo.shape[1]))
+    output = _answer(network, view_image(photo, view, px))
     points = points_of_uv(first_map(output.uv), torch.sigmoid(output.mask_logit)[0].numpy())
-    if output.deformation is not None:
+    if outline and output.deformation is not None:
         points = joined(points, points_of_deformation(first_map(output.deformation)))
-    size = (photo.shape[0], photo.shape[1])
-    return Recovery(in_pixels(BackwardMap(interpolated(points, (px, px))), size), output.albedo[0].numpy(), size)
+    return Recovery(BackwardMap(interpolated(points, (px, px))), output.albedo[0].numpy(), view)
 
 
 # ---------------------------------------------------------------- common
 
 
 @torch.inference_mode()
-def _forward(network: torch.nn.Module, px: int, photo: np.ndarray, interpolation: int) -> Any:
-    """The network's output for the whole photo, squeezed into its square input."""
-    small = image_batch([cv2.resize(photo, (px, px), interpolation=interpolation)])
+def _answer(network: torch.nn.Module, image: UInt8[np.ndarray, "px px 3"]) -> Any:
+    """The network's output for an image of its input's size."""
     network = network.eval().to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
-    return network(small.contiguous(memory_format=torch.channels_last))  # a tenth quicker on processors, as FilmNet's
+    batch = image_batch([image])
+    return network(batch.contiguous(memory_format=torch.channels_last))  # a tenth quicker on processors, as FilmNet's
+
+
+def _in_photo(backward: BackwardMap, view: BackwardMap) -> BackwardMap:
+    """A map in units of a view's sides, in pixels of the photo."""
+    return BackwardMap(view.photo_from_film(backward.nodes))
 
 
 def in_pixels(backward: BackwardMap, size: tuple[int, int]) -> BackwardMap:

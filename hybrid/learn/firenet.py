@@ -47,10 +47,10 @@ class FiReNetOutput:
     """Maps at the input's resolution; None for a map that the configuration leaves out.
 
     mask_logit: film where positive (the paper's background map). xyz: camera axes, relative to the film's centre, in
-    film diagonals. normal: of unit length in the truth, camera axes. depth: along the optical axis, relative to the
-    film's centre, in film diagonals. uv: film coordinates in [0, 1], v down. albedo: display grey in [0, 1].
-    deformation: on nodes of the *film*, not on the photo's pixels: entry [i, j] is the photo point of film node
-    (j / (w - 1), i / (h - 1)) less that node, in units of the photo's sides.
+    film diagonals. normal: of unit length in the truth, camera axes, towards the side that is seen. depth: along the
+    optical axis, relative to the film's centre, in film diagonals. uv: film coordinates in [0, 1], v down. albedo:
+    display grey in [0, 1]. deformation: on nodes of the *film*, not on the photo's pixels: entry [i, j] is the photo
+    point of film node (j / (w - 1), i / (h - 1)) less that node, in units of the photo's sides.
     """
 
     mask_logit: Float[Tensor, "b h w"]

@@ -35,7 +35,7 @@ class FilmNetOutput:
     in its cell each place lies, a full turn from cell to cell; across, then down the film as seen; the shorter the
     pair, the less sure. grid_logit: in a cell, not in a margin, where positive. covered_logit: of places on the sheet,
     something lies before it where positive. orientation: logits of the eight ways in which the film may lie. normal:
-    unit towards the side that reads right, in the axes of xyz, predicted while training only, else None.
+    unit towards the side that is seen, in the axes of xyz, predicted while training only, else None.
     """
 
     mask_logit: Float[Tensor, "b h w"]

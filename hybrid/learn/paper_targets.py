@@ -16,9 +16,10 @@ from hybrid.learn.tensors import Tensors
 class PaperTargets(Tensors):
     """Truth at a network's output resolution; 0 where the mask is False.
 
-    uv: film coordinates in [0, 1], v down. xyz: camera axes, relative to the film's centre, in film diagonals.
-    normal: unit vectors in camera axes. albedo: display grey of the print. backward: photo points on n x n nodes of
-    the film, in units of the photo's sides; true everywhere, also where the film leaves the photo or hides itself.
+    uv: film coordinates in [0, 1], v down. xyz: camera axes, relative to the film's centre, in film diagonals. normal:
+    unit vectors in camera axes, towards the side that is seen. albedo: display grey of the print. backward: photo
+    points on n x n nodes of the film, in units of the photo's sides; true everywhere, also where the film leaves the
+    photo or hides itself.
     """
 
     mask: Bool[Tensor, "b h w"]

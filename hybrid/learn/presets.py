@@ -60,7 +60,8 @@ class Preset:
     name, of output and targets. weights: of the terms; those left out count once. nodes: side of the true backward map
     for an input of so many pixels; 0 if it is not needed. inputs: what the network reads. own_feed: where its batches
     come from, if not the paper's. batch, learning_rate: as published. px_multiple: what the input's side is a multiple
-    of. one_size: whether the network takes inputs of its configuration's size only.
+    of. one_size: whether the network takes inputs of its configuration's size only. layout: of its weights in memory,
+    while it is trained.
     """
 
     config: FilmNetConfig | UprightNetConfig | SliceNetConfig | EdgeNetConfig | LightNetConfig | PaperConfig
@@ -74,6 +75,7 @@ class Preset:
     learning_rate: float = 1e-3
     px_multiple: int = 32
     one_size: bool = False
+    layout: torch.memory_format = torch.channels_last
 
     @property
     def feed(self) -> Feed:
@@ -116,6 +118,7 @@ _FIRENET = Preset(
     paper_losses.firenet_losses,
     nodes=node_per_pixel,
     px_multiple=64,
+    layout=torch.contiguous_format,  # twice as fast: group normalisation is slow with the channels last
 )
 _DEWARPNET = Preset(
     DewarpNetConfig(layers="read"),

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
-from hybrid.backward import BackwardMap
+from hybrid.backward import BackwardMap, orientation
 from hybrid.coords import inside_outline, opencv_from_photo, rescale_points
 from hybrid.errors import DataError, describe
 from hybrid.learn.coding import ALBEDO_LEVELS, UV_LEVELS, decode_normal, xyz_from_stored
@@ -28,11 +28,11 @@ CHANNELS = {"uv": 2, "xyz": 3, "albedo": 1}
 class Truth:
     """The maps of a sample at some photo points; 0 where the mask is False.
 
-    uv: film coordinates. xyz: camera axes, relative to the film's centre, in film diagonals. normal: unit, camera axes.
-    albedo: display grey of the print. covered: something lies before the film; not where the mask is True. A map that
-    the sample lacks is 0 everywhere; has_shape: whether it has xyz and normal, and with them what covers the film;
-    has_print: whether it has albedo. vertices: film coordinates of the corners of the cells; None where these are not
-    known.
+    uv: film coordinates. xyz: camera axes, relative to the film's centre, in film diagonals. normal: unit, camera axes,
+    towards the side that is seen. albedo: display grey of the print. covered: something lies before the film; not where
+    the mask is True. A map that the sample lacks is 0 everywhere; has_shape: whether it has xyz and normal, and with
+    them what covers the film; has_print: whether it has albedo. vertices: film coordinates of the corners of the cells;
+    None where these are not known.
     """
 
     mask: Bool[np.ndarray, "h w"]
@@ -149,7 +149,7 @@ def truth_at(place: Place, points: Float[np.ndarray, "h w 2"], photo_size: tuple
         uv / np.float32(UV_LEVELS),
         _relative(xyz, seen, record) if has_shape else nothing,
         albedo[..., 0] / np.float32(ALBEDO_LEVELS),
-        _nearest_normal(place, at, seen) if has_shape else nothing,
+        _nearest_normal(place, at, seen) * _side_seen(place) if has_shape else nothing,
         _covered(place, at, photo_size, _round_corners(record)) & ~seen,
         has_shape,
         has_print="albedo" in maps,
@@ -174,6 +174,11 @@ def _nearest_normal(place: Place, at: np.ndarray, seen: np.ndarray) -> np.ndarra
     beside = seen & ~mask[y, x]
     x[beside], y[beside] = _nearest_film(mask, at[beside])
     return np.where(seen[..., None], decode_normal(stored[y, x], seen), np.float32(0))
+
+
+def _side_seen(place: Place) -> np.float32:
+    """What a normal towards the side that reads right is multiplied by, to point to the side that the photo shows."""
+    return np.float32(-1 if orientation(film_of(place)).mirrored else 1)
 
 
 def _nearest_film(mask: np.ndarray, at: Float[np.ndarray, "n 2"]) -> Int[np.ndarray, "2 n"]:

@@ -324,7 +324,7 @@ class _State:
         self.path = config.out / "checkpoint.pt"
         if config.start and not self.path.exists():
             _load_start(self.network, config.start)
-        self.network.to(config.device, memory_format=torch.channels_last)  # type: ignore[call-overload]
+        self.network.to(config.device, memory_format=plan.preset.layout)  # type: ignore[call-overload]
         self.averaged = copy.deepcopy(self.network).eval().requires_grad_(False)
         self.optimiser = torch.optim.AdamW(
             self.network.parameters(), lr=plan.learning_rate, weight_decay=config.weight_decay, fused=True
