@@ -20,7 +20,7 @@ from pydicom.dataset import Dataset, FileMetaDataset
 from pydicom.uid import ExplicitVRLittleEndian, SecondaryCaptureImageStorage
 
 from hybrid import __version__
-from hybrid.image_io import levels_16
+from hybrid.image_io import jpeg_extent, levels_16
 from hybrid.records import RectifyResult
 
 JPEG, JPEG_2000, HEVC, WEBP, AV1 = "ISO_10918_1", "ISO_15444_1", "ISO_23008_2", "RFC_9649", "AOM_AV1"
@@ -49,7 +49,8 @@ class PhotoFile:
     def of(path: Path, digest: str, height: int, width: int) -> PhotoFile:
         """Of an RGB photo of that size."""
         data = path.read_bytes()
-        return PhotoFile(digest, 3 * height * width / len(data), lossy_method(data))
+        colours, length = jpeg_extent(data) or (3, len(data))
+        return PhotoFile(digest, colours * height * width / length, lossy_method(data))
 
 
 def lossy_method(data: bytes) -> str | None:

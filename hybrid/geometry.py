@@ -19,7 +19,7 @@ from hybrid.rectify.border_paths import borders_shown
 from hybrid.rectify.cell_phases import CellPhases
 from hybrid.rectify.clear_margins import with_margins
 from hybrid.rectify.edge_paths import EdgesRead, look_across, put_on_edges, read_edges
-from hybrid.rectify.flat import already_flat
+from hybrid.rectify.flat import already_flat, is_frame
 from hybrid.rectify.foreshortening import even
 from hybrid.rectify.invert import Inversion
 from hybrid.rectify.plane import flat_film
@@ -215,15 +215,20 @@ def flat_itself(
     seen: LastLook,
     phases: CellPhases | None,
     refined: Refinement | None,
+    told: BackwardMap | None,
     config: RectifyConfig,
     clock: Clock,
 ) -> Refinement | None:
     """The photo's frame as the film's map, if the photo is a scan or a film that was flattened before.
 
-    refined: what became of the network's map; None where that is no film's.
+    refined: what became of the network's map; None where that is no film's. told: the plane sheet with the corners that
+    a person gave; the photo is the film only if these are its own.
     """
     coarse = seen.inversion.backward if isinstance(seen.inversion, Inversion) else None
     with clock.stage("flat") as report:
+        if told is not None and not is_frame(told, pyramid.size):
+            report.ran, report.reason = False, "the corners that are given are not the photo's"
+            return None
         exactly = partial(_exactly, pyramid, phases, None, config)
         flat, report.reason = already_flat(pyramid, coarse, seen.filled, refined, exactly)
         if flat is not None and refined is None:  # of what is no film the print was not looked at

@@ -34,7 +34,10 @@ BITS, COMPRESSION, PLANES = 258, 259, 284
 
 READABLE = "JPEG, PNG, TIFF, WebP or HEIC"
 SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp", ".heic", ".heif", ".avif", ".bmp", ".jp2")
-_JPEG_START = b"\xff\xd8\xff"
+_JPEG_START, _JPEG_END = b"\xff\xd8\xff", b"\xff\xd9"
+_NOTHING_WRITTEN = 64
+"""Zeros at the end of a JPEG from which on they stand for what was never written; pixels seldom make more than four."""
+_DAMAGED = "The picture is damaged or cut off"
 _JPEG_QUALITY = 95
 _PNG_LEVEL = 3  # drawings shrink to a third of what OpenCV's own options leave; of the film's noise hardly more goes
 _TAKE_AGAIN = f"Export the photo again as {READABLE}, or copy it from the phone once more."
@@ -79,7 +82,11 @@ def read_photo(path: str | os.PathLike[str]) -> UInt8[np.ndarray, "h w 3"]:
     if header is None:
         return _decode_with_pillow(path)
     _check_size(header.height, header.width, path)
-    if header.components not in (1, 3) or data.find(b"\xff\xd9", header.scan_start) < 0:
+    unended = data.find(_JPEG_END, header.scan_start) < 0
+    if unended and data.endswith(bytes(_NOTHING_WRITTEN)):  # zeros are pixels to a decoder, if they lie in a scan
+        got = "zeros where the picture should end"
+        raise PhotoError(describe(what=_DAMAGED, where=path, got=got, do=_TAKE_AGAIN))
+    if header.components not in (1, 3) or unended:
         return _decode_with_pillow(path)  # CMYK; or no end marker: Pillow tells a cut file from an untidy one
     # OpenCV reads a JPEG twice as fast as Pillow, and turns it upright as well.
     photo = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_COLOR_RGB)
@@ -96,6 +103,18 @@ def pictures_in(path: str | os.PathLike[str]) -> int:
                 return getattr(image, "n_frames", 1)
         except Exception:  # the photo itself was read: what Pillow cannot tell of the others hinders nothing
             return 1
+
+
+def jpeg_extent(data: bytes) -> tuple[int, int] | None:
+    """Number of colours of a JPEG, and of its bytes up to its end; None for other files.
+
+    What phones hang on behind that, as films and maps of brightness, are pictures of their own.
+    """
+    header = _jpeg_header(data)
+    if header is None:
+        return None
+    end = data.find(_JPEG_END, header.scan_start)
+    return header.components, len(data) if end < 0 else end + len(_JPEG_END)
 
 
 def _read_if_jpeg(path: Path) -> bytes:
@@ -189,8 +208,7 @@ def _decode_with_pillow(path: Path) -> UInt8[np.ndarray, "h w 3"]:
     except (PhotoError, MemoryError):
         raise
     except Exception as error:  # a damaged file makes Pillow's many readers raise nearly anything
-        what = "The picture is damaged or cut off"
-        raise PhotoError(describe(what=what, where=path, got=f"'{error}'", do=_TAKE_AGAIN)) from error
+        raise PhotoError(describe(what=_DAMAGED, where=path, got=f"'{error}'", do=_TAKE_AGAIN)) from error
 
 
 def _rgb_from_pillow(picture: Image.Image, path: Path) -> UInt8[np.ndarray, "h w 3"]:
@@ -199,8 +217,10 @@ def _rgb_from_pillow(picture: Image.Image, path: Path) -> UInt8[np.ndarray, "h w
     except Exception:  # damaged EXIF, of which Pillow raises nearly anything, tells nothing of the picture
         image = picture
     if image.mode.startswith("I;16"):
-        grey = np.rint(np.asarray(image, dtype=np.float32) / 257).astype(np.uint8)
-        if getattr(picture, "tag_v2", {}).get(PHOTOMETRIC) == WHITE_IS_ZERO:  # Pillow turns over 8 bits, not 16
+        tags = getattr(picture, "tag_v2", {})
+        most = 2 ** tags.get(BITS, (16,))[0] - 1  # 12 bits are read as they are, too
+        grey = np.rint(np.asarray(image, dtype=np.float32) * np.float32(255 / most)).astype(np.uint8)
+        if tags.get(PHOTOMETRIC) == WHITE_IS_ZERO:  # Pillow turns over 8 bits, not 16
             grey = 255 - grey
         return np.repeat(grey[:, :, None], 3, axis=2)
     if image.mode in ("I", "F"):
@@ -314,7 +334,7 @@ def write_grey(path: str | os.PathLike[str], shares: Float[np.ndarray, "h w"]) -
 def write_bytes(path: str | os.PathLike[str], data: bytes) -> None:
     """Write a file whole or not at all: a file of that name stays as it was until the new one is complete."""
     path = Path(path)
-    unfinished = path.with_name(f".{path.name}.{uuid.uuid4().hex[:12]}.part")
+    unfinished = path.with_name(f".{uuid.uuid4().hex[:12]}.part")  # no longer than any name that may be asked for
     try:
         unfinished.write_bytes(data)
         os.replace(unfinished, path)
@@ -334,6 +354,7 @@ __all__ = [
     "MAX_PIXELS",
     "MIN_SIDE",
     "as_photo",
+    "jpeg_extent",
     "levels_16",
     "pictures_in",
     "read_photo",

@@ -110,9 +110,7 @@ def _rectified(
         result = rectify(photo)
         result = replace(result, stages=(read, *result.stages))
         files = write_result(out, [path], photo, result, rectified_format, made=made, dicom=dicom)
-        status, warnings = result.status, tuple(warnings_of(result))
-        if (pictures := pictures_in(path)) > 1:
-            warnings = (*warnings, f"It is the first of {pictures} pictures in its file.")
+        status, warnings = result.status, (*warnings_of(result), *further_pictures([path]))
         outcome = Outcome(path, status.has_film, str(status), files, warnings, status.has_film and not status.ok)
         return outcome, "\n".join(report_lines(path, result, files, warnings, verbose))
     except (HybridError, OSError, MemoryError) as error:
@@ -170,6 +168,17 @@ def warnings_of(result: RectifyResult) -> list[str]:
         if lost is not None and lost.mean() > TELL_LOST:
             told.append(f"{lost.mean():.0%} of it is {what}: black in the picture of its confidence.")
     return told
+
+
+def further_pictures(paths: Sequence[Path]) -> list[str]:
+    """Of which photos the files hold more pictures, which were not read."""
+    counts = {path: pictures_in(path) for path in paths}
+    subject = "It" if len(paths) == 1 else "{}"
+    return [
+        f"{subject.format(path.name)} is the first of {count} pictures in its file."
+        for path, count in counts.items()
+        if count > 1
+    ]
 
 
 def status_word(result: RectifyResult) -> str:

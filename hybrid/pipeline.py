@@ -92,8 +92,8 @@ class Rectifier:
 
         names: of the photos, for messages; else they are numbered.
 
-        film, glare and confidence are made of all photos in which a film is found; the others are left out, which the
-        last stage says. The rest is of the first of them (``result.photo``), its map moved to where all whose map is
+        film, glare and confidence are made of all photos in which a film is found, as large as the largest of their
+        films; the others are left out, which the last stage says. The rest is of the first of them (``result.photo``), its map moved to where all whose map is
         sure say that the print lies (all, if none is): status and expected error are theirs. The first photo's result
         where no film is found in any.
 
@@ -189,11 +189,11 @@ class Rectifier:
         if not shown.ok:
             return RectifyResult(Status(shown.code), clock.reports)
         pyramid, readers, config = Pyramid(photo), self._readers, self.config
-        if corners is None:
+        told = None if corners is None else film_at(corners, (photo.shape[0], photo.shape[1]))
+        if told is None:
             seen = see(readers.network, pyramid, config, clock)
             seen, checks = checked(readers.network, pyramid, seen, config, clock)
         else:
-            told = film_at(corners, (photo.shape[0], photo.shape[1]))
             seen = see_at(readers.network, pyramid, told, config, clock)
             checks = Verdict(StatusCode.OK, "its corners are given")
         phases = readers.phases_of(seen.maps, config)
@@ -204,7 +204,7 @@ class Rectifier:
             if corners is None:
                 beside = partial(network_beside, readers.network, seen, config)
                 refinement = whole_sheet(pyramid, phases, refinement, readers.edges, beside, config, clock)
-        flat = flat_itself(pyramid, seen, phases, refinement, config, clock)
+        flat = flat_itself(pyramid, seen, phases, refinement, told, config, clock)
         if (refinement := flat or refinement) is None:
             return RectifyResult(Status(checks.code), clock.reports)
         first = judged(readers, pyramid, seen, refinement, flat is not None, config, clock)

@@ -3,6 +3,7 @@
 from dataclasses import replace
 from itertools import permutations
 
+import cv2
 import numpy as np
 import pytest
 from film_photos import Shot, film_print, photographed, table
@@ -86,6 +87,22 @@ def test_a_film_is_flattened_from_rough_corners(rectifier: Rectifier):
     assert it.error_px(result.backward) < 1.0
     again = rectifier(it.photo, rough[[2, 0, 3, 1]])
     np.testing.assert_array_equal(again.backward.nodes, result.backward.nodes)
+
+
+def test_corners_inside_a_border_as_dark_as_the_film_are_heard(rectifier: Rectifier):
+    """Cells are as alike in the whole picture as in its inside: they cannot tell which of the two is the film."""
+    image = cv2.resize(film_print(19).image, (900, 750), interpolation=cv2.INTER_AREA)
+    grey = np.clip(np.rint(255 * (image - np.median(image))), 0, 255).astype(np.uint8)
+    (h, w), border = grey.shape, 40
+    photo = np.repeat(np.pad(grey, border)[..., None], 3, axis=2)
+    told = border + np.array([[0.0, 0.0], [w, 0.0], [w, h], [0.0, h]])
+    result = rectifier(photo, told)
+    outline = result.backward.turned(result.orientation.inverse)
+    found = outline.photo_from_film(np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]))
+    assert np.linalg.norm(found - told, axis=1).max() < 0.01 * np.hypot(h, w)
+    whole = np.array([[1.0, 2.0], [w + 78.0, 1.0], [w + 79.0, h + 78.0], [2.0, h + 79.0]])
+    (reason,) = (stage.reason for stage in rectifier(photo, whole).stages if stage.name == "flat")
+    assert "not the photo's" not in reason
 
 
 def test_a_negative_with_given_corners_is_doubtful(rectifier: Rectifier):

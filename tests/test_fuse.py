@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 import pytest
 from light_reader import READER, without_light
+from PIL import Image
 from synthetic_film import FilmDrawing, draw_print
 
 from hybrid.backward import BackwardMap, Orientation
@@ -209,6 +210,21 @@ def test_the_picture_of_a_fused_film_is_what_its_map_reads():
     np.testing.assert_array_equal(result.rectified, rectify_photo(shown[0][0], result.backward, SIZE).image)
 
 
+@pytest.mark.parametrize("larger", [0, 1])
+def test_the_fused_film_is_as_large_as_the_largest(larger: int):
+    shown = [seen(spot, k) for k, spot in enumerate(SPOTS[:2])]
+    photo, one = shown[larger]
+    film, rectified, confidence = (
+        cv2.resize(picture, None, fx=2, fy=2) for picture in (one.film, one.rectified, one.confidence)
+    )
+    glare = np.repeat(np.repeat(one.glare, 2, axis=0), 2, axis=1)
+    shown[larger] = photo, replace(one, film=film, rectified=rectified, confidence=confidence, glare=glare)
+    it = fused(*shown)
+    for picture in (it.film, it.glare, it.confidence, it.covered, it.rectified[..., 0]):
+        assert picture.shape == (2 * SIZE[0], 2 * SIZE[1])
+    assert psnr(it.film, it.backward) > 25
+
+
 @pytest.mark.parametrize("width", [1016, 1018, 1019])
 def test_a_wide_blur_of_any_size_stays_in_place(width: int):
     """It is made at a quarter of the size, of which not every width has a whole number of pixels."""
@@ -348,3 +364,11 @@ def test_the_command_writes_one_film(tmp_path: Path):
     assert (tmp_path / "film_fused_film.png").exists()
     stages = json.loads((tmp_path / "film_fused.json").read_text())["stages"]
     assert stages[-1]["name"] == "fuse"
+
+
+def test_the_command_tells_of_pages_that_are_not_read(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    example, pages = "hybrid/examples/film.jpg", tmp_path / "pages.tif"
+    with Image.open(example) as photo:
+        photo.save(pages, save_all=True, append_images=[photo.copy()])
+    assert main(["fuse", example, str(pages), "-o", str(tmp_path)]) == 0
+    assert "pages.tif is the first of 2 pictures in its file." in capsys.readouterr().out

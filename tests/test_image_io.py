@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 
 from hybrid.errors import PhotoError
-from hybrid.image_io import MAX_PIXELS, as_photo, read_photo, write_bytes, write_film, write_rgb
+from hybrid.image_io import MAX_PIXELS, as_photo, jpeg_extent, read_photo, write_bytes, write_film, write_rgb
 
 LOSSLESS = 0.0
 JPEG_GREY_LEVELS = 2.0  # mean error of a smooth picture at quality 95, and of another decoder's rounding
@@ -130,14 +130,31 @@ def test_a_tiff_of_densities_is_no_negative(tmp_path: Path, bits: int) -> None:
     assert np.array_equal(read_photo(tmp_path / "b.tif")[..., 0], 255 - grey)
 
 
+def test_12_bits_of_grey_are_scaled(tmp_path: Path) -> None:
+    """As digitisers write them, two levels in three bytes, which Pillow reads as they are."""
+    grey = np.add.outer(3 * np.arange(40), 2 * np.arange(30)).astype(np.uint16)
+    levels = np.rint(grey * (4095 / 255)).astype(np.uint32).reshape(-1, 2)
+    pairs = levels[:, 0] << 12 | levels[:, 1]
+    packed = np.stack([pairs >> 16, pairs >> 8, pairs], axis=-1).astype(np.uint8).tobytes()
+    write_strip(tmp_path / "a.tif", packed, grey.shape, 12, photometric=1)
+    assert np.array_equal(read_photo(tmp_path / "a.tif")[..., 0], grey)
+    write_strip(tmp_path / "b.tif", packed, grey.shape, 12, photometric=0)  # white is zero: Pillow does not read these
+    with pytest.raises(PhotoError, match=r"b\.tif"):
+        read_photo(tmp_path / "b.tif")
+
+
 def write_tiff(path: Path, grey: np.ndarray, photometric: int) -> None:
+    write_strip(path, grey.tobytes(), grey.shape, 8 * grey.itemsize, photometric)
+
+
+def write_strip(path: Path, strip: bytes, size: tuple[int, ...], bits: int, photometric: int) -> None:
     """A little-endian TIFF of one uncompressed strip."""
-    height, width = grey.shape
-    tags = {256: width, 257: height, 258: 8 * grey.itemsize, 259: 1, 262: photometric, 273: 8}
-    tags |= {277: 1, 278: height, 279: grey.nbytes}
+    height, width = size
+    tags = {256: width, 257: height, 258: bits, 259: 1, 262: photometric, 273: 8}
+    tags |= {277: 1, 278: height, 279: len(strip)}
     entries = b"".join(struct.pack("<HHII", tag, 4, 1, value) for tag, value in tags.items())
-    head = struct.pack("<2sHI", b"II", 42, 8 + grey.nbytes)
-    path.write_bytes(head + grey.tobytes() + struct.pack("<H", len(tags)) + entries + struct.pack("<I", 0))
+    head = struct.pack("<2sHI", b"II", 42, 8 + len(strip))
+    path.write_bytes(head + strip + struct.pack("<H", len(tags)) + entries + struct.pack("<I", 0))
 
 
 def planar_tiff(picture: np.ndarray) -> bytes:
@@ -271,6 +288,29 @@ def test_truncated_file(tmp_path: Path, name: str, share: float) -> None:
         read_photo(tmp_path / name)
 
 
+@pytest.mark.parametrize("quality", [75, 98])
+@pytest.mark.parametrize("share", [0.9, 0.8, 0.5])
+def test_a_jpeg_whose_end_was_never_written_is_refused(tmp_path: Path, share: float, quality: int) -> None:
+    """As a copy leaves it that was cut off in a file of full length: a decoder takes zeros for pixels."""
+    smooth = np.add.outer(np.arange(300), np.arange(400))[..., None] * np.array([0.2, 0.3, 0.35])
+    noise = np.random.default_rng(1).normal(0, 6, (300, 400, 3))
+    Image.fromarray(np.clip(smooth + noise, 0, 255).astype(np.uint8)).save(tmp_path / "a.jpg", quality=quality)
+    data = (tmp_path / "a.jpg").read_bytes()
+    kept = int(share * len(data))
+    (tmp_path / "a.jpg").write_bytes(data[:kept] + bytes(len(data) - kept))
+    with pytest.raises(PhotoError, match=r"damaged or cut off.*once more"):
+        read_photo(tmp_path / "a.jpg")
+
+
+def test_the_extent_of_a_jpeg_is_that_of_its_own_picture(tmp_path: Path, picture: np.ndarray) -> None:
+    for mode, colours in (("L", 1), ("RGB", 3)):
+        Image.fromarray(picture).convert(mode).save(tmp_path / "a.jpg")
+        data = (tmp_path / "a.jpg").read_bytes()
+        assert jpeg_extent(data) == (colours, len(data))
+        assert jpeg_extent(data + b"a film that a phone hangs on \xff\xd9") == (colours, len(data))
+    assert jpeg_extent(b"\x89PNG") is None
+
+
 def test_one_pixel(tmp_path: Path) -> None:
     Image.new("RGB", (1, 1)).save(tmp_path / "a.png")
     Image.new("RGB", (1, 1)).save(tmp_path / "a.jpg")
@@ -387,6 +427,12 @@ def test_arrays_with_gaps_are_packed_and_left_as_they_are():
     assert photo.flags.c_contiguous
     np.testing.assert_array_equal(photo, before[..., :3])
     np.testing.assert_array_equal(source, before)
+
+
+def test_the_longest_name_that_may_be_given_can_be_written(tmp_path: Path) -> None:
+    path = tmp_path / ("\u0444" * 125 + ".json")  # 255 bytes
+    write_bytes(path, b"all")
+    assert path.read_bytes() == b"all"
 
 
 def test_a_file_stays_as_it_was_until_the_new_one_is_complete(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -88,6 +88,14 @@ def test_loss_is_told_by_what_a_file_holds_not_by_its_name(kind, options, method
     assert told.ratio == pytest.approx(3 * 64 * 64 / photo.stat().st_size)
 
 
+def test_the_ratio_of_a_grey_jpeg_and_of_one_with_something_behind_it_is_its_own(tmp_path: Path):
+    photo = tmp_path / "photo.jpg"
+    Image.fromarray(np.random.default_rng(0).integers(0, 255, (64, 64), np.uint8)).save(photo)
+    size = photo.stat().st_size
+    photo.write_bytes(photo.read_bytes() + bytes(3 * size))
+    assert PhotoFile.of(photo, "0" * 64, 64, 64).ratio == pytest.approx(64 * 64 / size)
+
+
 def brighter(result: RectifyResult) -> RectifyResult:
     return replace(result, film=np.clip(result.film + np.float32(0.1), 0, 1))
 

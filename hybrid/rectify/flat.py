@@ -36,6 +36,9 @@ AS_ALIKE, AS_ALIKE_UNMOVED = 0.95, 0.85
 from the network's and from the photo's frame: of a map that is hardly another one the last bits decide. The second,
 where what is refined from the frame stays there: of 23 flat films 20 do, of as many that are bent by 2 px none."""
 
+TOLD_ON_FRAME = 0.01
+"""Up to which distance from the frame, in parts of its diagonal, corners that a person gives mean the photo's own."""
+
 UNMOVED = 1e-4
 """Up to which distance from the frame, in parts of its diagonal, a map stays there."""
 
@@ -83,6 +86,11 @@ def already_flat(
     return replace(framed, backward=frame, grid=grid, expected_px=None, aspect=None), reason
 
 
+def is_frame(told: BackwardMap, size: tuple[int, int]) -> bool:
+    """Whether the plane sheet with corners that a person gave may be the whole photo of ``size`` (h, w)."""
+    return _off(told, frame_of(size)) <= TOLD_ON_FRAME
+
+
 def _has_edges_inside(refined: Refinement, frame: BackwardMap) -> bool:
     """Whether all edges of a sheet are seen, and not on the frame."""
     return refined.believed and refined.edges == len(SIDES) and _off(refined.backward, frame) > BESIDE_FRAME
@@ -106,4 +114,4 @@ def _off(backward: BackwardMap, frame: BackwardMap) -> float:
     return float(np.linalg.norm(off, axis=-1).max() / np.linalg.norm(frame.nodes[-1, -1]))
 
 
-__all__ = ["already_flat", "frame_of"]
+__all__ = ["already_flat", "frame_of", "is_frame"]

@@ -304,6 +304,13 @@ def _surest_grid(
     return replace(grid, vertices=vertices, vertices_photo=first.photo_from_film(vertices))
 
 
+def _largest_size(results: Sequence[RectifyResult]) -> tuple[int, int]:
+    """Height and width of the fused film: sides in the ratio of the first one's, the longer as long as any one's."""
+    height, width = _film_of(results[0]).shape
+    more = max(max(_film_of(one).shape) for one in results) / max(height, width)
+    return round(more * height), round(more * width)
+
+
 # ---------------------------------------------------------------- all together
 
 
@@ -316,7 +323,7 @@ def fuse(
     resample: ResampleConfig | None = None,
     names: Sequence[str] | None = None,
 ) -> RectifyResult:
-    """One result of several photos of one film, lying as in the first of those that show it.
+    """One result of several photos of one film, lying as in the first of those that show it, as large as the largest.
 
     results: of the photos; those without a film are left out, and if none has one the first's is returned. reader: of
     their light. names: of the photos, for messages.
@@ -335,7 +342,6 @@ def fuse(
         return results[0]
     at = showing[0]
     base = results[at]
-    size = (_film_of(base).shape[0], _film_of(base).shape[1])
     if base.backward is None:
         raise FusionError(describe(what="Photos that cannot be fused", got="one without a map", do="Leave it out."))
     used, maps, shifts, found_in = [photos[at]], [base.backward], [np.zeros((NODES, NODES, 2))], [base]
@@ -360,6 +366,7 @@ def fuse(
         grids.append(result.grid and result.grid.turned(found.way))
         ways.append(found.way)
         found_in.append(result)
+    size = _largest_size(found_in)
     counts = [one.status.ok for one in found_in] if any(one.status.ok for one in found_in) else [True] * len(used)
     asked = [one for one, counted in zip(found_in, counts, strict=True) if counted]
     shifts = to_common(shifts, counts)
