@@ -29,7 +29,7 @@ from benchmarks.methods import (
 )
 from hybrid.backward import BackwardMap
 from hybrid.coords import film_nodes, rescale_points
-from hybrid.learn.baselines import corrected, recover
+from hybrid.learn.baselines import Recovery, corrected, recover
 from hybrid.learn.dewarpnet import NODES, BackwardOutput, DewarpNet, DewarpNetConfig
 from hybrid.learn.firenet import FiReNet, FiReNetConfig, FiReNetOutput
 from hybrid.learn.tensors import map_batch
@@ -150,7 +150,7 @@ def _timed(
     name: str,
     label: str,
     network: DewarpNet | FiReNet,
-    find: Callable[[Prompt], BackwardMap | None],
+    find: Callable[[Prompt], BackwardMap | Recovery | None],
     answer: Callable[[Case], Any],
     flatten: Callable[[Prompt], Flattened] | None = None,
 ) -> Method:
