@@ -91,7 +91,7 @@ def random_look(rng: np.random.Generator, volume: CtVolume, config: PrintConfig)
         offset=(float(rng.normal(0, spread)), float(rng.normal(0, spread))),
         mirrored=bool(rng.random() < 0.08),
         upside_down=bool(rng.random() < 0.05),
-        round_field=bool(rng.random() < 0.2),
+        round_field=bool(rng.random() < 0.2 and volume.plane == "axial"),
         scout=bool(rng.random() < config.scout_share and len(volume.hu) > 3 and volume.plane == "axial"),
         interpolation=cv2.INTER_LINEAR if rng.random() < 0.6 else cv2.INTER_CUBIC,
     )

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -172,7 +173,7 @@ def make_dataset(config: OwnPhotosConfig) -> int:
         for number, (photo, truth) in enumerate(tqdm(paths, unit="photo")):
             yield packed(pair_members(read_pair(photo, truth, config.size)), number)
 
-    names = hashlib.sha256("\n".join(photo.name for photo, _ in paths).encode()).hexdigest()
+    names = hashlib.sha256(b"\n".join(os.fsencode(photo.name) for photo, _ in paths)).hexdigest()
     options = deciding(sources="own photos", size=config.size, pairs=names)
     with sole_writer(config.out):
         describe_dataset(config.out, options, len(paths))

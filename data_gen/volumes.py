@@ -80,23 +80,29 @@ class CtVolume:
         object.__setattr__(self, "label", self.label or self.name)
 
 
+_AXES: dict[Plane, tuple[int, int, int]] = {"axial": (0, 1, 2), "coronal": (1, 0, 2), "sagittal": (2, 0, 1)}
+"""Which axes of an axial volume (up, back, left) are the slices, rows and columns of each plane."""
+
+
 def reformatted(volume: CtVolume, plane: Plane) -> CtVolume:
     """An axial volume cut in another plane, the head at the top. Coronal: slice 0 anterior, column 0 the patient's
     right; sagittal: slice 0 the patient's right, column 0 anterior."""
     if plane == volume.plane:
         return volume
-    axes = {"coronal": (1, 0, 2), "sagittal": (2, 0, 1)}[plane]
+    axes = _AXES[plane]
     hu = np.ascontiguousarray(volume.hu.transpose(axes)[:, ::-1])
     down, across = volume.spacing_mm[axes[1]], volume.spacing_mm[axes[2]]
     return replace(volume, hu=hu, spacing_mm=(volume.spacing_mm[axes[0]], down, across), plane=plane)
 
 
 def tissue_width_mm(volume: CtVolume) -> float:
-    """Median over slices of the width in mm of what is denser than fat, tables and clothes mostly left out."""
-    rough = volume.hu[:: max(1, len(volume.hu) // 12), ::4, ::4]
-    tissue = (rough > -150).sum(axis=1) * 4 * volume.spacing_mm[1] >= THICKER_THAN_TABLES_MM
+    """Median over axial slices of the width in mm of what is denser than fat, tables and clothes mostly left out."""
+    (height, depth, width), steps = np.argsort(_AXES[volume.plane]), [1, 1, 1]
+    steps[height], steps[depth], steps[width] = max(1, volume.hu.shape[height] // 12), 4, 4
+    rough = volume.hu[tuple(slice(None, None, step) for step in steps)].transpose(height, depth, width)
+    tissue = (rough > -150).sum(axis=1) * 4 * volume.spacing_mm[depth] >= THICKER_THAN_TABLES_MM
     widths = [float(np.ptp(np.flatnonzero(row))) if row.any() else 0.0 for row in tissue]
-    return float(np.median(widths)) * 4 * volume.spacing_mm[2]
+    return float(np.median(widths)) * 4 * volume.spacing_mm[width]
 
 
 def is_body(volume: CtVolume) -> bool:

@@ -6,10 +6,8 @@ import asyncio
 import ctypes
 import multiprocessing
 import os
-import signal
 import socket
 import sys
-import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
@@ -30,6 +28,7 @@ from data_gen.sample import SampleConfig, film_samples
 from data_gen.shards import sample_bytes
 from data_gen.sources import SourceConfig, loaded
 from hybrid.errors import ConfigError, DataError, HybridError, describe, install_extra
+from hybrid.workers import deaf_to_interrupts, leave_with_parent
 
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
@@ -157,7 +156,7 @@ def _done_here(task: Callable[..., Any], *arguments: Any) -> Future[Any]:
 @contextmanager
 def _processes(count: int) -> Iterator[Workers]:
     others = set(multiprocessing.active_children())
-    executor = ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), initializer=_leave_with_parent)
+    executor = ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), initializer=leave_with_parent)
     try:
         with _starting_processes():
             for _ in range(count):  # a task that finds none idle starts one
@@ -176,36 +175,18 @@ def _processes(count: int) -> Iterator[Workers]:
 
 @contextmanager
 def _starting_processes() -> Iterator[None]:
-    """What processes inherit that are started within: one thread in each library, and no ear for Ctrl-C.
-
-    The parent hears it and ends them; else each of them would print a stack trace.
-    """
+    """What processes inherit that are started within: one thread in each library, and no ear for Ctrl-C."""
     before = {name: os.environ.get(name) for name in THREAD_VARIABLES}
     os.environ.update(dict.fromkeys(THREAD_VARIABLES, "1"))
-    main = threading.current_thread() is threading.main_thread()  # others may not set signal handlers
-    handler = signal.signal(signal.SIGINT, signal.SIG_IGN) if main else None
     try:
-        yield
+        with deaf_to_interrupts():
+            yield
     finally:
-        if main:
-            signal.signal(signal.SIGINT, handler)
         for name, value in before.items():
             if value is None:
                 del os.environ[name]
             else:
                 os.environ[name] = value
-
-
-def _leave_with_parent() -> None:
-    """End this process when its parent is gone, killed perhaps: else it would wait for tasks for ever."""
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-
-        def watch() -> None:
-            parent.join()
-            os._exit(1)
-
-        threading.Thread(target=watch, daemon=True).start()
 
 
 @contextmanager

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import inspect
 import math
+import os
 import re
 import sys
 from collections.abc import Callable, Mapping, Sequence
@@ -92,7 +93,7 @@ def photos_among(paths: Sequence[Path]) -> list[Path]:
 
     A folder without any stands for itself: it is told as a photo that cannot be read is.
     """
-    named = [photo for path in paths for photo in (_photos_in(path) if path.is_dir() else [path])]
+    named = [photo for path in paths for photo in (_photos_in(path) if os.path.isdir(path) else [path])]
     photos = [path for path in named if not is_result(path)]
     if len(photos) < len(named):
         print(f"{len(named) - len(photos)} of these files are left out: they are results of earlier runs")
@@ -101,8 +102,11 @@ def photos_among(paths: Sequence[Path]) -> list[Path]:
 
 def _photos_in(folder: Path) -> list[Path]:
     """The files of a folder, not of those within it, whose suffixes are those of photos, but hidden ones; the folder
-    itself if there are none."""
-    shown = [path for path in sorted(folder.iterdir()) if not path.name.startswith(".")]
+    itself if there are none, or if it may not be looked into."""
+    try:
+        shown = [path for path in sorted(folder.iterdir()) if not path.name.startswith(".")]
+    except OSError:
+        return [folder]
     within = [path.name for path in shown if path.is_dir() and not path.name.endswith(FOLDERS)]
     if within:
         print(f"{folder}: folders within it are left out: {', '.join(within)}")
@@ -121,9 +125,15 @@ def _differing(usual: Mapping[str, Any], given: Mapping[str, Any], before: str =
         if isinstance(value, Mapping):
             found |= _differing(usual[name], value, f"{before}{name}.")
         elif value != usual[name]:
-            plain = isinstance(value, (bool, int, str, tuple)) or (isinstance(value, float) and math.isfinite(value))
-            found[before + name] = value if plain else str(value)
+            found[before + name] = value if _is_plain(value) else str(value)
     return found
+
+
+def _is_plain(value: Any) -> bool:
+    """Whether JSON has a word for it, which it has not for infinity."""
+    if isinstance(value, tuple):
+        return all(map(_is_plain, value))
+    return isinstance(value, (bool, int, str)) or (isinstance(value, float) and math.isfinite(value))
 
 
 __all__ = ["PhotoOptions", "made_by", "parse", "photos_among"]

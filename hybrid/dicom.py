@@ -20,7 +20,7 @@ from pydicom.dataset import Dataset, FileMetaDataset
 from pydicom.uid import ExplicitVRLittleEndian, SecondaryCaptureImageStorage
 
 from hybrid import __version__
-from hybrid.image_io import jpeg_extent, levels_16
+from hybrid.image_io import jpeg_extent, levels_16, photo_size
 from hybrid.records import RectifyResult
 
 JPEG, JPEG_2000, HEVC, WEBP, AV1 = "ISO_10918_1", "ISO_15444_1", "ISO_23008_2", "RFC_9649", "AOM_AV1"
@@ -38,17 +38,20 @@ FILM, SLICES = 1, 2
 
 @dataclass(frozen=True)
 class PhotoFile:
-    """What is to be known of the photo's file. digest: SHA-256. ratio: of its pixels' bytes to its own; method: of its
-    compression, in DICOM's terms; None where it is not known to lose anything."""
+    """What is to be known of the files of a film's photos. digest: SHA-256 of the one that the map is of. method: how a
+    photo was compressed with loss, in DICOM's terms; None where none is known to be. ratio: of the bytes of its pixels
+    to those of its file."""
 
     digest: str
     ratio: float
     method: str | None
 
     @staticmethod
-    def of(path: Path, digest: str, height: int, width: int) -> PhotoFile:
-        """Of an RGB photo of that size."""
-        data = path.read_bytes()
+    def of(paths: Sequence[Path], digest: str) -> PhotoFile:
+        """Of one photo, or of several that were fused: of the first of them that was compressed with loss."""
+        files = [(path, path.read_bytes()) for path in paths]
+        path, data = next((one for one in files if lossy_method(one[1]) is not None), files[0])
+        height, width = photo_size(path)
         colours, length = jpeg_extent(data) or (3, len(data))
         return PhotoFile(digest, colours * height * width / length, lossy_method(data))
 

@@ -20,6 +20,9 @@ CORRECTIONS = 4
 """Splines that are added up, each of what the ones before leave: of ten by ten cells a corner that is moved by 30
 pixels lies 1.2 beside its place after one, a hundredth after three."""
 
+MOST_CELLS = 24
+"""Rows or columns of a grid that is named: of more than 30 the map's nodes are too far apart to follow each corner."""
+
 
 @dataclass(frozen=True)
 class Move:
@@ -58,8 +61,9 @@ class GridEdit:
                 do = "Name rows and columns: GridEdit.of(result, (4, 5))."
                 raise ConfigError(describe(what="Grid to edit", got="a film without one", do=do))
             return GridEdit(result, result.grid)
-        if len(cells) != 2 or not _whole(*cells) or not all(1 <= each <= 99 for each in cells):
-            raise ConfigError(describe(what="Slices", got=cells, allowed="rows and columns from 1 to 99", do="Count."))
+        if np.shape(cells) != (2,) or not _whole(*cells) or not all(1 <= each <= MOST_CELLS for each in cells):
+            allowed = f"rows and columns from 1 to {MOST_CELLS}"
+            raise ConfigError(describe(what="Slices", got=cells, allowed=allowed, do="Count."))
         rows, cols = cells
         vertices = film_nodes((rows + 1, cols + 1))
         grid = SliceGrid(rows, cols, vertices, result.backward.photo_from_film(vertices), confidence=0.0)

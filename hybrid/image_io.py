@@ -105,6 +105,13 @@ def pictures_in(path: str | os.PathLike[str]) -> int:
             return 1
 
 
+def photo_size(path: str | os.PathLike[str]) -> tuple[int, int]:
+    """Height and width of the picture in a file that was read before, as it is stored."""
+    _hear_of_heif()
+    with _pillow_limits(), Image.open(path) as image:
+        return image.height, image.width
+
+
 def jpeg_extent(data: bytes) -> tuple[int, int] | None:
     """Number of colours of a JPEG, and of its bytes up to its end; None for other files.
 
@@ -186,10 +193,15 @@ def _pillow_limits() -> Iterator[None]:
             Image.MAX_IMAGE_PIXELS = before
 
 
-def _decode_with_pillow(path: Path) -> UInt8[np.ndarray, "h w 3"]:
-    import pillow_heif  # registers itself when a file needs it: nothing runs at import
+def _hear_of_heif() -> None:
+    """Have Pillow read HEIC; called when a file may need it, so that nothing runs at import."""
+    import pillow_heif
 
     pillow_heif.register_heif_opener()
+
+
+def _decode_with_pillow(path: Path) -> UInt8[np.ndarray, "h w 3"]:
+    _hear_of_heif()
     try:
         # Opened by name, Pillow maps uncompressed TIFFs into memory, and reads them askew where they lie on their side.
         with _pillow_limits(), path.open("rb") as file, Image.open(file) as image:
@@ -356,6 +368,7 @@ __all__ = [
     "as_photo",
     "jpeg_extent",
     "levels_16",
+    "photo_size",
     "pictures_in",
     "read_photo",
     "write_bytes",

@@ -341,7 +341,7 @@ def write_result(
         write_rgb(files[-1], side_by_side([annotated(photo, result), rgb_from_film(result.film)]))
         if dicom:
             digest = [about["photo_sha256"], *about.get("further_photos_sha256", [])][result.photo]
-            files += _write_dicom(out / f"{name}{DICOM_SUFFIX}", paths[result.photo], digest, photo.shape, result)
+            files += _write_dicom(out / f"{name}{DICOM_SUFFIX}", paths, digest, result)
     of = {"map_of": paths[result.photo].name} if len(paths) > 1 else {}
     record = {"hybrid_version": __version__, **(made or {}), **about, **of, **result_record(photo.shape[:2], result)}
     record["files"] = [file.relative_to(out).as_posix() for file in files]
@@ -403,13 +403,13 @@ def write_slices(folder: Path, result: RectifyResult) -> list[Path]:
     return files
 
 
-def _write_dicom(folder: Path, path: Path, digest: str, size: tuple[int, ...], result: RectifyResult) -> list[Path]:
-    """Write the film as film.dcm and the slices as 01.dcm and so on. path, digest, size: of the photo."""
+def _write_dicom(folder: Path, paths: Sequence[Path], digest: str, result: RectifyResult) -> list[Path]:
+    """Write the film as film.dcm and the slices as 01.dcm and so on. paths: of the photos. digest: of the map's one."""
     from hybrid.dicom import PhotoFile, secondary_captures  # with pydicom, which few need
 
     folder.mkdir(exist_ok=True)
     files = []
-    for number, capture in enumerate(secondary_captures(result, PhotoFile.of(path, digest, *size[:2]))):
+    for number, capture in enumerate(secondary_captures(result, PhotoFile.of(paths, digest))):
         files.append(folder / (f"{number:02d}.dcm" if number else "film.dcm"))
         data = io.BytesIO()
         capture.save_as(data, enforce_file_format=True)

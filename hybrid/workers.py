@@ -5,6 +5,7 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
@@ -38,7 +39,8 @@ def shared_out(
     while at < len(tasks):
         left = [number for number in range(at, len(tasks)) if number not in ready]
         with _pool(make_tool, count) as pool:
-            futures = {number: pool.submit(_do, work, tasks[number]) for number in left}
+            with deaf_to_interrupts():  # a task that finds no process idle starts one
+                futures = {number: pool.submit(_do, work, tasks[number]) for number in left}
             try:
                 while at < len(tasks):
                     yield ready.pop(at) if at in ready else futures[at].result()
@@ -54,8 +56,10 @@ def shared_out(
 def _alone(work: Callable[[Tool, Task], Done], make_tool: Callable[[], Tool], task: Task) -> Done | HybridError:
     """A task in a process of its own, which it may end without harm to others."""
     with _pool(make_tool, 1) as pool:
+        with deaf_to_interrupts():
+            future = pool.submit(_do, work, task)
         try:
-            return pool.submit(_do, work, task).result()
+            return future.result()
         except BrokenProcessPool:
             do = "Take a smaller photo, or fewer --workers, if memory is short."
             return HybridError(describe(what="worker", got="a process that died", do=do))
@@ -72,6 +76,32 @@ def _pool(make_tool: Callable[[], Any], count: int) -> Iterator[ProcessPoolExecu
         pool.shutdown(cancel_futures=True)
 
 
+@contextmanager
+def deaf_to_interrupts() -> Iterator[None]:
+    """Processes that are started within have no ear for Ctrl-C: their parent hears it, and ends them or waits for them;
+    else each of them would print a stack trace. Nothing changes outside the main thread, which alone may ask for this.
+    """
+    main = threading.current_thread() is threading.main_thread()
+    handler = signal.signal(signal.SIGINT, signal.SIG_IGN) if main else None
+    try:
+        yield
+    finally:
+        if main:
+            signal.signal(signal.SIGINT, handler)
+
+
+def leave_with_parent() -> None:
+    """End this process when its parent is gone, killed perhaps: else it would wait for tasks for ever."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+
+        def watch() -> None:
+            parent.join()
+            os._exit(1)
+
+        threading.Thread(target=watch, daemon=True).start()
+
+
 _TOOL: Any = None
 """What this worker works with."""
 _NO_TOOL: HybridError | None = None
@@ -80,6 +110,7 @@ _NO_TOOL: HybridError | None = None
 
 def _start(make_tool: Callable[[], Any], threads: int) -> None:
     """Make the tool; Ctrl-C is for the process that asked for the work, which lets this one finish its task."""
+    leave_with_parent()
     import cv2
     import torch
 
@@ -104,4 +135,4 @@ def _processors() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-__all__ = ["shared_out"]
+__all__ = ["deaf_to_interrupts", "leave_with_parent", "shared_out"]

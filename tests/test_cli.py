@@ -8,7 +8,7 @@ import sys
 import types
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NoReturn
 
 import cv2
 import numpy as np
@@ -18,6 +18,7 @@ from PIL import Image
 import hybrid
 from hybrid import cli
 from hybrid.backward import BackwardMap, Orientation
+from hybrid.cli_options import made_by
 from hybrid.coords import film_nodes
 from hybrid.errors import ConfigError
 from hybrid.image_io import read_photo, write_rgb
@@ -285,6 +286,34 @@ def test_a_film_that_may_be_off_is_written_with_a_warning(
     assert "2 of 2 photos flattened, 1 of them UNSURE, in " in printed
     assert f"look at {photo.with_name('dark.png')}: It may be off." in printed
     assert f"look at {photo}:" not in printed
+
+
+@pytest.mark.usefixtures("_stand_in")
+def test_what_cannot_even_be_looked_up_costs_no_other_photo(
+    photo: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shut = folder(tmp_path / "shut")
+    read = Path.iterdir
+    monkeypatch.setattr(Path, "iterdir", lambda path: refuse() if path == shut else read(path))
+    arguments = [str(shut), str(tmp_path / ("long" * 80)), str(photo)]
+    assert cli.main(["rectify", *arguments, "-o", str(tmp_path / "out")]) == 1
+    assert (tmp_path / "out" / "film_film.png").exists()
+    assert "File name too long" in capsys.readouterr().out
+
+
+def refuse() -> NoReturn:
+    raise PermissionError(13, "Permission denied")
+
+
+def test_options_that_json_has_no_word_for_are_told_as_text() -> None:
+    @dataclass(frozen=True)
+    class Options:
+        pair: tuple[float, float] = (1.0, 2.0)
+        single: float = 1.0
+
+    made = made_by("default", Options(), Options((1.0, float("inf")), float("inf")))
+    assert made["options"] == {"pair": "(1.0, inf)", "single": "inf"}
+    assert made_by("default", Options(), Options((1.0, 3.0)))["options"] == {"pair": (1.0, 3.0)}
 
 
 @pytest.mark.usefixtures("_stand_in")

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from hybrid.backward import BackwardMap
 from hybrid.errors import ConfigError
-from hybrid.grid_edit import GridEdit
+from hybrid.grid_edit import MOST_CELLS, GridEdit
 from hybrid.pipeline import Rectifier
 from hybrid.records import RectifyResult, Status, StatusCode
 
@@ -55,6 +55,14 @@ def test_corners_of_many_cells_too(result: RectifyResult):
     edit = edit.moved(2, 2, place(edit, 2, 2) + np.array([15, 0])).moved(3, 2, place(edit, 3, 2))
     vertices = edit.backward.photo_from_film(edit.grid.vertices)
     np.testing.assert_allclose(vertices, edit.grid.vertices_photo, atol=0.05)
+
+
+def test_corners_of_as_many_cells_as_may_be_too(result: RectifyResult):
+    edit = GridEdit.of(result, (MOST_CELLS, MOST_CELLS))
+    at = edit.grid.vertices_photo
+    moved = edit.moved(12, 7, at[12, 7] + 0.2 * (at[12, 8] - at[12, 7]))
+    found = moved.backward.photo_from_film(edit.start.vertices)
+    assert np.abs(found - moved.grid.vertices_photo).max() < 0.05
 
 
 def test_a_film_that_was_moved_as_a_whole_is_moved_back(result: RectifyResult):
@@ -103,7 +111,7 @@ def test_a_grid_can_be_given(result: RectifyResult):
     edit = GridEdit.of(replace(result, grid=None), cells=(2, 3))
     assert edit.grid.vertices.shape == (3, 4, 2)
     np.testing.assert_allclose(edit.grid.vertices_photo[0, 0], result.backward.nodes[0, 0])
-    for wrong in ((0, 3), (2, 100)):
+    for wrong in ((0, 3), (2, MOST_CELLS + 1)):
         with pytest.raises(ConfigError, match="rows and columns"):
             GridEdit.of(result, cells=wrong)
 

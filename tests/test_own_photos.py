@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -78,6 +79,12 @@ def test_pairs_are_in_order_and_the_same_pairs_are_the_same_bytes(made: Path, tm
     for _ in range(2):  # the second run replaces the first
         make_dataset(OwnPhotosConfig(pairs, twice, size=100))
     assert open_dataset(twice)[0].member("uv.npy", 0).tobytes() == shard.member("uv.npy", 0).tobytes()
+
+
+def test_a_name_in_another_encoding_than_ours_is_a_name(tmp_path: Path) -> None:
+    (tmp_path / "pairs").mkdir()
+    write_pair(tmp_path / "pairs", os.fsdecode(b"caf\xe9"))
+    assert make_dataset(OwnPhotosConfig(tmp_path / "pairs", tmp_path / "made", size=100)) == 1
 
 
 def test_what_is_not_known_is_zero(made: Path) -> None:

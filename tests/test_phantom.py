@@ -6,8 +6,10 @@ import pytest
 
 from data_gen._scanner import Rest, Scanner, draw_rest, scan
 from data_gen._shapes import Blob, Solid, Tube, paint, random_warp
+from data_gen._slices import random_look
 from data_gen.phantom import body_phantom, head_phantom
-from data_gen.volumes import is_body
+from data_gen.prints import PrintConfig
+from data_gen.volumes import is_body, reformatted, tissue_width_mm
 from hybrid.coords import centres_1d
 
 PHANTOMS = [head_phantom, body_phantom]
@@ -28,6 +30,19 @@ def test_size_and_field_of_view_agree(phantom, size: int):
     assert volume.hu.shape == (5, size, size)
     assert 150 < size * volume.spacing_mm[1] < 520
     assert is_body(volume) == (phantom is body_phantom)
+
+
+@pytest.mark.parametrize("phantom", PHANTOMS)
+@pytest.mark.parametrize("plane", ["coronal", "sagittal"])
+@pytest.mark.parametrize("seed", range(3))
+def test_in_other_planes_it_is_as_wide_as_before_and_shown_whole(phantom, plane, seed: int):
+    volume = phantom(np.random.default_rng(seed), size=128, slices=24)
+    cut = reformatted(volume, plane)
+    assert is_body(cut) == (phantom is body_phantom)
+    assert abs(tissue_width_mm(cut) - tissue_width_mm(volume)) < 4 * 4 * volume.spacing_mm[1]  # of the coarse voxels
+    looks = [random_look(np.random.default_rng(k), cut, PrintConfig()) for k in range(40)]
+    assert not any(look.round_field for look in looks)  # that is a circle around the patient's axis
+    assert any(random_look(np.random.default_rng(k), volume, PrintConfig()).round_field for k in range(40))
 
 
 @pytest.mark.parametrize("seed", range(4))

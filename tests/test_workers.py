@@ -1,6 +1,8 @@
 """Photos shared out among processes: results in order, whatever happens to a worker."""
 
 import os
+import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -57,6 +59,37 @@ def test_a_worker_that_dies_is_told_and_ends_nothing_else():
             assert "--workers" in str(one)
         else:
             assert one[1] == task
+
+
+def test_workers_leave_with_a_parent_that_is_killed(tmp_path: Path):
+    """Else they would wait for tasks for ever, with all that they have loaded."""
+    code = (
+        "import sys; sys.path.insert(0, sys.argv[1])\n"
+        "from test_workers import Tool, work\n"
+        "from hybrid.workers import shared_out\n"
+        "if __name__ == '__main__':\n"
+        "    for process, task in shared_out(work, Tool, range(400), 2):\n"
+        "        print(process, flush=True)\n"
+    )
+    (tmp_path / "parent.py").write_text(code)
+    command = [sys.executable, tmp_path / "parent.py", Path(__file__).parent]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as parent:
+        assert parent.stdout is not None
+        workers = {int(parent.stdout.readline()) for _ in range(20)}
+        parent.kill()
+    for _ in range(200):
+        if not any(map(is_running, workers)):
+            break
+        time.sleep(0.1)
+    assert not any(map(is_running, workers))
+
+
+def is_running(process: int) -> bool:
+    """Not one that has ended and that nobody asks for."""
+    try:
+        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except (FileNotFoundError, ProcessLookupError):
+        return False
 
 
 @pytest.mark.parametrize("workers", [1, 2])
