@@ -51,10 +51,14 @@ def read_results(folder: Path, prefix: str = "") -> Results:
 # ---------------------------------------------------------------- README, files
 
 
+ON_THE_PAGE_ALONE = frozenset({*CONFIGURATIONS, FLOOR, "scanner", "dewarpnet_full"})
+"""Methods that the README leaves out: others of their kind stand there."""
+
+
 def readme_table(report: Report) -> str:
-    """The README's block: each method at the first size, and `hybrid` by cell style."""
+    """The README's block: most methods at the first size, and `hybrid` by cell style."""
     size = report.settings.sizes[0]
-    rows = [r for r in rows_of(report, size) if r.method.name not in {*CONFIGURATIONS, FLOOR, "scanner"}]
+    rows = [r for r in rows_of(report, size) if r.method.name not in ON_THE_PAGE_ALONE]
     cells = [
         [
             r.method.label,
