@@ -35,6 +35,7 @@ TABLES = (
             "dewarpnet_published": "DewarpNet as published",
             "dewarpnet": "DewarpNet, read rightly",
             "firenet": "FiReNet",
+            "firenet_uv": "FiReNet, by its uv map",
             "filmnet_one_look": "FilmNet, one look",
             "filmnet": "FilmNet, network alone",
             "hybrid": "hybrid, whole pipeline",
