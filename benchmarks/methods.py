@@ -106,7 +106,12 @@ class Method:
             found = self.find(given)
         except PhotoError:
             return None
-        return found.backward if isinstance(found, Recovery) else found
+        return None if found is None else map_in(found)
+
+
+def map_in(found: BackwardMap | Recovery) -> BackwardMap:
+    """The map alone of what a method found."""
+    return found.backward if isinstance(found, Recovery) else found
 
 
 def flattened(method: Method, given: Any, photo: UInt8[np.ndarray, "h w 3"], size: tuple[int, int]) -> Flattened:
@@ -120,10 +125,9 @@ def flattened(method: Method, given: Any, photo: UInt8[np.ndarray, "h w 3"], siz
             until_map = time.perf_counter()
             if found is None:
                 return Flattened(parts={"map": until_map - start}, message="no film")
-            recovery = found if isinstance(found, Recovery) else None
-            backward = found.backward if isinstance(found, Recovery) else found
+            backward = map_in(found)
             image = rectify_photo(photo, backward, size).image
-            film = None if recovery is None else recovery.film(size)
+            film = found.film(size) if isinstance(found, Recovery) else None
             parts = {"map": until_map - start, "resample": time.perf_counter() - until_map}
         return Flattened(backward, image, film, parts)
     except PhotoError as error:

@@ -49,11 +49,14 @@ class PhotoFile:
     @staticmethod
     def of(paths: Sequence[Path], digest: str) -> PhotoFile:
         """Of one photo, or of several that were fused: of the first of them that was compressed with loss."""
-        files = [(path, path.read_bytes()) for path in paths]
-        path, data = next((one for one in files if lossy_method(one[1]) is not None), files[0])
+        path, data, method = paths[0], b"", None
+        for path in paths:
+            data = path.read_bytes()
+            if (method := lossy_method(data)) is not None:
+                break
         height, width = photo_size(path)
         colours, length = jpeg_extent(data) or (3, len(data))
-        return PhotoFile(digest, colours * height * width / length, lossy_method(data))
+        return PhotoFile(digest, colours * height * width / length, method)
 
 
 def lossy_method(data: bytes) -> str | None:

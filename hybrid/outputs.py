@@ -172,12 +172,11 @@ def warnings_of(result: RectifyResult) -> list[str]:
 
 def further_pictures(paths: Sequence[Path]) -> list[str]:
     """Of which photos the files hold more pictures, which were not read."""
-    counts = {path: pictures_in(path) for path in paths}
-    subject = "It" if len(paths) == 1 else "{}"
+    names = ["It"] if len(paths) == 1 else [path.name for path in paths]
     return [
-        f"{subject.format(path.name)} is the first of {count} pictures in its file."
-        for path, count in counts.items()
-        if count > 1
+        f"{name} is the first of {count} pictures in its file."
+        for name, path in zip(names, paths, strict=True)
+        if (count := pictures_in(path)) > 1
     ]
 
 
