@@ -29,7 +29,8 @@ FARTHEST_MM = 4000.0
 
 @dataclass(frozen=True, eq=False)
 class Ground:
-    """A plane in the film's world. origin: mm. along, across: its axes, unit. normal: unit, towards the camera."""
+    """A plane in the film's world. origin: mm. along, across: its axes, unit, to the right and down as seen.
+    normal: unit, towards the camera."""
 
     origin: Float[np.ndarray, "3"]
     along: Float[np.ndarray, "3"]
@@ -91,7 +92,7 @@ def ground_below(film: FilmMesh, camera: Camera, backdrop: Backdrop) -> Ground:
     along = along - (along @ normal) * normal
     along /= np.linalg.norm(along)
     across = np.cross(normal, along)
-    across, along = (across, along) if across[1] > 0 else (-across, -along)
+    across, along = (across, -along) if across[1] > 0 else (-across, along)  # right and down as the camera sees them
     nearest = ((points - centre) @ normal).min()
     return Ground(centre + normal * (nearest - backdrop.gap_mm), along, across, normal)
 

@@ -57,11 +57,11 @@ _CROSSING_SIDE = 420
 @dataclass(frozen=True, eq=False)
 class _Cast:
     """The film's shadow by one light. way: unit, from the nodes to the light. spread: sigma of the rim per mm of
-    height. depth: share of that light which is lost."""
+    height. share: of its source's light."""
 
     way: Float[np.ndarray, "k k 3"]
     spread: float
-    depth: float
+    share: float
 
 
 def lit_ground(
@@ -71,47 +71,48 @@ def lit_ground(
     t = node_centres_1d(NODES)
     nodes = film.surface(t, t)
     opaque = 1 - through(scene)
-    casts = [room_casts(ground, nodes, scene, room, opaque)]
-    casts += [[lamp_cast(lamp.placed(camera.centre_world), nodes, opaque)] for lamp in scene.light.lamps]
+    casts = [room_casts(ground, nodes, scene, room)]
+    casts += [[lamp_cast(lamp.placed(camera.centre_world), nodes)] for lamp in scene.light.lamps]
     total = np.zeros((*camera.size, 3), np.float32)
     for lattice, some in zip((light.room, *light.lamps), casts, strict=True):
         part = cv2.resize(lattice, camera.size[::-1], interpolation=cv2.INTER_LINEAR)
         shadows = [_shadow(cast, ground, nodes, camera) for cast in some]
         dark = [shadow for shadow in shadows if shadow is not None]
         if dark:
-            part *= (1 - np.sum(dark, axis=0))[..., None]
+            part *= 1 - np.sum(dark, axis=0)[..., None] * opaque
         total += part
     if scene.shadows and scene.backdrop.gap_mm < NEAR_MM:
         total *= _crossing(scene.shadows, ground, nodes, film.size_mm, camera)[..., None]
     return total
 
 
-def through(scene: Scene) -> float:
-    """Share of the light by which the film's shadow is not dark, for a print of mean reflectance PRINT.
+def through(scene: Scene) -> Float[np.ndarray, "3"]:
+    """Share of the light (RGB) by which the film's shadow is not dark, for a print of mean reflectance PRINT.
 
     Where the ground is seen through the film, too, the film is given both passes of the print (``scene.passes``): so
     far as it is, the shadow leaves out the first.
     """
     material = scene.material
-    return PRINT ** (2.0 - passes(scene)) * (material.transmission + material.clear) + material.haze
+    share = PRINT ** (2.0 - passes(scene)) * (material.transmission + material.clear)
+    return np.float32(share) * np.array(material.tint, np.float32) + np.float32(material.haze)
 
 
-def lamp_cast(lamp: Lamp, nodes: Float[np.ndarray, "k k 3"], depth: float) -> _Cast:
+def lamp_cast(lamp: Lamp, nodes: Float[np.ndarray, "k k 3"]) -> _Cast:
     """The shadow by a lamp in the world's frame; a disc of radius r has the variance of a Gaussian of sigma r / 2."""
     offset = np.array(lamp.centre_mm) - nodes
     radius = float(np.sqrt(lamp.half_mm[0] * lamp.half_mm[1]))
     distance = float(np.linalg.norm(offset, axis=-1).mean())
-    return _Cast(unit(offset), min(0.5 * radius / distance, 0.6), depth)
+    return _Cast(unit(offset), min(0.5 * radius / distance, 0.6), 1.0)
 
 
 def room_casts(
-    ground: Ground, nodes: Float[np.ndarray, "k k 3"], scene: Scene, room: FilteredEnvironment, depth: float
+    ground: Ground, nodes: Float[np.ndarray, "k k 3"], scene: Scene, room: FilteredEnvironment
 ) -> list[_Cast]:
     """The film's shadows by the room, taken as a few lights: a sun or windows, and the rest from where it comes."""
     turn = room_from_film(scene.light)
     ways, shares, sigmas = room_lights(room, turn @ ground.normal, ROOM_LIGHTS)
     return [
-        _Cast(np.broadcast_to(way, nodes.shape), min(float(sigma), 0.6), depth * float(share))
+        _Cast(np.broadcast_to(way, nodes.shape), min(float(sigma), 0.6), float(share))
         for way, share, sigma in zip(ways @ turn, shares, sigmas, strict=True)
     ]
 
@@ -119,9 +120,9 @@ def room_casts(
 def _shadow(
     cast: _Cast, ground: Ground, nodes: Float[np.ndarray, "k k 3"], camera: Camera
 ) -> Float[np.ndarray, "h w"] | None:
-    """Share of the light that the film keeps off the plane; None where that is nothing or cannot be drawn."""
+    """Share of the light that comes to the plane by way of the film; None where that is nothing or cannot be drawn."""
     cosine = cast.way @ ground.normal
-    if cosine.min() < GRAZING or cast.depth < 0.01:
+    if cosine.min() < GRAZING or cast.share < 0.01:
         return None
     rise = np.maximum((nodes - ground.origin) @ ground.normal, 0.0)
     foot = nodes - cast.way * (rise / cosine)[..., None]
@@ -133,7 +134,7 @@ def _shadow(
     sigma = (RIM_MM + cast.spread * rise / cosine) * per_mm
     if sigma.min() > WIDEST_PX:
         return None
-    return np.float32(cast.depth) * _soft(_covered(photo, camera.size), photo, sigma)
+    return np.float32(cast.share) * _soft(_covered(photo, camera.size), photo, sigma)
 
 
 def _covered(photo: Float[np.ndarray, "k k 2"], size: tuple[int, int]) -> Float[np.ndarray, "h w"]:

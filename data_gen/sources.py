@@ -12,7 +12,7 @@ import numpy as np
 
 from data_gen.phantom import body_phantom, head_phantom
 from data_gen.rooms import Environment, load_environments, procedural_room
-from data_gen.volumes import CtVolume, load_volumes, reformatted
+from data_gen.volumes import CtVolume, load_volumes, reformatted, within_patient
 from hybrid.errors import ConfigError, DataError, describe
 
 PHANTOMS = 12
@@ -58,7 +58,7 @@ def draw_volume(config: SourceConfig, rng: np.random.Generator) -> CtVolume:
     """A CT volume of the given folder or an embedded phantom, of some cut in another plane."""
     volume = _axial_volume(config, rng)
     if config.reformatted_share > 0 and rng.random() < config.reformatted_share:
-        return reformatted(volume, "coronal" if rng.random() < 0.5 else "sagittal")
+        return within_patient(reformatted(volume, "coronal" if rng.random() < 0.5 else "sagittal"))
     return volume
 
 

@@ -32,8 +32,8 @@ def rim_place(film: FilmMesh, camera: Camera, edge: float) -> Place:
     u, v = ((t, 0.0), (1.0, t), (1 - t, 1.0), (0.0, 1 - t))[int(side)]
     inner = 0.04
     towards = ((0, inner), (-inner, 0), (0, -inner), (inner, 0))[int(side)]
-    corner = np.clip(1 - 8 * min(t, 1 - t), 0, 0.5) * (1 if t < 0.5 else -1)  # near a corner it runs diagonally
-    aside = (-towards[1] * corner, towards[0] * corner)
+    corner = np.clip(1 - 8 * min(t, 1 - t), 0, 0.5) * (1 if t < 0.5 else -1)  # near a corner it points to the middle
+    aside = (towards[1] * corner, -towards[0] * corner)
     inner_u, inner_v = u + towards[0] + aside[0], v + towards[1] + aside[1]
     points = np.concatenate([film.surface(np.array([a]), np.array([b]))[0] for a, b in ((u, v), (inner_u, inner_v))])
     at, inside = camera.photo_from_world(points)

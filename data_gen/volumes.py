@@ -26,6 +26,11 @@ THICKER_THAN_TABLES_MM = 36.0
 """A table is about 20 mm thick; the walls of a chest, front and back together, are more than this."""
 
 
+DENSER_THAN_AIR_HU = -300
+
+PATIENT_SHARE = 0.25
+"""A slice with less tissue than this share of the fullest one's passes by the patient, or just touches them."""
+
 LEAST_SPAN_HU = 300
 """Fat and soft tissue alone lie further apart, with blur and noise; masks and empty images do not."""
 
@@ -93,6 +98,14 @@ def reformatted(volume: CtVolume, plane: Plane) -> CtVolume:
     hu = np.ascontiguousarray(volume.hu.transpose(axes)[:, ::-1])
     down, across = volume.spacing_mm[axes[1]], volume.spacing_mm[axes[2]]
     return replace(volume, hu=hu, spacing_mm=(volume.spacing_mm[axes[0]], down, across), plane=plane)
+
+
+def within_patient(volume: CtVolume) -> CtVolume:
+    """The longest run of slices that show a good part of the patient, without those of air or of the table alone."""
+    shown = (volume.hu[:, ::4, ::4] > DENSER_THAN_AIR_HU).mean(axis=(1, 2))
+    turns = np.flatnonzero(np.diff(np.pad(shown >= PATIENT_SHARE * shown.max(), 1)))
+    first, last = turns.reshape(-1, 2)[np.argmax(np.diff(turns)[::2])]
+    return replace(volume, hu=volume.hu[first:last])
 
 
 def tissue_width_mm(volume: CtVolume) -> float:

@@ -89,6 +89,17 @@ def test_coordinates_on_the_plane_project_back_to_their_place():
     assert np.abs(off).max() < 0.01 * max(view.size)  # its lens distortion is left aside
 
 
+def test_what_lies_on_the_plane_is_seen_the_right_way_round():
+    """A step along the first axis goes right in the photo, one along the second down: writing can be read."""
+    for seed, tilt in ((0, -0.5), (1, 0.0), (2, 0.5)):
+        view = camera(tilt=tilt)
+        ground = ground_below(FILM, view, scene("table", seed).backdrop)
+        at = view.photo_from_world(ground.world(np.array([[0.0, 0.0], [50.0, 0.0], [0.0, 50.0]])))
+        right, down = at[1] - at[0], at[2] - at[0]
+        assert right[0] > 2 * abs(right[1])
+        assert down[1] > 2 * abs(down[0])
+
+
 def test_white_matt_ground_in_even_light_is_as_bright_as_the_light():
     photographed = scene("table", 4)
     ground = ground_below(FILM, photographed.camera, photographed.backdrop)
@@ -136,7 +147,7 @@ def test_a_bulb_throws_the_film_where_its_rays_go():
     row = np.array([[right - 25.0, 0.0, 40.0], [right + 25.0, 0.0, 40.0]])
     assert np.abs((row - ground.origin) @ ground.normal).max() < 1e-6
     inside, outside = (factor[int(y), int(x)] for x, y in photographed.camera.photo_from_world(row))
-    assert inside == pytest.approx(through(photographed), abs=0.02)
+    assert inside == pytest.approx(through(photographed)[1], abs=0.02)
     assert outside == pytest.approx(1, abs=0.02)
 
 
@@ -144,8 +155,20 @@ def test_a_bulb_throws_the_film_where_its_rays_go():
 def test_a_clear_film_that_touches_its_ground_is_paid_for_once(gap_mm, least, most):
     """Bare film on a table shows it as light that passed twice, and both passes are in what is made of the print."""
     photographed = scene("table", 5, Light(1.0, 0.0, True), gap_mm=gap_mm)
-    material = replace(photographed.material, diffuse=0.0, transmission=0.0, clear=0.9, haze=0.0)
-    assert least < through(replace(photographed, material=material)) * 0.95 < most
+    material = replace(photographed.material, diffuse=0.0, transmission=0.0, clear=0.9, haze=0.0, tint=(1.0, 1.0, 1.0))
+    assert least < through(replace(photographed, material=material))[1] * 0.95 < most
+
+
+def test_a_bluish_film_throws_a_bluish_shadow():
+    """Once through its base; what the sheet itself scatters has no colour, as over the film."""
+    blue, of = (0.5, 0.7, 0.9), scene("table", 5, Light(1.0, 0.0, True), gap_mm=200.0)
+    milky = replace(of.material, diffuse=0.0, transmission=0.3, clear=0.0)
+    let_through = [
+        through(replace(of, material=replace(milky, haze=haze, tint=tint)))
+        for haze, tint in ((0.0, (1.0, 1.0, 1.0)), (0.0, blue), (0.1, blue))
+    ]
+    np.testing.assert_allclose(let_through[1], let_through[0] * blue, rtol=1e-5)
+    np.testing.assert_allclose(let_through[2], let_through[1] + 0.1, rtol=1e-5)
 
 
 def test_a_shadows_rim_is_soft_where_the_sheet_is_lifted():

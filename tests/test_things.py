@@ -74,6 +74,17 @@ def test_arms_leave_the_photo(grip):
         assert border.max() > 0.9
 
 
+@pytest.mark.parametrize("corner", range(4))
+def test_near_a_corner_holders_reach_towards_the_middle(corner):
+    """From both sides of each corner, seen from the front: nearly along the diagonal just beside it."""
+    view = camera((600, 750), 900.0)
+    middle = view.photo_from_world(FILM.vertices.reshape(-1, 3).mean(axis=0)[None])[0]
+    for edge in (corner - 0.02, corner + 0.02):
+        place = rim_place(FILM, view, edge % 4)
+        to_middle = (middle - place.at) / np.linalg.norm(middle - place.at)
+        assert place.inward @ to_middle > 0.85
+
+
 def test_a_finger_is_as_wide_as_a_finger():
     """14 to 21 mm across the last joint of a pointing finger, measured in the photo with the camera's scale."""
     view = camera((600, 750), 700.0)

@@ -2,6 +2,7 @@
 
 import json
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,15 @@ nibabel = pytest.importorskip("nibabel", reason="nibabel is not installed")
 
 from data_gen.nifti import NotCtError, read_nifti  # noqa: E402
 from data_gen.prints import PrintConfig, make_print  # noqa: E402
-from data_gen.volumes import CtVolume, is_body, load_volumes, read_npz, reformatted, tissue_width_mm  # noqa: E402
+from data_gen.volumes import (  # noqa: E402
+    CtVolume,
+    is_body,
+    load_volumes,
+    read_npz,
+    reformatted,
+    tissue_width_mm,
+    within_patient,
+)
 from hybrid.errors import DataError  # noqa: E402
 
 SHARED = os.environ.get("HYBRID_SHARED_DATA")
@@ -41,6 +50,21 @@ def test_other_planes_have_the_head_at_the_top():
     assert (sagittal.hu.shape, sagittal.spacing_mm) == ((7, 3, 5), (1.0, 3.0, 2.0))
     assert sagittal.hu[6, 0, 1] == 500
     assert reformatted(volume, "axial") is volume
+
+
+def test_slices_beside_the_patient_are_left_out():
+    """Air in front of a cylinder, and a thin table behind it, apart from it."""
+    volume = cylinder(200.0)  # 100 voxels across, the 78th to the 177th
+    hu = volume.hu.copy()
+    hu[:, 200:206, 60:196] = 0
+    coronal = reformatted(replace(volume, hu=hu), "coronal")
+    inside = within_patient(coronal)
+    first = int(np.flatnonzero([np.array_equal(slice_, inside.hu[0]) for slice_ in coronal.hu])[0])
+    assert 78 <= first < 85
+    assert 88 < len(inside.hu) <= 100
+    assert ((inside.hu == 0).mean(axis=(1, 2)) > 0.05).all()
+    assert inside.spacing_mm == coronal.spacing_mm
+    np.testing.assert_array_equal(within_patient(volume).hu, volume.hu)  # axial slices all show it
 
 
 @pytest.mark.parametrize("diameter_mm", [150.0, 400.0])
