@@ -12,6 +12,7 @@ from jaxtyping import Bool, UInt8
 from hybrid.backward import BackwardMap
 from hybrid.coords import film_nodes, opencv_from_photo
 from hybrid.draw import resized
+from hybrid.rectify.trust import REFERENCE_PX
 
 SMALLEST_PX, LARGEST_PX = 64.0**2, 100e6
 """Areas that photos are resized to."""
@@ -22,12 +23,19 @@ LATTICE = (33, 33)
 
 @dataclass(frozen=True, eq=False)
 class Damaged:
-    """A photo and its true map. scale: pixels for each pixel of the photo before. kinds: what was done."""
+    """A photo and its true map. scale: pixels for each pixel of the photo before. before_px: the longer side of that.
+    kinds: what was done."""
 
     photo: UInt8[np.ndarray, "h w 3"]
     backward: BackwardMap
     scale: float = 1.0
     kinds: tuple[str, ...] = ()
+    before_px: int = REFERENCE_PX
+
+    @property
+    def to_reference(self) -> float:
+        """Pixels of the photo before, were its longer side REFERENCE_PX, for each pixel of this one."""
+        return REFERENCE_PX / self.before_px / self.scale
 
     def visible_share(self) -> float:
         """Share of the film that lies within the photo."""
@@ -41,7 +49,7 @@ def damaged(photo: UInt8[np.ndarray, "h w 3"], backward: BackwardMap, rng: np.ra
     """A photo with one to three kinds of damage; resizing, if drawn, comes last."""
     names = list(DAMAGES)
     chosen = rng.choice(names, size=int(rng.integers(1, 4)), replace=False)
-    result = Damaged(photo, backward)
+    result = Damaged(photo, backward, before_px=max(photo.shape[:2]))
     for name in sorted(chosen, key=names.index):
         result = replace(DAMAGES[name](result, rng), kinds=(*result.kinds, str(name)))
     return result

@@ -69,7 +69,10 @@ CONFIGURATIONS: dict[str, tuple[str, RectifyConfig]] = {
         "hybrid, no repeated cells",
         RectifyConfig(refine=RefineConfig(repeat=RepeatConfig(min_correlation=2.0))),  # no correlation reaches 2
     ),
-    "hybrid_no_spline": ("hybrid, spline never believed", RectifyConfig(refine=RefineConfig(min_gain=0.0))),
+    "hybrid_no_spline": (
+        "hybrid, spline never believed: the map that FilmNet gives",
+        RectifyConfig(refine=RefineConfig(max_move=0.0)),
+    ),
     "hybrid_light_kept": ("hybrid, light kept", RectifyConfig(light=DeilluminateConfig(even_light=float("inf")))),
 }
 """The pipeline with one thing changed, by name: label and options. These run at the first size only."""

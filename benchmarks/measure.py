@@ -5,7 +5,7 @@ from __future__ import annotations
 import multiprocessing
 import statistics
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
@@ -132,29 +132,28 @@ def _call_once(
 # ---------------------------------------------------------------- networks alone
 
 
-def forward_times(name: str, network: Any, device: str, batches: Sequence[int], repeats: int) -> list[Forward]:
-    """Seconds of a network's forward pass on a device, for each batch size; the first call is not counted.
+def forward_time(name: str, network: Any, device: str, batch: int, repeats: int) -> Forward:
+    """Seconds of a network's forward pass on a device; the first call is not counted.
 
     network: with a configuration that says the side of its square input.
     """
     network, px = network.to(device).eval(), network.config.input_px
-    times = []
-    for batch in batches:
-        images = torch.rand(batch, 3, px, px, device=device, generator=torch.Generator(device).manual_seed(0))
-        seconds = [_one_pass(network, images, device) for _ in range(repeats + 1)][1:]
-        times.append(Forward(name, device, batch, px, parameter_count(network), tuple(seconds)))
-    return times
+    images = torch.rand(batch, 3, px, px, device=device, generator=torch.Generator(device).manual_seed(0))
+    passes = [_one_pass(network, images, device) for _ in range(repeats + 1)][1:]
+    seconds, cpu_seconds = zip(*passes, strict=True)
+    return Forward(name, device, batch, px, parameter_count(network), seconds, cpu_seconds)
 
 
 @torch.inference_mode()
-def _one_pass(network: torch.nn.Module, images: torch.Tensor, device: str) -> float:
+def _one_pass(network: torch.nn.Module, images: torch.Tensor, device: str) -> tuple[float, float]:
+    """Seconds, and processor seconds."""
     if device == "cuda":
         torch.cuda.synchronize()
-    start = time.perf_counter()
+    start, start_cpu = time.perf_counter(), time.process_time()
     network(images)
     if device == "cuda":
         torch.cuda.synchronize()
-    return time.perf_counter() - start
+    return time.perf_counter() - start, time.process_time() - start_cpu
 
 
-__all__ = ["at_print_size", "film_score", "forward_times", "measure", "peak_memory"]
+__all__ = ["at_print_size", "film_score", "forward_time", "measure", "peak_memory"]

@@ -102,15 +102,25 @@ def memory_text(report: Report) -> str:
 
 def forward_text(report: Report) -> str:
     """The networks alone, with columns for a GPU where one was at hand."""
-    times = {(f.network, f.device, f.batch): 1e3 * statistics.median(f.seconds) for f in report.forward}
+    times = {(f.network, f.device, f.batch): (min(f.seconds), min(f.cpu_seconds)) for f in report.forward}
     columns = list(dict.fromkeys((f.device, f.batch) for f in report.forward))
     kinds = {f.network: (f"{f.parameters / 1e6:.1f}", str(f.input_px)) for f in report.forward}
     rows = [
-        [name, *kind, *(number(times.get((name, *column)), 1) for column in columns)] for name, kind in kinds.items()
+        [name, *kind, *(_forward_ms(times.get((name, *column)), column[0]) for column in columns)]
+        for name, kind in kinds.items()
     ]
     head = [f"{'GPU' if device == 'cuda' else 'processor'}, batch of {batch}, ms" for device, batch in columns]
-    none = "" if any(f.device == "cuda" for f in report.forward) else "\n\nNo GPU was at hand."
-    return table(("network", "million parameters", "input, px", *head), rows) + none
+    none = "" if any(f.device == "cuda" for f in report.forward) else " No GPU was at hand."
+    note = f"\n\nThe quickest of several passes; in brackets the processor's time, on all threads.{none}"
+    return table(("network", "million parameters", "input, px", *head), rows) + note
+
+
+def _forward_ms(seconds: tuple[float, float] | None, device: str) -> str:
+    """Milliseconds, with those of the processor where the network runs on it."""
+    if seconds is None:
+        return "-"
+    clock, cpu = (number(1e3 * value, 1) for value in seconds)
+    return clock if device == "cuda" else f"{clock} ({cpu})"
 
 
 # ---------------------------------------------------------------- who wins

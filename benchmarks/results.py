@@ -66,7 +66,10 @@ class Memory:
 
 @dataclass(frozen=True)
 class Forward:
-    """A network alone, from a batch on the device to its output. seconds: of every call, of the whole batch."""
+    """A network alone, from a batch on the device to its output.
+
+    seconds, cpu_seconds: of every call, of the whole batch; the latter of the process, all its threads together.
+    """
 
     network: str
     device: str
@@ -74,6 +77,7 @@ class Forward:
     input_px: int
     parameters: int
     seconds: tuple[float, ...]
+    cpu_seconds: tuple[float, ...]
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ from benchmarks.cases import Case, photo_cases, sample_cases
 from benchmarks.command import run_command
 from benchmarks.lineup import CONFIGURATIONS, lineup
 from benchmarks.machine import commit, describe_run, shown_contents, shown_data, use_threads, used_machine
-from benchmarks.measure import forward_times, measure, peak_memory
+from benchmarks.measure import forward_time, measure, peak_memory
 from benchmarks.methods import Method
 from benchmarks.own_photos import make_photos
 from benchmarks.page import write_page
@@ -48,6 +48,9 @@ STEADY_PHOTOS = 2
 """On how many photos of each size a method is timed, once each, whose run time hardly depends on the photo."""
 
 CUDA_BATCHES = (1, 32)
+
+FEWEST_PASSES = 5
+"""Of each network alone; the quickest counts, since whatever else the machine does only makes it slower."""
 
 
 @dataclass(frozen=True)
@@ -124,7 +127,13 @@ class Options:
 def run(options: Options, command: list[str]) -> Report:
     """Measure what is not measured yet; write and return the report."""
     settings = _settings(options)
-    keep_settings(options.out / "run_settings.json", settings, options.out / "measured", options.out / "memory")
+    keep_settings(
+        options.out / "run_settings.json",
+        settings,
+        options.out / "measured",
+        options.out / "memory",
+        options.out / "forward",
+    )
     cases = load_cases(options)
     methods = make_methods(options)
     measured = tuple(_all_measured(options, methods, cases))
@@ -244,12 +253,18 @@ def _all_memory(options: Options, methods: dict[str, Method]) -> Iterator[Memory
 
 def _networks_alone(options: Options) -> Iterator[Forward]:
     """Forward passes of the networks; the values of the weights do not matter for the time."""
+    on_gpu = CUDA_BATCHES if options.gpu and torch.cuda.is_available() else ()
     for name in options.networks:
-        torch.manual_seed(options.seed)
-        network = NETWORKS[name]()
-        yield from forward_times(name, network, "cpu", (1,), options.repeats)
-        if options.gpu and torch.cuda.is_available():
-            yield from forward_times(name, network, "cuda", CUDA_BATCHES, options.repeats)
+        for device, batch in (("cpu", 1), *(("cuda", batch) for batch in on_gpu)):
+            path = options.out / "forward" / f"{name}_{device}_{batch}.json"
+            result = kept(path, Forward, partial(_network_alone, options, name, device, batch))
+            if result is not None:
+                yield result
+
+
+def _network_alone(options: Options, name: str, device: str, batch: int) -> Forward:
+    torch.manual_seed(options.seed)
+    return forward_time(name, NETWORKS[name](), device, batch, max(options.repeats, FEWEST_PASSES))
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

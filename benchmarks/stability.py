@@ -39,8 +39,8 @@ from hybrid.records import RectifyResult, StatusCode
 from hybrid.rectify.survey import SurveyConfig
 
 TRUTHFUL_PX = 5.0
-"""Largest end-point error of a film that is reported ok, in pixels of the photo (1080) before it was damaged; in one
-that was shrunk so far that its own pixels are larger, one of those."""
+"""Largest end-point error of a film that is reported ok, in pixels of REFERENCE_PX for the longer side of the photo
+before it was damaged; in one that was shrunk so far that its own pixels are larger, one of those."""
 
 LIMIT_S, LIMIT_S_PER_MEGAPIXEL = 120.0, 6.0
 """After these a photo counts as hanging; a hundred times what it takes, for busy machines."""
@@ -262,10 +262,10 @@ def _rectified(number: int, it: Damaged, rectify: Rectify, find_anyway: FindAnyw
 
 
 def _error_and_limit(found: BackwardMap, it: Damaged) -> tuple[float, float]:
-    """Error of a map over what is in the photo, and the largest that is called right, in pixels before the damage."""
+    """Error of a map over what is in the photo, and the largest that is called right, in pixels of REFERENCE_PX."""
     seen, _ = read_alike(found, it.backward)
-    error = min(visible_error_px(seen, it.backward, (it.photo.shape[0], it.photo.shape[1])) / it.scale, 1e9)
-    return error, max(TRUTHFUL_PX, 1 / it.scale)
+    error = it.to_reference * visible_error_px(seen, it.backward, (it.photo.shape[0], it.photo.shape[1]))
+    return min(error, 1e9), max(TRUTHFUL_PX, it.to_reference)
 
 
 def _finite(result: RectifyResult) -> bool:

@@ -21,7 +21,7 @@ import benchmarks.run
 from benchmarks.cases import Case, sample_cases
 from benchmarks.claims import Claim
 from benchmarks.lineup import EFFORTS, LINEUP, MAIN, OWN, lineup
-from benchmarks.measure import forward_times, measure, peak_memory
+from benchmarks.measure import forward_time, measure, peak_memory
 from benchmarks.methods import Method, flattened
 from benchmarks.page import BEGIN, END, read_results, readme_table, with_table
 from benchmarks.page_tables import duel_text, losses_text, photos_text, size_section
@@ -577,8 +577,8 @@ def test_memory_is_the_methods_own(dataset: Path) -> None:
 
 def test_networks_alone_are_timed() -> None:
     network = FilmNet(FilmNetConfig(widths=(4, 8, 8, 8), blocks=(1, 1, 1), input_px=64))
-    (found,) = forward_times("filmnet", network, "cpu", (2,), repeats=2)
-    assert (found.batch, found.device, len(found.seconds)) == (2, "cpu", 2)
+    found = forward_time("filmnet", network, "cpu", 2, repeats=2)
+    assert (found.batch, found.device, len(found.seconds), len(found.cpu_seconds)) == (2, "cpu", 2, 2)
 
 
 def test_wrong_options_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

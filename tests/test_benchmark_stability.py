@@ -19,13 +19,14 @@ from benchmarks.damage import DAMAGES, Damaged, cut_file, damaged, visible_error
 from benchmarks.problems import PROBLEMS, End, ended, part_of, random_sheet
 from benchmarks.schema import problems, schema_of
 from benchmarks.soak import digest, soak
-from benchmarks.stability import Options, _cut_off, _rectified, run
+from benchmarks.stability import TRUTHFUL_PX, Options, _cut_off, _rectified, run
 from benchmarks.stress_records import DamagedPhoto, Part, SoakReport, StabilityReport
 from hybrid.backward import BackwardMap
 from hybrid.coords import sample_bilinear
 from hybrid.errors import ConfigError, DataError, PhotoError
 from hybrid.image_io import read_photo
 from hybrid.records import RectifyResult, Status, StatusCode
+from hybrid.rectify.trust import REFERENCE_PX
 
 SIZE = (240, 320)
 
@@ -203,6 +204,16 @@ def test_a_shrunk_photo_may_be_off_by_one_of_its_own_pixels() -> None:
     it = Damaged(ramp(), sheet(), scale=0.1)
     assert _rectified(0, it, Says(off=0.9), lambda photo: None).outcome == "ok"
     assert _rectified(0, it, Says(off=1.1), lambda photo: None).outcome == "untruthful"
+
+
+def test_errors_are_told_as_of_a_photo_of_reference_size() -> None:
+    """The sheet 9 px off in a photo three times as large is 3 px off there, as the limit is told."""
+    it = replace(Damaged(ramp(), sheet()), before_px=3 * REFERENCE_PX)
+    told = _rectified(0, it, Says(off=9.0), lambda photo: None)
+    assert (told.outcome, told.end_point_px, told.allowed_px) == ("ok", pytest.approx(3.0, rel=1e-3), TRUTHFUL_PX)
+    assert _rectified(0, replace(it, before_px=540), Says(off=3.0), lambda photo: None).outcome == "untruthful"
+    photo = np.zeros((20, 30, 3), np.uint8)
+    assert damaged(photo, sheet(), np.random.default_rng(0)).before_px == 30
 
 
 # ---------------------------------------------------------------- parts

@@ -7,9 +7,16 @@ import numpy as np
 import pytest
 from bent_sheets import bent_sheet
 
-from hybrid.backward import BackwardMap
-from hybrid.coords import film_centres, film_nodes, pixel_centres, pixel_from_film
-from hybrid.rectify.resample import index_in_grid, photo_per_film_pixel, rectify_photo
+from hybrid.backward import BackwardMap, spline_weights
+from hybrid.coords import (
+    film_centres,
+    film_centres_1d,
+    film_nodes,
+    opencv_from_photo,
+    pixel_centres,
+    pixel_from_film,
+)
+from hybrid.rectify.resample import ResampleConfig, _near_rows, index_in_grid, photo_per_film_pixel, rectify_photo
 
 
 def whole_photo(size: tuple[int, int]) -> BackwardMap:
@@ -41,6 +48,23 @@ def test_pixels_come_from_where_the_map_says():
     seen = backward.photo_from_film(film_centres((150, 120)))
     # the value of pixel k is k, and its centre lies half a pixel further
     np.testing.assert_allclose(image[..., :2], seen - 0.5, atol=0.6)
+
+
+@pytest.mark.parametrize("nodes", [5, 33, 200])
+def test_of_a_map_of_many_nodes_only_those_near_a_row_are_asked(nodes: int):
+    """And the film is the same, wherever its strips end."""
+    photo, sheet = pattern((400, 400), 40.0), bent_sheet()
+    backward = BackwardMap.from_function(lambda uv: sheet(uv) * (400 / 1080), (nodes, nodes))
+    image = rectify_photo(photo, backward, (300, 250), ResampleConfig(cubic_below=0.0)).image
+    at = opencv_from_photo(backward.dense((300, 250)))
+    np.testing.assert_allclose(
+        image.astype(int),
+        cv2.remap(photo, at[..., 0], at[..., 1], cv2.INTER_LINEAR).astype(int),
+        atol=1,
+    )
+    weights, near = _near_rows(spline_weights(nodes, film_centres_1d(300))[:30].astype(np.float32))
+    assert near.stop - near.start <= min(nodes, nodes // 10 + 16)
+    np.testing.assert_allclose(weights.sum(axis=1), 1, atol=1e-5)
 
 
 def test_points_outside_the_photo_are_black_and_marked():

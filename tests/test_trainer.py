@@ -326,6 +326,33 @@ def test_two_processes_train_one_network_and_resume(dataset, tmp_path):
 
 
 @pytest.mark.usefixtures("tiny")
+def test_a_loss_that_is_no_number_ends_the_run_and_spoils_nothing(dataset, tmp_path, monkeypatch):
+    train(quick_run(dataset, tmp_path, passes=16))
+    kept = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    losses = PRESETS["filmnet"].losses
+    broken = replace(PRESETS["filmnet"], losses=lambda *seen: {k: x * torch.nan for k, x in losses(*seen).items()})
+    monkeypatch.setitem(PRESETS, "filmnet", broken)
+    with pytest.raises(DataError, match=r"no number, in step 5.*from before"):
+        train(quick_run(dataset, tmp_path, passes=32))
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == kept
+
+
+def test_weights_that_are_no_numbers_are_not_written(tmp_path):
+    network = EdgeNet(EdgeNetConfig())
+    next(iter(network.parameters())).data.view(-1)[0] = 1e5  # more than half precision holds
+    with pytest.raises(DataError, match="no finite number"):
+        save_weights(tmp_path / "edges.safetensors", network, EdgeNetConfig(), {})
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("name", ["dewarpnet", "dewarpnet_bw"])
+def test_a_batch_too_small_to_be_normalised_is_refused(dataset, tmp_path, name):
+    with pytest.raises(ConfigError, match=r"batch: got 1; allowed: >= 2 for each of 1 processes"):
+        train(quick_run(dataset, tmp_path, preset=name, width=0.05, input_px=128, batch=1))
+    train(quick_run(dataset, tmp_path, preset=name, width=0.05, input_px=128, batch=2, passes=2))
+
+
+@pytest.mark.usefixtures("tiny")
 def test_a_batch_that_the_processes_cannot_share_is_refused(dataset, tmp_path, monkeypatch):
     monkeypatch.setattr(train_module, "_processes", lambda device: nullcontext(Rank(0, 3)))
     with pytest.raises(ConfigError, match="multiples of the 3 processes"):

@@ -96,9 +96,11 @@ class Recovery:
         return _in_photo(self.seen, self.view)
 
     def film(self, size: tuple[int, int]) -> Float[np.ndarray, "h w"]:
-        """The paper's final output D_ab: the albedo map unwarped, display grey, no finer than the network's maps."""
-        n = self.albedo.shape[0]
-        return sample_bilinear(self.albedo, rescale_points(self.seen.dense(size), (1, 1), (n, n)))
+        """The paper's final output D_ab: the albedo map unwarped, display grey, at the network's resolution, which is
+        then enlarged."""
+        maps = self.albedo.shape
+        flat = sample_bilinear(self.albedo, rescale_points(self.seen.dense(maps), (1, 1), maps))
+        return cv2.resize(flat, size[::-1], interpolation=cv2.INTER_LINEAR)
 
 
 def recover(network: FiReNet, photo: UInt8[np.ndarray, "H W 3"], outline: bool = True) -> Recovery:

@@ -60,8 +60,9 @@ class Preset:
     name, of output and targets. weights: of the terms; those left out count once. nodes: side of the true backward map
     for an input of so many pixels; 0 if it is not needed. inputs: what the network reads. own_feed: where its batches
     come from, if not the paper's. batch, learning_rate: as published. px_multiple: what the input's side is a multiple
-    of. one_size: whether the network takes inputs of its configuration's size only. layout: of its weights in memory,
-    while it is trained.
+    of. one_size: whether the network takes inputs of its configuration's size only. least_batch: images that each
+    process needs in a step: those whose maps end in a single pixel cannot be normalised over fewer. layout: of its
+    weights in memory, while it is trained.
     """
 
     config: FilmNetConfig | UprightNetConfig | SliceNetConfig | EdgeNetConfig | LightNetConfig | PaperConfig
@@ -75,6 +76,7 @@ class Preset:
     learning_rate: float = 1e-3
     px_multiple: int = 32
     one_size: bool = False
+    least_batch: int = 1
     layout: torch.memory_format = torch.channels_last
 
     @property
@@ -129,6 +131,7 @@ _DEWARPNET = Preset(
     batch=50,
     learning_rate=1e-4,
     px_multiple=128,
+    least_batch=2,
 )
 _NET_BW = Preset(
     UvBwConfig(),
@@ -189,6 +192,7 @@ PRESETS: dict[str, Preset] = {
         losses=paper_losses.shape_net_losses,
         weights={},
         nodes=no_nodes,
+        least_batch=1,
     ),
     "dewarpnet_bw": replace(
         _DEWARPNET, build=BackwardNet, losses=paper_losses.backward_net_losses, inputs=coordinate_input

@@ -28,7 +28,7 @@ from torch import Tensor, nn
 from torch.utils.data import DataLoader, Dataset
 from tqdm import tqdm
 
-from hybrid.errors import ConfigError, HybridError, describe
+from hybrid.errors import ConfigError, DataError, HybridError, describe
 from hybrid.image_io import write_bytes, write_rgb
 from hybrid.learn.dewarpnet import DewarpNet
 from hybrid.learn.presets import Preset, preset, weighted_sum
@@ -214,7 +214,7 @@ def train(config: TrainConfig) -> None:
 
     Raises:
         ConfigError: an option that cannot be, or that is not the one that a run to resume began with, or other data;
-        fewer samples than are held out. DataError: data that cannot be read.
+        fewer samples than are held out. DataError: data that cannot be read, or of which the loss is no number.
     """
     plan = Plan.of(config)
     places = plan.preset.feed.open(config.data)
@@ -227,6 +227,9 @@ def train(config: TrainConfig) -> None:
         if plan.batch % rank.count:
             got, allowed = f"{plan.batch} images", f"multiples of the {rank.count} processes"
             raise ConfigError(describe(what="batch", got=got, allowed=allowed, do="Choose another --batch."))
+        if plan.batch < plan.preset.least_batch * rank.count:
+            allowed = f">= {plan.preset.least_batch} for each of {rank.count} processes"
+            raise ConfigError(describe(what="batch", got=plan.batch, allowed=allowed, do="Choose another --batch."))
         state = _State(plan, rank, len(places))
         loader = DataLoader(
             _Batches(plan, trained_on, rank),
@@ -348,7 +351,11 @@ class _State:
         terms = chosen.losses(output, targets)
         self.optimiser.zero_grad(set_to_none=True)
         weighted_sum(terms, chosen.weights).backward()
-        torch.nn.utils.clip_grad_norm_(self.network.parameters(), 5.0)
+        norm = torch.nn.utils.clip_grad_norm_(self.network.parameters(), 5.0)
+        if not torch.isfinite(norm):  # of all processes' gradients together: all end here, before any weight is lost
+            do = "What is saved is from before: mend the data and go on, or begin anew with a lower --learning-rate."
+            got = f"a loss that is no number, in step {self.step + 1}"
+            raise DataError(describe(what="train", where=self.plan.config.out, got=got, do=do))
         self.optimiser.step()
         self.step += 1
         self._average()
@@ -451,7 +458,7 @@ def _log(path: Path, row: dict[str, Any]) -> None:
     """Append a row to a CSV file, with a header if it is new."""
     new = not path.exists() or not path.stat().st_size
     with path.open("a", newline="") as file:
-        writer = csv.DictWriter(file, fieldnames=list(row))
+        writer = csv.DictWriter(file, fieldnames=list(row), lineterminator="\n")
         if new:
             writer.writeheader()
         writer.writerow({k: f"{v:.6g}" if isinstance(v, float) else v for k, v in row.items()})

@@ -25,7 +25,11 @@ from hybrid.learn.upright import UprightNet, UprightNetConfig
 
 
 def save_weights(path: Path, network: nn.Module, config: Any, notes: dict[str, Any]) -> None:
-    """Write a network in half precision with its configuration; ``notes`` (JSON-able) say how it was trained."""
+    """Write a network in half precision with its configuration; ``notes`` (JSON-able) say how it was trained.
+
+    Raises:
+        DataError: a weight is no number, or none in half precision.
+    """
     metadata = {
         "kind": type(network).__name__,
         "conventions": str(CONVENTIONS_VERSION),
@@ -36,6 +40,10 @@ def save_weights(path: Path, network: nn.Module, config: Any, notes: dict[str, A
         name: (value.half() if value.is_floating_point() else value).contiguous()
         for name, value in network.state_dict().items()
     }
+    lost = [name for name, value in tensors.items() if not value.isfinite().all()]
+    if lost:
+        got, do = f"no finite number in {lost[0]}", "Train with a lower --learning-rate."
+        raise DataError(describe(what="weights", where=path, got=got, do=do))
     write_bytes(path, save(tensors, metadata))
 
 

@@ -86,7 +86,8 @@ class RefineConfig:
     max_move: float = 0.08
     """Largest displacement believed, in film units."""
     min_gain: float = 0.9
-    """The spline counts only if held-out sightings disagree with it by less than this fraction of before."""
+    """Without a sheet the spline counts only if held-out sightings disagree with it by less than this fraction of
+    before."""
     counts: float = 0.3
     """Sightings of this robust weight and more count for the sheet that is fitted at last."""
     sheet_prior_px: float = 5.0

@@ -18,6 +18,8 @@ SHRINK_LIMIT = 2.4
 near to an area average of a print's texts as it does on the halved photo (40 to 43 dB); above, it aliases."""
 STRIP_ROWS = 128
 """Rows of the film that are made at a time."""
+LEAST_WEIGHT = 1e-7
+"""Weights of nodes below which single precision knows nothing of them."""
 MARGIN_PX = 8
 """Photo pixels kept around the film when the photo is cropped: more than any interpolation kernel reaches."""
 
@@ -72,7 +74,8 @@ def rectify_photo(
     method = cv2.INTER_CUBIC if shrink < (config or ResampleConfig()).cubic_below else cv2.INTER_LINEAR
 
     def read(rows: slice) -> None:
-        map_x, map_y = weights_v[rows] @ columns_x, weights_v[rows] @ columns_y
+        weights, near = _near_rows(weights_v[rows])
+        map_x, map_y = weights @ columns_x[near], weights @ columns_y[near]
         cv2.remap(part, map_x, map_y, method, dst=image[rows], borderMode=cv2.BORDER_REPLICATE)
         if not surely_inside:
             valid[rows] = _inside(map_x, map_y, whole - low)
@@ -123,6 +126,14 @@ def _opencv_columns(
     along_v = spline_weights(nodes.shape[0], film_centres_1d(size[0])).astype(np.float32)
     along_u = spline_weights(nodes.shape[1], film_centres_1d(size[1])).T
     return along_v, (nodes[..., 0] @ along_u).astype(np.float32), (nodes[..., 1] @ along_u).astype(np.float32)
+
+
+def _near_rows(weights: Float[np.ndarray, "h gh"]) -> tuple[Float[np.ndarray, "h n"], slice]:
+    """The weights of the rows of nodes that matter to some rows of pixels, and which: a spline's weights fall off by
+    0.27 from node to node, and a map of many nodes is then read several times as fast."""
+    rows = np.flatnonzero(np.abs(weights).max(axis=0) > LEAST_WEIGHT)
+    near = slice(rows[0], rows[-1] + 1)
+    return weights[:, near], near
 
 
 def _surely_inside(backward: BackwardMap, end: Float[np.ndarray, "2"]) -> bool:
