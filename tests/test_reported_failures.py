@@ -115,6 +115,28 @@ def test_01_a_flat_film_whose_cells_are_not_square_is_not_stretched(rectifier: R
     assert found.rectified.shape == picture.shape
 
 
+@pytest.mark.parametrize(("seed", "border"), [(2, 0.06), (8, 0.02), (11, 0.02), (11, 0.06)])
+def test_01_of_a_scan_with_a_white_border_the_border_is_no_film(rectifier: Rectifier, seed: int, border: float) -> None:
+    """Cells are as alike through its frame as through the sheet's map; the sheet's edges tell."""
+    picture = flat_picture(film_print(seed))
+    wide = int(border * len(picture))
+    found = rectifier(cv2.copyMakeBorder(picture, *(4 * [wide]), cv2.BORDER_CONSTANT, value=(255, 255, 255)))
+    nodes = film_nodes((33, 33))
+    assert found.backward is not None
+    off = found.backward.photo_from_film(nodes) - (nodes * np.array(picture.shape[1::-1]) + wide)
+    assert np.linalg.norm(off, axis=-1).mean() < 1.5
+
+
+@pytest.mark.parametrize(("seed", "style"), [(8, RULES), (8, GUTTERS), (5, GUTTERS)])
+def test_04_a_scan_that_lacks_part_of_the_sheet_is_not_called_flattened(
+    rectifier: Rectifier, seed: int, style: tuple
+) -> None:
+    picture = flat_picture(film_print(seed, style))
+    found = rectifier(np.ascontiguousarray(picture[:, : int(0.93 * picture.shape[1])]))
+    assert found.status.code is StatusCode.UNSURE
+    assert any("may lack part of the sheet" in doubt for doubt in found.status.doubts)
+
+
 def test_01_what_was_flattened_is_left_as_it_is(rectifier: Rectifier, plain) -> None:
     picture = plain[1].rectified
     found = rectifier(picture)

@@ -28,8 +28,12 @@ NOTHING_ELSE = 0.7
 something it is 0.68 at most."""
 
 BESIDE_FRAME, SURER = 0.005, 1.2
-"""A sheet all of whose edges are seen, and further off the frame than this in parts of its diagonal, has something
-around it; unless cells are more alike in the photo as it is by this factor: then these are no edges."""
+"""A sheet whose edges are seen, and further off the frame than this in parts of its diagonal, has something around it;
+unless cells are more alike in the photo as it is by this factor: then these are no edges."""
+
+EDGES_SEEN, LIKELY = 2, 0.8
+"""A sheet's edges are seen if all four are, or so many, and all are as likely as this to lie where they were read: of a
+scan's white border along a white margin no edge shows. Of 45 flat films that holds of two."""
 
 AS_ALIKE, AS_ALIKE_UNMOVED = 0.95, 0.85
 """Cells are as alike in the photo as it is where they are so by this part of how alike they are through maps refined
@@ -41,6 +45,8 @@ TOLD_ON_FRAME = 0.01
 
 UNMOVED = 1e-4
 """Up to which distance from the frame, in parts of its diagonal, a map stays there."""
+
+NEWTON_STEPS = 8
 
 LEAST_ALIKE, LEAST_ALIKE_UNSEEN = 0.1, 0.2
 """How alike cells must be in any case, and in a photo in which the network sees no film, or not all of it."""
@@ -76,7 +82,9 @@ def already_flat(
     grids = [on_frame for _, grid in seen for on_frame in _in_frame(grid, frame, pyramid.size)]
     most = max(grid.rows * grid.cols for grid in grids)
     straight, grid = max(((_explained(pyramid, frame, grid, most), grid) for grid in grids), key=lambda one: one[0])
-    bent = [_explained(pyramid, backward, grid, most) for backward, grid in seen]
+    bent = [
+        max(_explained(pyramid, backward, _on_film(grid, backward), most) for _, grid in seen) for backward, _ in seen
+    ]
     reason = f"cells are alike to {straight:.0%} as the photo is, to {max(bent):.0%} through a refined map"
     least = max(bent) * (AS_ALIKE_UNMOVED if _off(framed.backward, frame) <= UNMOVED else AS_ALIKE)
     if straight < max(least, LEAST_ALIKE_UNSEEN if refined is None else LEAST_ALIKE):
@@ -92,8 +100,10 @@ def is_frame(told: BackwardMap, size: tuple[int, int]) -> bool:
 
 
 def _has_edges_inside(refined: Refinement, frame: BackwardMap) -> bool:
-    """Whether all edges of a sheet are seen, and not on the frame."""
-    return refined.believed and refined.edges == len(SIDES) and _off(refined.backward, frame) > BESIDE_FRAME
+    """Whether the edges of a sheet are seen, and not on the frame."""
+    likely = refined.across is not None and float(refined.across.support.min()) >= LIKELY
+    seen = refined.edges == len(SIDES) or (likely and refined.edges >= EDGES_SEEN)
+    return refined.believed and seen and _off(refined.backward, frame) > BESIDE_FRAME
 
 
 def _explained(pyramid: Pyramid, backward: BackwardMap, grid: SliceGrid, most: int) -> float:
@@ -106,6 +116,12 @@ def _in_frame(grid: SliceGrid, frame: BackwardMap, size: tuple[int, int]) -> Ite
     photo shows it, and where that map has it on the film."""
     for vertices in (np.clip(grid.vertices_photo / np.array(size[::-1]), 0.0, 1.0), grid.vertices):
         yield replace(grid, vertices=vertices, vertices_photo=frame.photo_from_film(vertices))
+
+
+def _on_film(grid: SliceGrid, backward: BackwardMap) -> SliceGrid:
+    """A grid that was seen through another map as it lies on the film of this one."""
+    vertices = backward.film_near(grid.vertices_photo.reshape(-1, 2), grid.vertices.reshape(-1, 2), NEWTON_STEPS)
+    return replace(grid, vertices=vertices.reshape(grid.vertices.shape))
 
 
 def _off(backward: BackwardMap, frame: BackwardMap) -> float:

@@ -116,6 +116,10 @@ class TrustConfig:
     """Least agreement of the grid with what the network tells of the cells."""
     min_alike: float = 0.12
     """Least agreement of the cells: noise repeats by chance, too."""
+    most_lopsided: float = 0.055
+    """Of a photo that is the flat film itself, how unlike margins on opposite sides may be (``SliceGrid.lopsided``): of
+    50 whole films they are by 0.05 at most, of nine that lack 0.4 of a column or 7 % of their width by 0.06 and more.
+    """
     min_levels: float = 20.0
     """Least number of grey levels that the photo makes use of: over fewer, gutters look like the sheet's edges."""
 
@@ -179,9 +183,14 @@ def sides_outside(backward: BackwardMap, size: tuple[int, int]) -> tuple[str, ..
 def expected_error_px(signs: Signs, config: TrustConfig | None = None) -> float:
     """Mean distance, in pixels of the photo, by which the points of the film are expected to be off."""
     config = config or TrustConfig()
-    if signs.flat:
+    if _whole_photo(signs, config):
         return FLAT_ERROR * signs.film_px
     return float(np.exp(_weighted(features(signs), config.error))) * signs.film_px
+
+
+def _whole_photo(signs: Signs, config: TrustConfig) -> bool:
+    """Whether the photo is the flat film itself, and all of it."""
+    return signs.flat and signs.lopsided <= config.most_lopsided
 
 
 def features(signs: Signs) -> dict[str, float]:
@@ -199,7 +208,7 @@ def features(signs: Signs) -> dict[str, float]:
 def chance_right(signs: Signs, config: TrustConfig | None = None) -> float:
     """Probability that the mean error is below the largest of a film that is called flattened."""
     config = config or TrustConfig()
-    if signs.flat:
+    if _whole_photo(signs, config):
         return 1.0
     odds = _weighted(chance_features(signs, largest_error_px(signs.photo_px, config)), config.chance)
     return float(1.0 / (1.0 + np.exp(-odds)))
@@ -225,7 +234,7 @@ def film_verdict(signs: Signs, config: TrustConfig | None = None) -> Verdict:
     """OK where the film is as good as certain to lie where the map says, UNSURE else, NO_FILM where nothing of what
     makes a film is seen, with the evidence."""
     config = config or TrustConfig()
-    if signs.flat:
+    if _whole_photo(signs, config):
         return Verdict(StatusCode.OK, f"the photo is the flat film itself: cells are alike to {signs.alike:.0%}")
     limit, chance = largest_error_px(signs.photo_px, config), chance_right(signs, config)
     allowed, expected = config.safety * limit, expected_error_px(signs, config)
@@ -233,6 +242,7 @@ def film_verdict(signs: Signs, config: TrustConfig | None = None) -> Verdict:
         text
         for text, doubtful in (
             (f"step back, the photo lacks the film's {' and '.join(signs.outside)} edge", bool(signs.outside)),
+            ("a scan with unlike margins on opposite sides, which may lack part of the sheet", signs.flat),
             (f"{signs.edges} of 4 edges seen", signs.edges < config.min_edges),
             ("no grid seen", not signs.grid),
             (f"only {signs.levels:.0f} of 255 grey levels", signs.levels < config.min_levels),
