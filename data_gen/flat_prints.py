@@ -14,8 +14,8 @@ import tyro
 from data_gen.manifest import deciding, describe_dataset, described_sources, generator_digest, sole_writer
 from data_gen.prints import FilmPrint, make_print
 from data_gen.sources import SourceConfig, draw_volume
-from data_gen.work import source_names, start_worker, write_missing
-from hybrid.errors import HybridError, require_at_least
+from data_gen.work import run_command, source_names, start_worker, write_missing
+from hybrid.errors import require_at_least
 from hybrid.image_io import write_bytes
 
 
@@ -76,10 +76,7 @@ def written_print(seed: int, number: int, sources: SourceConfig) -> FilmPrint:
 
 def main() -> None:
     """Command line."""
-    try:
-        flat_prints(tyro.cli(FlatPrintsConfig, prog="python -m data_gen.flat_prints"))
-    except (HybridError, OSError) as error:
-        raise SystemExit(f"error: {error}") from None
+    run_command("data_gen.flat_prints", FlatPrintsConfig, flat_prints)
 
 
 if __name__ == "__main__":

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import sys
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field, replace
 from itertools import islice
@@ -27,8 +26,8 @@ from data_gen.manifest import (
 )
 from data_gen.sample import SampleConfig
 from data_gen.sources import SourceConfig
-from data_gen.work import check_open3d, film_bytes, source_names, workers
-from hybrid.errors import ConfigError, DataError, HybridError, describe, require_at_least
+from data_gen.work import check_open3d, film_bytes, run_command, source_names, workers
+from hybrid.errors import ConfigError, DataError, describe, require_at_least
 
 MAX_MAP_SIZE = 448
 """Maps are stored at the photo's size up to this (the published data set's)."""
@@ -153,13 +152,7 @@ def _options(config: GenerateConfig, names: dict[str, list[str]]) -> dict[str, A
 
 def main() -> None:
     """Command line."""
-    try:
-        generate(tyro.cli(GenerateConfig, prog="python -m data_gen.generate"))
-    except HybridError as error:
-        raise SystemExit(f"error: {error}") from None
-    except KeyboardInterrupt:
-        print("stopped; finished shards are kept, and the same command goes on", file=sys.stderr)
-        raise SystemExit(130) from None
+    run_command("data_gen.generate", GenerateConfig, generate)
 
 
 if __name__ == "__main__":

@@ -39,9 +39,13 @@ def sole_writer(folder: Path) -> Iterator[None]:
     """Make the folder and hold it: two runs that write into one data set would destroy it.
 
     Raises:
-        ConfigError: another run holds it.
+        ConfigError: another run holds it, or it is a file.
     """
-    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except FileExistsError as error:
+        got, do = "a file of this name", "Choose another --out."
+        raise ConfigError(describe(what="--out", where=folder, got=got, do=do)) from error
     handle = os.open(folder, os.O_RDONLY)
     try:
         try:

@@ -26,10 +26,11 @@ from tqdm import tqdm
 from data_gen.generate import MAX_MAP_SIZE
 from data_gen.manifest import deciding, describe_dataset, shard_name, sole_writer, write_manifest, write_shard
 from data_gen.shards import npy_bytes, packed
+from data_gen.work import run_command
 from hybrid.backward import MIN_NODES, BackwardMap
 from hybrid.coords import opencv_from_photo, pixel_centres, rescale_points, rgb_from_bgr
 from hybrid.draw import outline_curve, resized
-from hybrid.errors import NPZ_ERRORS, ConfigError, DataError, HybridError, describe
+from hybrid.errors import NPZ_ERRORS, ConfigError, DataError, describe
 from hybrid.image_io import read_photo
 from hybrid.learn.coding import encode_uv
 
@@ -181,15 +182,15 @@ def make_dataset(config: OwnPhotosConfig) -> int:
     return len(paths)
 
 
-def main() -> None:
-    """Command line."""
-    config = tyro.cli(OwnPhotosConfig, prog="python -m data_gen.own_photos")
-    try:
-        count = make_dataset(config)
-    except (HybridError, OSError) as error:
-        raise SystemExit(f"error: {error}") from None
+def _make_and_tell(config: OwnPhotosConfig) -> None:
+    count = make_dataset(config)
     without = len(photos_in(config.pairs)) - count
     print(f"{count} samples written{f'; {without} photos have no .npz' if without else ''}", file=sys.stderr)
+
+
+def main() -> None:
+    """Command line."""
+    run_command("data_gen.own_photos", OwnPhotosConfig, _make_and_tell)
 
 
 if __name__ == "__main__":

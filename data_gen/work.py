@@ -6,6 +6,7 @@ import asyncio
 import ctypes
 import multiprocessing
 import os
+import re
 import socket
 import sys
 from collections import deque
@@ -17,9 +18,10 @@ from dataclasses import dataclass
 from functools import lru_cache
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import cv2
+import tyro
 from threadpoolctl import threadpool_limits
 from tqdm import tqdm
 
@@ -28,7 +30,10 @@ from data_gen.sample import SampleConfig, film_samples
 from data_gen.shards import sample_bytes
 from data_gen.sources import SourceConfig, loaded
 from hybrid.errors import ConfigError, DataError, HybridError, describe, install_extra
+from hybrid.outputs import told
 from hybrid.workers import deaf_to_interrupts, leave_with_parent
+
+Options = TypeVar("Options")
 
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
@@ -54,6 +59,29 @@ def check_open3d() -> None:
     """
     if find_spec("open3d") is None:
         raise ConfigError(describe(what="Making data", got="no Open3D", do=install_extra("data")))
+
+
+def run_command(module: str, kind: type[Options], run: Callable[[Options], Any]) -> None:
+    """Run ``python -m MODULE``: an error that a user can mend, of the options as well, is one line, and so is Ctrl-C.
+
+    kind: a dataclass with the field ``out``, of which tyro makes the command line.
+    """
+    try:
+        config: Any = tyro.cli(kind, prog=f"python -m {module}")
+        try:
+            run(config)
+        except OSError as error:
+            raise DataError(told(error, config.out)) from error
+    except HybridError as error:
+        raise SystemExit(f"error: {_with_flags(str(error), kind)}") from None
+    except KeyboardInterrupt:
+        print("stopped; what is finished is kept, and the same command goes on", file=sys.stderr)
+        raise SystemExit(130) from None
+
+
+def _with_flags(message: str, kind: type) -> str:
+    """A message about options (``GenerateConfig.map_size``) that calls them what the command line does."""
+    return re.sub(rf"\b{kind.__name__}\.(\w+)", lambda found: f"--{found[1]}".replace("_", "-"), message)
 
 
 # ---------------------------------------------------------------- tasks

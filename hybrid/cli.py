@@ -63,7 +63,9 @@ def _guarded(command: Callable[[list[str]], int], arguments: list[str]) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
     except (HybridError, OSError, MemoryError) as error:
-        print(f"hybrid: {str(error) or type(error).__name__}", file=sys.stderr)
+        from hybrid.outputs import told
+
+        print(f"hybrid: {told(error)}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
         print("hybrid: stopped; what is finished is kept (a film whose JSON says UNFINISHED is not)", file=sys.stderr)

@@ -10,7 +10,7 @@ import tyro
 
 from hybrid.cli_options import PhotoOptions, made_by, parse, photos_among
 from hybrid.image_io import read_photo
-from hybrid.outputs import further_pictures, make_folder, report_lines, warnings_of, write_result
+from hybrid.outputs import further_pictures, left_out_photos, make_folder, report_lines, warnings_of, write_result
 from hybrid.pipeline import Rectifier, RectifyConfig
 
 
@@ -41,8 +41,10 @@ def run(arguments: list[str]) -> int:
     made = made_by(options.effort, RectifyConfig.of(options.effort), options.config)
     shown = photos[result.photo]
     files = write_result(options.out, paths, shown, result, options.rectified_format, made, options.dicom)
-    warnings = [*warnings_of(result), *further_pictures(paths)]
+    warnings = [*warnings_of(result), *left_out_photos(paths, result), *further_pictures(paths)]
     print("\n".join(report_lines(paths[0], result, files, warnings, options.verbose)))
     if not options.verbose:
-        print("\n".join(f"  {stage.name}: {stage.reason}" for stage in result.stages if stage.name == "fuse"))
+        for stage in result.stages:
+            if stage.name == "fuse":
+                print(f"  {stage.name}: {stage.reason}")
     return 0 if result.status.has_film else 1

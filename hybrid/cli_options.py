@@ -16,7 +16,7 @@ from typing import Annotated, Any, TypeVar
 import tyro
 
 from hybrid.effort import Effort
-from hybrid.errors import ConfigError
+from hybrid.errors import ConfigError, describe
 from hybrid.image_io import SUFFIXES
 from hybrid.outputs import FOLDERS, RectifiedFormat, is_result
 
@@ -71,10 +71,19 @@ def parse(
         effort = "default"
     default: Any = kind(photos=(), effort=effort, config=config_of(effort))  # type: ignore[call-arg]
     try:
+        _refuse_photos_like_options(arguments)
         return tyro.cli(kind, args=["--help" if a == ALL else a for a in arguments], prog=prog, default=default)
     except ConfigError as error:
         print(f"{prog}: {_with_flags(str(error), default.config)}", file=sys.stderr)
         raise SystemExit(2) from None
+
+
+def _refuse_photos_like_options(arguments: Sequence[str]) -> None:
+    """Refuse photos whose names begin with a dash, as ``*.jpg`` may give them: all that follow were no photos then."""
+    for word in arguments:
+        if word.startswith("-") and Path(word).suffix.lower() in SUFFIXES and os.path.isfile(word):
+            got, do = "a name that is taken for an option", f"Write ./{word}."
+            raise ConfigError(describe(what="Photos", where=word, got=got, do=do))
 
 
 def _with_flags(message: str, config: Any) -> str:
@@ -101,8 +110,8 @@ def photos_among(paths: Sequence[Path]) -> list[Path]:
 
 
 def _photos_in(folder: Path) -> list[Path]:
-    """The files of a folder, not of those within it, whose suffixes are those of photos, but hidden ones; the folder
-    itself if there are none, or if it may not be looked into."""
+    """What has a photo's suffix in a folder, not in those within it, but hidden files; the folder itself if nothing
+    has, or if it may not be looked into. A link that leads nowhere is for the reader to refuse."""
     try:
         shown = [path for path in sorted(folder.iterdir()) if not path.name.startswith(".")]
     except OSError:
@@ -110,7 +119,7 @@ def _photos_in(folder: Path) -> list[Path]:
     within = [path.name for path in shown if path.is_dir() and not path.name.endswith(FOLDERS)]
     if within:
         print(f"{folder}: folders within it are left out: {', '.join(within)}")
-    return [path for path in shown if path.suffix.lower() in SUFFIXES and path.is_file()] or [folder]
+    return [path for path in shown if path.suffix.lower() in SUFFIXES and not path.is_dir()] or [folder]
 
 
 def made_by(effort: Effort, usual: Any, config: Any) -> dict[str, Any]:

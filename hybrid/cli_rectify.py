@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -49,6 +50,10 @@ class FewOptions(PhotoOptions):
     def __post_init__(self) -> None:
         if self.workers < 1:
             raise ConfigError(describe(what="--workers", got=self.workers, allowed="1 or more", do="Name how many."))
+        numbers = [x for point in self.corners or () for x in point]
+        if not all(map(math.isfinite, numbers)):
+            got = " ".join(f"{x:g}" for x in numbers)
+            raise ConfigError(describe(what="--corners", got=got, allowed="numbers", do="Name pixels of the photo."))
 
 
 @dataclass(frozen=True)
@@ -75,7 +80,9 @@ def run(arguments: list[str]) -> int:
         return 2
     if options.corners is not None and len(photos) > 1:
         got, do = f"{len(photos)} photos", "Rectify this photo by itself."
-        raise ConfigError(describe(what="--corners", got=got, allowed="one photo", do=do))
+        told = describe(what="--corners", got=got, allowed="one photo", do=do)
+        print(f"hybrid rectify: {told}", file=sys.stderr)
+        return 2
     made = made_by(options.effort, RectifyConfig.of(options.effort), options.config)
     outcomes = rectify_files(
         photos,

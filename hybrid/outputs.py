@@ -114,11 +114,20 @@ def _rectified(
         outcome = Outcome(path, status.has_film, str(status), files, warnings, status.has_film and not status.ok)
         return outcome, "\n".join(report_lines(path, result, files, warnings, verbose))
     except (HybridError, OSError, MemoryError) as error:
-        outcome = Outcome(path, False, str(error) or type(error).__name__)
+        outcome = Outcome(path, False, told(error, out))
         return outcome, f"{path}\n  ERROR  {outcome.message}"
     except Exception as error:  # a defect of this program must not cost the photos that are still to come
         outcome = Outcome(path, False, f"internal error: {type(error).__name__}: {error}")
         return outcome, f"{path}\n  ERROR  {outcome.message}\n{traceback.format_exc()}"
+
+
+def told(error: Exception, where: object = None) -> str:
+    """An error in a sentence; the system's own say no more than why, and not always ``where``."""
+    if not isinstance(error, OSError) or error.strerror is None:
+        return str(error) or type(error).__name__
+    do = "Mend that (free space, permissions, names) and run the same command again."
+    file = error.filename2 or error.filename or where
+    return describe(what="A file cannot be read or written", where=file, got=error.strerror, do=do)
 
 
 def make_folder(out: Path, option: str = "-o") -> None:
@@ -170,6 +179,11 @@ def warnings_of(result: RectifyResult) -> list[str]:
     return told
 
 
+def left_out_photos(paths: Sequence[Path], result: RectifyResult) -> list[str]:
+    """Which of the photos that were to be fused the film is not made of, and why."""
+    return [f"{paths[one.photo].name} is left out: {one.why}." for one in result.left_out]
+
+
 def further_pictures(paths: Sequence[Path]) -> list[str]:
     """Of which photos the files hold more pictures, which were not read."""
     names = ["It"] if len(paths) == 1 else [path.name for path in paths]
@@ -207,9 +221,9 @@ FUSED_SUFFIX = "_fused"
 def reserved(out: Path, stem: str, about: dict[str, Any]) -> tuple[str, dict[str, Any]]:
     """The stem, numbered where it is taken, and what an earlier run over the same photos left to know of it.
 
-    about: the photos (``photo_record``). A name is theirs if its JSON says so, and free if nothing of that name is
-    there; the JSON that is written at once says that the rest is unfinished, so that no other run takes it, nor does a
-    later one if this is cut off.
+    about: the photos (``photo_record``). A name is theirs if its JSON names the same, whichever of them it is made of,
+    and free if nothing of that name is there; the JSON that is written at once says that the rest is unfinished, so
+    that no other run takes it, nor does a later one if this is cut off.
     """
     number = 1
     while True:
@@ -217,7 +231,7 @@ def reserved(out: Path, stem: str, about: dict[str, Any]) -> tuple[str, dict[str
         record, number = out / f"{name}.json", number + 1
         if record.exists():
             known = _read_record(record)
-            if {key: known.get(key) for key in about} == about:
+            if _photos_in(known) == _photos_in(about):
                 if known.get("status") == UNFINISHED:  # of what it wrote its JSON does not tell
                     known = {"earlier_files": sorted({*_files_in(known), *_files_of(out, name)})}
                 write_bytes(record, _json_bytes(_unfinished(about, known)))
@@ -277,14 +291,25 @@ def _json_bytes(record: dict[str, Any]) -> bytes:
     return (json.dumps(record, indent=2, allow_nan=False) + "\n").encode()
 
 
-def photo_record(photos: Sequence[Path]) -> dict[str, Any]:
-    """What tells photos from others of their name."""
+def photo_record(photos: Sequence[Path], left_out: Sequence[Path] = ()) -> dict[str, Any]:
+    """What tells the photos of a film, and those left out of it, from others of their name."""
     first, *further = photos
     about: dict[str, Any] = {"photo": first.name, "photo_sha256": photo_digest(first)}
-    if further:
-        about["further_photos"] = [photo.name for photo in further]
-        about["further_photos_sha256"] = [photo_digest(photo) for photo in further]
+    for key, those in (("further_photos", further), ("left_out", left_out)):
+        if those:
+            about[key] = [photo.name for photo in those]
+            about[f"{key}_sha256"] = [photo_digest(photo) for photo in those]
     return about
+
+
+def _photos_in(record: dict[str, Any]) -> list[str]:
+    """All photos that a record names, in no order of its own, with what tells each from others of its name."""
+    pairs: list[Any] = []
+    for key in ("photo", "further_photos", "left_out"):
+        of_key = (record.get(key, []), record.get(f"{key}_sha256", []))
+        names, digests = (each if isinstance(each, list) else [each] for each in of_key)
+        pairs += zip(names, digests, strict=False)  # of a JSON that may be anybody's
+    return sorted(map(repr, pairs))
 
 
 def photo_digest(photo: Path) -> str:
@@ -316,13 +341,14 @@ def write_result(
 ) -> tuple[Path, ...]:
     """Write everything that the result holds, named after the first photo; the JSON says when the rest is complete.
 
-    paths: of the photos that it was made of; ``photo`` is the one of ``result.photo``. made: of how it was made, for
+    paths: of the photos that were given for it; ``photo`` is the one of ``result.photo``. made: of how it was made, for
     the JSON. dicom: whether film and slices are written as DICOM, too. What is there of other photos is left alone.
     Files that an earlier run over the same photos left and this one does not make (slices of another grid) are removed,
     once the new ones are there. Where this one finds no film they stay, as DICOM files do where none are asked for, and
     the JSON names them ("earlier_files").
     """
-    about = photo_record(paths)
+    used = result.made_of(paths)
+    about = photo_record(used, [paths[one.photo] for one in result.left_out])
     name, known = reserved(out, f"{paths[0].stem}{FUSED_SUFFIX if len(paths) > 1 else ''}", about)
     files: list[Path] = []
     if result.film is not None:
@@ -339,8 +365,9 @@ def write_result(
         files.append(out / f"{name}_side_by_side.jpg")
         write_rgb(files[-1], side_by_side([annotated(photo, result), rgb_from_film(result.film)]))
         if dicom:
-            digest = [about["photo_sha256"], *about.get("further_photos_sha256", [])][result.photo]
-            files += _write_dicom(out / f"{name}{DICOM_SUFFIX}", paths, digest, result)
+            digests = [about["photo_sha256"], *about.get("further_photos_sha256", [])]
+            digest = digests[used.index(paths[result.photo])]
+            files += _write_dicom(out / f"{name}{DICOM_SUFFIX}", used, digest, result)
     of = {"map_of": paths[result.photo].name} if len(paths) > 1 else {}
     record = {"hybrid_version": __version__, **(made or {}), **about, **of, **result_record(photo.shape[:2], result)}
     record["files"] = [file.relative_to(out).as_posix() for file in files]
@@ -373,15 +400,20 @@ def save_result(
         dicom: whether film and slices are written as DICOM, too (``hybrid.dicom``).
 
     Raises:
-        PhotoError: the photo cannot be read. ConfigError: nothing can be written there, photos are missing, or it is
-            another photo (of another size).
+        PhotoError: the photo cannot be read. ConfigError: nothing can be written there, photos are missing or no paths,
+            or it is another photo (of another size).
     """
     if rectified_format not in get_args(RectifiedFormat):
         allowed = " or ".join(get_args(RectifiedFormat))
         raise ConfigError(
             describe(what="rectified_format", got=repr(rectified_format), allowed=allowed, do="Name one.")
         )
-    paths, folder = [Path(one) for one in ([path] if isinstance(path, (str, os.PathLike)) else path)], Path(out)
+    try:
+        paths = [Path(one) for one in ([path] if isinstance(path, (str, os.PathLike)) else path)]
+    except TypeError:
+        got, do = f"a {type(path).__name__}", "Name the photo's file: it is read for the picture beside the film."
+        raise ConfigError(describe(what="Photo to save", got=got, allowed="a path, or several", do=do)) from None
+    folder = Path(out)
     if len(paths) != result.photos:
         do = "Name the photo that it was made of, or all that were fused, in their order."
         raise ConfigError(describe(what="Photos of a film", got=len(paths), allowed=str(result.photos), do=do))
@@ -403,7 +435,8 @@ def write_slices(folder: Path, result: RectifyResult) -> list[Path]:
 
 
 def _write_dicom(folder: Path, paths: Sequence[Path], digest: str, result: RectifyResult) -> list[Path]:
-    """Write the film as film.dcm and the slices as 01.dcm and so on. paths: of the photos. digest: of the map's one."""
+    """Write the film as film.dcm and the slices as 01.dcm and so on. paths: of the photos that the film is made of.
+    digest: of the map's one."""
     from hybrid.dicom import PhotoFile, secondary_captures  # with pydicom, which few need
 
     folder.mkdir(exist_ok=True)
@@ -468,6 +501,7 @@ __all__ = [
     "report_lines",
     "result_record",
     "save_result",
+    "told",
     "warnings_of",
     "write_result",
     "write_slices",

@@ -93,7 +93,7 @@ class Rectifier:
         names: of the photos, for messages; else they are numbered.
 
         film, glare and confidence are made of all photos in which a film is found, as large as the largest of their
-        films; the others are left out, which the last stage says. The rest is of the first of them (``result.photo``),
+        films; the others are left out (``result.left_out``). The rest is of the first of them (``result.photo``),
         its map moved to where all whose map is sure say that the print lies (all, if none is): status and expected
         error are theirs. The first photo's result where no film is found in any.
 
@@ -129,7 +129,7 @@ class Rectifier:
 
         Args:
             source: the photo that was rectified, as for a single photo; of a fused film that of ``result.photo``, of
-                which alone it is made then.
+                which alone it is made then, as a result of that photo and no longer of all.
             edit: of what this rectifier made of it.
 
         Raises:
@@ -163,6 +163,9 @@ class Rectifier:
             expected_error_px=None,
             limit_px=None,
             signs=None,
+            photo=0,
+            photos=1,
+            left_out=(),
         )
 
     def network_map(self, source: str | Path | np.ndarray) -> BackwardMap | None:

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
+from typing import TypeVar
 
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
 from hybrid.backward import BackwardMap, Orientation
 from hybrid.errors import ConfigError, describe
+
+Photo = TypeVar("Photo")
 
 # ---------------------------------------------------------------- what the network sees
 
@@ -167,6 +171,14 @@ class StageReport:
 
 
 @dataclass(frozen=True)
+class LeftOut:
+    """A photo that a fused film is not made of: its index among those that were given, and why."""
+
+    photo: int
+    why: str
+
+
+@dataclass(frozen=True)
 class Signs:
     """What speaks for a map and against it.
 
@@ -238,7 +250,8 @@ class RectifyResult:
     signs: what speaks for the map and against it, of which both are told (``rectify/trust.py``).
     photo_size: height and width of the photo in pixels.
     photo: of a film fused from several photos the index of the one that rectified, backward and the grid's vertices in
-        the photo are of: the first in which a film was found. photos: how many it was fused from, 1 of others.
+        the photo are of: the first in which a film was found. photos: how many were given to be fused, 1 of others.
+    left_out: which of these it is not made of.
     """
 
     status: Status
@@ -258,6 +271,12 @@ class RectifyResult:
     photo_size: tuple[int, int] | None = None
     photo: int = 0
     photos: int = 1
+    left_out: tuple[LeftOut, ...] = ()
+
+    def made_of(self, photos: Sequence[Photo]) -> list[Photo]:
+        """Those of the photos that were given, in their order, that the film is made of."""
+        without = {one.photo for one in self.left_out}
+        return [photo for index, photo in enumerate(photos) if index not in without]
 
     def of_photo(self, size: tuple[int, ...], where: object = None) -> None:
         """Refuse a photo of another ``size`` (height, width) than the one that this is the result of.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import io
 import json
 import sys
@@ -23,7 +24,7 @@ from hybrid.coords import film_nodes
 from hybrid.errors import ConfigError
 from hybrid.image_io import read_photo, write_rgb
 from hybrid.outputs import is_result, rectify_files, result_record, warnings_of, write_result
-from hybrid.records import RectifyResult, SliceGrid, StageReport, Status, StatusCode
+from hybrid.records import LeftOut, RectifyResult, SliceGrid, StageReport, Status, StatusCode
 
 Effort = Literal["fast", "default"]
 ROWS = {"fast": 1, "default": 2}
@@ -174,8 +175,8 @@ def test_corners_are_of_one_photo_and_are_told(photo: Path, tmp_path: Path, caps
     assert told == [[-3, 2], [80, 2.5], [85, 50], [1, 58]]
     assert cli.main(["rectify", "-o", str(tmp_path / "out"), *at, str(photo)]) == 0  # eight numbers, and no more
     capsys.readouterr()
-    assert cli.main(["rectify", str(photo), str(black_photo(tmp_path)), "-o", str(tmp_path / "out"), *at]) == 1
-    assert "--corners: got 2 photos; allowed: one photo" in capsys.readouterr().err
+    assert cli.main(["rectify", str(photo), str(black_photo(tmp_path)), "-o", str(tmp_path / "out"), *at]) == 2
+    assert "hybrid rectify: --corners: got 2 photos; allowed: one photo" in capsys.readouterr().err
 
 
 @pytest.mark.usefixtures("_stand_in")
@@ -233,6 +234,9 @@ def test_a_result_is_saved_from_python_as_the_command_writes_it(photo: Path, tmp
         hybrid.save_result(photo, of_two, saved)
     with pytest.raises(ConfigError, match=r"Another photo \(.*black.png\): got 64 x 64 pixels; allowed: 90 x 60"):
         hybrid.save_result(black_photo(tmp_path), StandIn()(read_photo(photo)), saved)
+    for no_path in (None, [None], read_photo(photo)):
+        with pytest.raises(ConfigError, match=r"Photo to save: got a \w+; allowed: a path, or several\. Name the"):
+            inspect.unwrap(hybrid.save_result)(no_path, StandIn()(read_photo(photo)), saved)
     told = hybrid.save_result(black_photo(tmp_path), RectifyResult(Status(StatusCode.NO_FILM)), saved)
     assert told == (saved / "black.json",)
     with pytest.raises(ConfigError, match="Nothing can be written there"):
@@ -477,6 +481,19 @@ def test_fused_photos_are_others_if_one_of_them_is(photo: Path, tmp_path: Path) 
     assert write([photo], out)[-1] == out / "film.json"
 
 
+def test_results_of_the_same_photos_are_replaced_whichever_are_left_out(photo: Path, tmp_path: Path) -> None:
+    """As another effort may find a film where one found none; earlier versions named all photos as the film's."""
+    out, both = folder(tmp_path / "out"), [black_photo(tmp_path), photo]
+    found = replace(StandIn()(read_photo(photo)), photo=1, photos=2)
+    for left_out in ((LeftOut(0, "no film was found in it"),), (), (LeftOut(0, "no film was found in it"),)):
+        files = write_result(out, both, read_photo(photo), replace(found, left_out=left_out), "png")
+        assert files[-1] == out / "black_fused.json"
+    other = black_photo(folder(tmp_path / "other"))
+    write_rgb(other, np.full((64, 64, 3), 7, dtype=np.uint8))
+    files = write_result(out, [other, photo], read_photo(photo), replace(found, left_out=left_out), "png")
+    assert files[-1] == out / "black_fused_2.json"
+
+
 # ---------------------------------------------------------------- how it fails
 
 
@@ -521,6 +538,18 @@ def test_a_folder_stands_for_the_photos_in_it(photo: Path, tmp_path: Path, capsy
 
 
 @pytest.mark.usefixtures("_stand_in")
+def test_a_link_in_a_folder_that_leads_nowhere_is_told(
+    photo: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    photo.with_name("link.jpg").symlink_to("gone.jpg")
+    folder(photo.with_name("folder.jpg"))
+    assert cli.main(["rectify", str(photo.parent), "-o", str(tmp_path / "out")]) == 1
+    printed = capsys.readouterr().out
+    assert f"ERROR  No such file ({photo.with_name('link.jpg')})" in printed
+    assert "1 of 2 photos flattened" in printed
+
+
+@pytest.mark.usefixtures("_stand_in")
 def test_a_folder_without_photos_costs_no_others(
     photo: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -557,6 +586,40 @@ def test_no_photos_is_a_wrong_command_line(capsys: pytest.CaptureFixture[str]) -
     assert "name at least one" in capsys.readouterr().err
 
 
+@pytest.mark.usefixtures("_stand_in")
+def test_what_the_system_refuses_is_told_with_its_place_and_what_to_do(
+    photo: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    long = photo.with_name(f"{'a' * 250}.jpg")
+    long.write_bytes(photo.read_bytes())
+    out = tmp_path / "out"
+    assert cli.main(["rectify", str(long), str(photo), "-o", str(out)]) == 1
+    told = f"A file cannot be read or written ({out / ('a' * 250)}_film.png): got File name too long. Mend that"
+    assert f"ERROR  {told}" in capsys.readouterr().out
+
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")  # as of a write, which names no file
+
+    monkeypatch.setattr("hybrid.outputs.write_film", full)
+    assert cli.main(["rectify", str(photo), "-o", str(out)]) == 1
+    assert f"cannot be read or written ({out}): got No space left on device. Mend" in capsys.readouterr().out
+
+
+@pytest.mark.usefixtures("_stand_in")
+@pytest.mark.parametrize("command", ["rectify", "fuse"])
+def test_a_photo_whose_name_is_taken_for_an_option_is_told(
+    command: str, photo: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(photo.parent)
+    Path("-dash.JPG").write_bytes(photo.read_bytes())
+    with pytest.raises(SystemExit) as stopped:
+        cli.main([command, "-dash.JPG", "film.png", "-o", "out"])
+    assert stopped.value.code == 2
+    told = "Photos (-dash.JPG): got a name that is taken for an option. Write ./-dash.JPG."
+    assert capsys.readouterr().err == f"hybrid {command}: {told}\n"
+    assert cli.main(["rectify", "./-dash.JPG", "film.png", "-o", "out"]) == 0
+
+
 def test_output_folder_that_cannot_be(photo: Path) -> None:
     with pytest.raises(ConfigError, match=r"Nothing can be written there.*Name a folder"):
         rectify_files([photo], photo / "out", StandIn, "jpg", print)
@@ -574,6 +637,8 @@ def test_user_errors_are_one_line(photo: Path, capsys: pytest.CaptureFixture[str
     ("options", "told"),
     [
         (["--workers", "0"], "--workers: got 0; allowed: 1 or more. Name how many."),
+        (["--corners", *"009090", "nan", "9"], "--corners: got 0 0 9 0 9 0 nan 9; allowed: numbers."),
+        (["--corners", *"009099", "-inf", "9"], "--corners: got 0 0 9 0 9 9 -inf 9; allowed: numbers."),
         (["--upright.mirror"], "--upright.mirror: got no turn beside it."),
         (["--size.max-side-px", "0"], "--size.max-side-px: got 0; allowed: >= 64."),
     ],
@@ -610,7 +675,8 @@ def test_a_file_that_cannot_be_written_is_one_line(monkeypatch: pytest.MonkeyPat
 
     monkeypatch.setattr(cli, "_fuse", full)
     assert cli.main(["fuse", "a.jpg", "b.jpg"]) == 1
-    assert capsys.readouterr().err == "hybrid: [Errno 28] No space left on device: 'out/film.png'\n"
+    told = "A file cannot be read or written (out/film.png): got No space left on device. Mend that (free space, "
+    assert capsys.readouterr().err == f"hybrid: {told}permissions, names) and run the same command again.\n"
     assert cli.main([]) == 2
 
 

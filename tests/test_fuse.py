@@ -20,6 +20,7 @@ from hybrid.coords import film_centres, film_nodes, pixel_from_film, sample_bili
 from hybrid.errors import FusionError
 from hybrid.levels import LevelReader, Levels
 from hybrid.metrics import psnr_after_gain_offset
+from hybrid.outputs import photo_digest
 from hybrid.pipeline import Rectifier
 from hybrid.records import RectifyResult, Signs, SliceGrid, Status, StatusCode
 from hybrid.rectify.fuse import FuseConfig, fuse, phase_shift, register
@@ -269,6 +270,14 @@ def test_photos_of_one_film_are_given_one_tone():
     np.testing.assert_array_equal(result.film, middle.film)
 
 
+def test_an_unsure_photo_of_something_else_is_left_out_and_no_part_of_the_film():
+    shown = [seen(SPOTS[0], 0), unsure(seen(SPOTS[1], 1, film=1)), seen(SPOTS[2], 2)]
+    result = fused(*shown)
+    assert [(one.photo, one.why) for one in result.left_out] == [(1, "itself unsure, it is not like photo 1")]
+    assert result.stages[-1].reason.startswith("2 photos; photo 2 left out: itself unsure, it is not like photo 1; ")
+    assert fused(NO_FILM, shown[0]).stages[-1].reason.startswith("1 photo; photo 1 left out")
+
+
 NO_FILM = np.zeros((64, 64, 3), np.uint8), RectifyResult(Status(StatusCode.NO_FILM))
 
 
@@ -278,6 +287,8 @@ def test_photos_without_a_film_are_left_out_wherever_they_stand():
     np.testing.assert_array_equal(result.film, without.film)
     np.testing.assert_array_equal(result.rectified, without.rectified)
     assert (result.photo, without.photo) == (1, 0)
+    assert ([one.photo for one in result.left_out], without.left_out) == ([0, 2], ())
+    assert result.made_of("abcd") == ["b", "d"]
     assert "photo 1 left out: no film was found in it; photo 3 left out" in result.stages[-1].reason
 
 
@@ -341,21 +352,29 @@ def test_names_of_some_photos_only_are_refused():
         Rectifier.fuse(None, ["a.jpg", "b.jpg"], ["a"])
 
 
-def test_the_command_leaves_out_photos_without_a_film_and_says_whose_the_map_is(tmp_path: Path):
+def test_the_command_leaves_out_photos_without_a_film_and_says_whose_the_map_is(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
     blank = tmp_path / "blank.png"
     cv2.imwrite(str(blank), np.full((300, 400, 3), 90, np.uint8))
     assert main(["fuse", str(blank), "hybrid/examples/film.jpg", "-o", str(tmp_path)]) == 0
+    printed = capsys.readouterr().out
+    assert "\n  LOOK  blank.png is left out: no film was found in it.\n" in printed
+    assert "\n  fuse: 1 photo; blank.png left out" in printed
     record = json.loads((tmp_path / "blank_fused.json").read_text())
-    assert (record["photo"], record["map_of"]) == ("blank.png", "film.jpg")
+    assert (record["photo"], record["map_of"]) == ("film.jpg", "film.jpg")
+    assert (record["left_out"], "further_photos" in record) == (["blank.png"], False)
+    assert record["photo_sha256"] == photo_digest(Path("hybrid/examples/film.jpg"))
     assert record["photo_size"] == list(cv2.imread("hybrid/examples/film.jpg").shape[:2])
     assert (tmp_path / "blank_fused_side_by_side.jpg").exists()
 
 
-def test_the_command_fails_where_no_photo_shows_a_film(tmp_path: Path):
+def test_the_command_fails_where_no_photo_shows_a_film(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     photos = [str(tmp_path / name) for name in ("one.png", "two.png")]
     for photo in photos:
         cv2.imwrite(photo, np.full((300, 400, 3), 90, np.uint8))
     assert main(["fuse", *photos, "-o", str(tmp_path)]) == 1
+    assert "" not in capsys.readouterr().out.splitlines()
 
 
 def test_the_command_writes_one_film(tmp_path: Path):

@@ -2,6 +2,7 @@
 
 import errno
 import hashlib
+import importlib
 import json
 import multiprocessing
 import os
@@ -316,6 +317,56 @@ def test_ctrl_c_ends_in_one_line(tmp_path):
     assert "Traceback" not in said
     assert said.strip().splitlines()[-1].startswith("stopped")
     assert not list((tmp_path / "d").glob("*.part"))
+
+
+COMMANDS = {
+    "generate": "generate",
+    "flat_prints": "flat_prints",
+    "lit_films": "lit_films",
+    "own_photos": "make_dataset",
+}
+
+
+def ended(monkeypatch, module, *words):
+    """How ``python -m data_gen.MODULE`` ends."""
+    command = importlib.import_module(f"data_gen.{module}")
+    monkeypatch.setattr("sys.argv", [module, *(["pairs"] if module == "own_photos" else ["--count", "1"]), *words])
+    with pytest.raises(SystemExit) as end:
+        command.main()
+    return end.value.code
+
+
+@pytest.mark.parametrize("module", COMMANDS)
+def test_every_command_ends_in_one_line(module, tmp_path, monkeypatch, capsys):
+    """Whether it is stopped or the system refuses something."""
+
+    def stopped(config):
+        raise KeyboardInterrupt
+
+    def full(config):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    function, words = f"data_gen.{module}.{COMMANDS[module]}", ["--out", str(tmp_path / "d")]
+    monkeypatch.setattr(function, stopped)
+    assert ended(monkeypatch, module, *words) == 130
+    assert capsys.readouterr().err == "stopped; what is finished is kept, and the same command goes on\n"
+    monkeypatch.setattr(function, full)
+    told = f"error: A file cannot be read or written ({tmp_path / 'd'}): got No space left on device. Mend that"
+    assert ended(monkeypatch, module, *words).startswith(told)
+
+
+@pytest.mark.parametrize("module", COMMANDS)
+def test_an_out_that_is_a_file_is_said(module, tmp_path, monkeypatch):
+    (tmp_path / "file").touch()
+    monkeypatch.setattr("data_gen.own_photos.pair_paths", lambda folder: [])
+    told = f"error: --out ({tmp_path / 'file'}): got a file of this name. Choose another --out."
+    assert ended(monkeypatch, module, "--out", str(tmp_path / "file")) == told
+
+
+@pytest.mark.parametrize("module", ["generate", "flat_prints", "lit_films"])
+def test_an_option_that_cannot_be_is_told_by_its_flag(module, tmp_path, monkeypatch):
+    words = ["--out", str(tmp_path), "--workers", "-1"]
+    assert ended(monkeypatch, module, *words) == "error: --workers: got -1; allowed: >= 0. Choose another."
 
 
 # ---------------------------------------------------------------- sources

@@ -1,6 +1,8 @@
 """The grid edited by hand (failure 28): what is moved goes where it is put; what is taken back is as it was."""
 
+import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,8 +13,10 @@ from hypothesis import strategies as st
 from hybrid.backward import BackwardMap
 from hybrid.errors import ConfigError
 from hybrid.grid_edit import MOST_CELLS, GridEdit
+from hybrid.image_io import write_rgb
+from hybrid.outputs import save_result
 from hybrid.pipeline import Rectifier
-from hybrid.records import RectifyResult, Status, StatusCode
+from hybrid.records import LeftOut, RectifyResult, Status, StatusCode
 
 IT = photographed(film_print(19), Shot())
 
@@ -143,6 +147,22 @@ def test_the_film_of_an_edit_is_made_anew(rectifier: Rectifier, result: RectifyR
     middle, corner = apart[h // 4 : -h // 4, w // 4 : -w // 4].mean(), apart[: h // 8, : w // 8].mean()
     assert middle > 3 * corner
     assert len(film.slices()) == len(result.slices())
+
+
+def test_a_fused_film_that_is_edited_is_one_photo_s_and_leaves_the_fused_one_in_place(
+    rectifier: Rectifier, result: RectifyResult, tmp_path: Path
+):
+    photos = [tmp_path / name for name in ("blank.png", "film.png", "other.png")]
+    for path in photos:
+        write_rgb(path, IT.photo)
+    fused = replace(result, photo=1, photos=3, left_out=(LeftOut(0, "no film was found in it"),))
+    before = {path: path.read_bytes() for path in save_result(photos, fused, tmp_path / "out")}
+    edit = GridEdit.of(fused)
+    film = rectifier.edited(photos[fused.photo], edit.moved(2, 2, place(edit, 2, 2) + 3))
+    files = save_result(photos[fused.photo], film, tmp_path / "out")
+    assert files[-1] == tmp_path / "out" / "film.json"
+    assert "left_out" not in json.loads(files[-1].read_text())
+    assert {path: path.read_bytes() for path in before} == before
 
 
 def test_another_photo_is_refused(rectifier: Rectifier, edit: GridEdit):

@@ -179,4 +179,7 @@ def test_a_truth_without_lattice_and_a_film_beside_the_photo(tmp_path: Path, mon
     monkeypatch.setattr("sys.argv", ["own_photos", str(tmp_path), "--out", str(tmp_path / "out")])
     with pytest.raises(SystemExit, match=r"error: lattice \(a\): got no film within the photo"):
         main()
+    monkeypatch.setattr("sys.argv", ["own_photos", str(tmp_path), "--out", str(tmp_path / "out"), "--size", "10"])
+    with pytest.raises(SystemExit, match=r"^error: --size: got 10; allowed: >= 64\. Choose another\.$"):
+        main()
     assert not list((tmp_path / "out").glob("*.tar*"))

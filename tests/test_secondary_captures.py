@@ -16,7 +16,7 @@ from hybrid.dicom import AV1, JPEG, JPEG_2000, PhotoFile, lossy_method, secondar
 from hybrid.errors import HybridError
 from hybrid.image_io import levels_16, read_photo, write_rgb
 from hybrid.outputs import is_result, photo_digest, save_result
-from hybrid.records import RectifyResult, SliceGrid, Status, StatusCode
+from hybrid.records import LeftOut, RectifyResult, SliceGrid, Status, StatusCode
 
 FILE = PhotoFile("0" * 64, 12.5, "ISO_10918_1")
 INVENTED = (
@@ -193,3 +193,20 @@ def test_a_fused_film_belongs_to_the_photo_that_its_map_is_of(result: RectifyRes
     both[1] = tmp_path / "third.png"
     files = save_result(both, replace(result, photo=0, photos=2), tmp_path / "whole", dicom=True)
     assert "LossyImageCompression" not in pydicom.dcmread(next(file for file in files if file.name == "film.dcm"))
+
+
+def test_photos_that_are_left_out_of_a_fused_film_are_no_part_of_it(result: RectifyResult, tmp_path: Path):
+    """A JPEG among them does not make it one that was compressed with loss."""
+    paths = [tmp_path / name for name in ("blank.jpg", "small.png", "big.png")]
+    for path in paths:
+        write_rgb(path, result.rectified)
+    fused = replace(result, photo=1, photos=3, left_out=(LeftOut(0, "no film was found in it"),))
+    files = save_result(paths, fused, tmp_path / "out", dicom=True)
+    film = pydicom.dcmread(next(file for file in files if file.name == "film.dcm"))
+    assert "LossyImageCompression" not in film
+    digest = photo_digest(paths[1])
+    assert film.StudyInstanceUID == captures(result, replace(FILE, digest=digest))[0].StudyInstanceUID
+    record = json.loads(files[-1].read_text())
+    assert files[-1].name == "blank_fused.json"
+    assert (record["photo"], record["further_photos"], record["left_out"]) == ("small.png", ["big.png"], ["blank.jpg"])
+    assert (record["photo_sha256"], record["left_out_sha256"]) == (digest, [photo_digest(paths[0])])

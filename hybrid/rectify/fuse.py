@@ -20,7 +20,7 @@ from hybrid.backward import BackwardMap, Orientation
 from hybrid.coords import centres_1d, film_from_pixel, film_nodes, pixel_from_film, sample_bilinear
 from hybrid.errors import FusionError, describe, require_at_least
 from hybrid.levels import LevelReader
-from hybrid.records import RectifyResult, SliceGrid, StageReport
+from hybrid.records import LeftOut, RectifyResult, SliceGrid, StageReport
 from hybrid.rectify import bspline
 from hybrid.rectify.bspline import NormalEquations
 from hybrid.rectify.consensus import read_beside, to_common
@@ -346,9 +346,8 @@ def fuse(
         raise FusionError(describe(what="Photos that cannot be fused", got="one without a map", do="Leave it out."))
     used, maps, shifts, found_in = [photos[at]], [base.backward], [np.zeros((NODES, NODES, 2))], [base]
     grids, ways = [base.grid], [Orientation(0, False)]
-    notes = [
-        f"{names[index]} left out: no film was found in it" for index in range(len(results)) if index not in showing
-    ]
+    left_out = [LeftOut(index, "no film was found in it") for index in range(len(results)) if index not in showing]
+    notes = []
     for index in showing[1:]:
         result = results[index]
         try:
@@ -356,7 +355,7 @@ def fuse(
         except FusionError:
             if result.status.ok:
                 raise
-            notes.append(f"{names[index]} left out: itself unsure, it is not like {names[at]}")
+            left_out.append(LeftOut(index, f"itself unsure, it is not like {names[at]}"))
             continue
         unsure = "" if result.status.ok else ", itself unsure"
         notes.append(f"{names[index]} moved by up to {found.largest:.1%} of the film{unsure}")
@@ -392,7 +391,8 @@ def fuse(
     )
     glare = fused.lost & np.logical_or.reduce([one.glare for one in lights])
     shares = ", ".join(f"{share:.0%}" for share in fused.shares)
-    reason = f"{len(used)} photos; {'; '.join(notes)}; shares {shares}"
+    without = [f"{names[one.photo]} left out: {one.why}" for one in left_out]
+    reason = "; ".join([f"{len(used)} photo{'s' * (len(used) > 1)}", *without, *notes, f"shares {shares}"])
     others = sum(stage.seconds for one in results if one is not base for stage in one.stages)
     report = StageReport("fuse", True, reason, others + perf_counter() - start)
     errors = [
@@ -417,6 +417,7 @@ def fuse(
         confidence=fused.confidence,
         stages=(*base.stages, report),
         photo=at,
+        left_out=tuple(left_out),
     )
 
 
