@@ -93,6 +93,11 @@ class _Canvas:
         y = (centres_1d(self.size[0])[box[0]] / PX_PER_MM + self.origin[1]).astype(np.float32)
         return box, x[None, :], y[:, None]
 
+    @property
+    def ramp(self) -> np.ndarray:
+        """(1, w) from 0 to 1 over the first 20 mm: the picture is straight where it is repeated beyond its side."""
+        return np.clip(centres_1d(self.size[1]) / (20 * PX_PER_MM), 0, 1).astype(np.float32)[None, :]
+
 
 @lru_cache(maxsize=len(GRIPS) * VARIANTS)
 def hand_model(grip: str, variant: int) -> HandModel:
@@ -161,7 +166,7 @@ def _finger(
 
 
 def _thumb(grip: str, size: float, rng: np.random.Generator) -> list[_Bone]:
-    """Metacarpal and two phalanges of the thumb; it lies before the film where the palm is seen."""
+    """Metacarpal and two phalanges of the thumb: before the film, or beside it where only finger tips reach over."""
     if grip == "pinch":
         joints = [(14, 26, 4), (52, 46, 14), (86, 46 + rng.normal(0, 4), 24), (114, 40 + rng.normal(0, 5), 22)]
     elif grip == "fist":
@@ -171,11 +176,10 @@ def _thumb(grip: str, size: float, rng: np.random.Generator) -> list[_Bone]:
     else:
         joints = [(14, 26, -8), (50, 42, -18), (84, 40, -24), (108, 34, -22)]
     p = np.array(joints, np.float64) * size
-    seen = grip in _BEHIND
     return [
-        _Bone(p[0], p[1], (17.0, 13.5), seen or grip == "flat", blend=9.0),
-        _Bone(p[1], p[2], (12.5, 10.5), seen or grip == "flat"),
-        _Bone(p[2], p[3], (10.8, 8.4), seen or grip == "flat", seen or grip == "flat", (0.0,)),
+        _Bone(p[0], p[1], (17.0, 13.5), True, blend=9.0),
+        _Bone(p[1], p[2], (12.5, 10.5), True),
+        _Bone(p[2], p[3], (10.8, 8.4), True, grip in (*_BEHIND, "flat"), (0.0,)),
     ]
 
 
@@ -228,8 +232,7 @@ def _forearm(canvas: _Canvas, rng: np.random.Generator, *, front: bool) -> np.nd
     end = rng.uniform(-70, 0) if rng.random() < 0.75 else -500.0
     wide = arm + rng.uniform(5, 12)
     folds = cv2.GaussianBlur(rng.normal(0, 1, canvas.size), (0, 0), 11.0, sigmaY=26.0)[box]
-    ramp = np.clip((x - canvas.origin[0]) / 20, 0, 1)  # straight where it is repeated beyond the picture
-    folds = folds / max(float(folds.std()), 1e-6) * ramp
+    folds = folds / max(float(folds.std()), 1e-6) * canvas.ramp[:, box[1]]
     cloth = (x < end + 0.0015 * y**2) & (np.abs(y) < wide + 2)
     edge = np.where(x < end, wide + folds, np.where(x < 8, arm, -60.0)) - np.abs(y)
     edge = edge.astype(np.float32)
@@ -250,9 +253,10 @@ def _forearm(canvas: _Canvas, rng: np.random.Generator, *, front: bool) -> np.nd
 def _pictures(canvas: _Canvas, cloth: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     """The stored 8-bit pictures of a relief."""
     pores = cv2.GaussianBlur(rng.normal(0, 1, canvas.size), (0, 0), 1.0).astype(np.float32)
-    height = cv2.GaussianBlur(np.maximum(canvas.height, -75), (0, 0), 0.8) + 0.06 * pores
+    height = cv2.GaussianBlur(np.maximum(canvas.height, -75), (0, 0), 0.8) + 0.06 * canvas.ramp * pores
     blotches = cv2.GaussianBlur(rng.normal(0, 1, canvas.size), (0, 0), 9.0).astype(np.float32)
-    bright = 1 + 0.05 * blotches / blotches.std() + 0.03 * pores / pores.std() + 0.12 * canvas.nail
+    spots = 0.05 * blotches / blotches.std() + 0.03 * pores / pores.std()
+    bright = 1 + canvas.ramp * spots + 0.12 * canvas.nail
     kind = np.maximum(128 * canvas.nail, 255 * cloth)
     skin = coded([EDGE_PER_MM * canvas.front + MIDDLE, 128 * bright, 255 * canvas.blush, kind])
     return coded_shape(height, canvas.edge, PX_PER_MM), skin

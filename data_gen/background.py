@@ -91,11 +91,11 @@ def _plane(
     ground = ground_below(film, camera, backdrop)
     reflectance, seen = ground_material(ground, camera, backdrop)
     received = ground_light(ground, camera, scene, room, (COARSE, COARSE))
-    shade, glows = place_things(reflectance, ground, camera, backdrop, np.random.default_rng(backdrop.seed))
+    shade, bare, glows = place_things(reflectance, ground, camera, backdrop, np.random.default_rng(backdrop.seed))
     light = lit_ground(ground, film, camera, scene, room, received)
     light *= shade[..., None]
     picture = reflectance * light
-    picture += cv2.resize(received.gloss, camera.size[::-1], interpolation=cv2.INTER_LINEAR)
+    picture += cv2.resize(received.gloss, camera.size[::-1], interpolation=cv2.INTER_LINEAR) * bare[..., None]
     for box, radiance in glows:
         picture[box] += radiance
     if not seen.all():  # above the plane's horizon
@@ -112,7 +112,7 @@ def _panel(
         raise ValueError("background: a panel is seen without a light box; allowed: backdrop 'panel' with light.box")
     rng = np.random.default_rng(scene.backdrop.seed)
     lamp, _ = light_box_lamp(box, film, camera.centre_world)
-    ground = Ground(np.array(lamp.centre_mm), np.array([1.0, 0, 0]), np.array([0, 1.0, 0]), np.array(lamp.axis))
+    ground = Ground(np.array(lamp.centre_mm), np.array(lamp.across), np.array([0, 1.0, 0]), np.array(lamp.axis))
     half = np.array(lamp.half_mm)
     centre = film_centres((COARSE, COARSE))
     around, _ = ground_material(ground, camera, scene.backdrop)
@@ -131,7 +131,7 @@ def _panel(
     bright = box.brightness(np.clip((1 + ground.coordinates(camera, centre) / half) / 2, 0, 1))
     bright = cv2.resize(bright, camera.size[::-1], interpolation=cv2.INTER_LINEAR)
     shone = np.ones_like(around)
-    place_things(shone, ground, camera, scene.backdrop, rng)
+    place_things(shone, ground, camera, scene.backdrop, rng, (film.size_mm[1] / 2, film.size_mm[0] / 2))
     shone *= bright[..., None] * np.array(box.radiance, np.float32)
     gloss *= 1 - frame[..., None]  # the wall's, not the frame's
     return (around * light + gloss) * (1 - panel[..., None]) + shone * panel[..., None]

@@ -172,9 +172,14 @@ def place_things(
     camera: Camera,
     backdrop: Backdrop,
     rng: np.random.Generator,
-) -> tuple[Float[np.ndarray, "h w"], list[Glow]]:
-    """Draws the backdrop's things into ``reflectance``; the factor of their shadows, and what shines by itself."""
-    shade = np.ones(camera.size, np.float32)
+    free_mm: tuple[float, float] = (0.0, 0.0),
+) -> tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"], list[Glow]]:
+    """Draws the backdrop's things into ``reflectance``; the factor of their shadows, the share of the ground that they
+    leave bare, and what shines by itself.
+
+    free_mm: half sides of the part of the plane, about its origin, beside which they lie, as films hang on a light box.
+    """
+    shade, bare = (np.ones(camera.size, np.float32) for _ in range(2))
     kinds = {"table": ON_TABLE, "wall": ON_WALL, "panel": ON_PANEL}[backdrop.kind]
     placed = []
     for _ in range(backdrop.things):
@@ -182,11 +187,15 @@ def place_things(
         upright = backdrop.kind != "table" or rng.random() < 0.25
         turn = float(rng.normal(0, 0.04) if upright else rng.uniform(-np.pi, np.pi))
         at = ground.coordinates(camera, rng.uniform(-0.1, 1.1, (1, 2)))[0]
+        if max(free_mm):
+            nearest = np.array(free_mm) + np.array(thing.size_mm[::-1]) / 2
+            at = at / np.clip(np.abs(at / nearest).max(), 1e-3, 1)
         if np.abs(at).max() < FARTHEST_MM:
             placed.append(_placed(thing, at, turn, ground, camera))
     glows = []
     for seen in sorted((p for p in placed if p), key=lambda p: p.thing.glow):  # what shines is not covered
         part, cover = reflectance[seen.box], seen.cover[..., None]
+        bare[seen.box] *= 1 - seen.cover
         if seen.spread > 0.4:
             soft = blurred(seen.cover, seen.spread)
             shade[seen.box] *= 1 - np.float32(0.6) * soft * (1 - seen.cover)
@@ -195,7 +204,7 @@ def place_things(
             glows.append((seen.box, seen.colour * cover * np.float32(seen.thing.glow)))
         else:
             part += (seen.colour - part) * cover
-    return shade, glows
+    return shade, bare, glows
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,7 +21,7 @@ from hybrid.mesh.vectors import cross, dot, unit
 Vector = tuple[float, float, float]
 Shape = Literal["sphere", "disc", "rectangle"]
 
-DISC_SIDES = 10
+DISC_SIDES = 24
 """Sides of the polygon of equal area that stands for a disc."""
 
 PATCH_SIZE = 0.27
@@ -151,13 +151,12 @@ def highlight(
     """
     cosine = np.maximum(dot(normals, view), np.float32(1e-3))
     offset = np.array(lamp.centre_mm, np.float32) - points
+    above = dot(offset, normals) > 0
     if lamp.kind == "sphere":
-        towards = unit(offset)
-        share, half = _sphere_share(lamp, offset, normals, view, towards, alpha)
-        above = dot(normals, towards) > 0
+        share, half = _sphere_share(lamp, offset, normals, view, unit(offset), alpha)
     else:
         share, half = _polygon_share(lamp, points, normals, view, alpha)
-        above = dot(offset, np.array(lamp.axis, np.float32)) < 0
+        above &= dot(offset, np.array(lamp.axis, np.float32)) < 0
     o_h, n_h = np.maximum(dot(view, half), np.float32(1e-4)), np.maximum(dot(normals, half), np.float32(1e-3))
     n_i = 2 * o_h * n_h - cosine
     masking = smith(n_i, gloss.alpha) * smith(cosine, gloss.alpha)

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from data_gen.lamps import Lamp, Shape, Vector, planckian, vector_irradiance
+from hybrid.mesh.camera import Camera
 from hybrid.mesh.film import FilmMesh
 
 Vector3 = Float[np.ndarray, "3"]
@@ -20,6 +21,9 @@ FLASH_SHARE = 0.25
 
 MIRRORED_SHARE = 0.85
 """Share of lamps, but flashes and what stands behind the film, that stand where some point of it mirrors them."""
+
+FARTHER = tuple(np.geomspace(1.0, 4.0, 12).tolist())
+"""How many times as far away a lamp may stand as was drawn, so as not to stand between camera and film."""
 
 _FLASH_AT_MM = 500.0
 """Distance at which a flash gives the irradiance that was drawn for it."""
@@ -200,19 +204,43 @@ def _turned(lamp: Lamp, turn: Float[np.ndarray, "3 3"]) -> Lamp:
     return replace(lamp, centre_mm=_vector(centre), axis=_vector(axis), across=_vector(across))
 
 
-def some_mirrored(light: Light, film: FilmMesh, camera_mm: Vector3, rng: np.random.Generator) -> Light:
+def some_mirrored(light: Light, film: FilmMesh, camera: Camera, rng: np.random.Generator) -> Light:
     """The light with a share of its lamps turned about the film's middle to where the camera sees them in the film.
 
-    Those that stand behind it stay there, as when a film is held up to a window.
+    Those that stand behind it stay there, as when a film is held up to a window. None stands in the photo before the
+    film: it is farther away and as much larger, so that it lights the middle as before, or left out.
     """
-    lamps = []
+    eye, lamps = camera.centre_world, []
     for lamp in light.lamps:
-        if lamp.at_camera or _stands_behind(lamp, camera_mm) or rng.random() >= MIRRORED_SHARE:
-            lamps.append(lamp)
-            continue
-        u, v = rng.uniform(0.15, 0.85, (2, 1))
-        lamps.append(mirrored(lamp, film.surface(u, v)[0, 0], film.normals(u, v)[0, 0], camera_mm))
-    return replace(light, lamps=tuple(lamps))
+        places = [_farther(lamp, times) for times in FARTHER]
+        if lamp.at_camera:
+            places = [lamp]
+        elif not _stands_behind(lamp, eye) and rng.random() < MIRRORED_SHARE:
+            u, v = rng.uniform(0.15, 0.85, (2, 1))
+            point, normal = film.surface(u, v)[0, 0], film.normals(u, v)[0, 0]
+            places = [mirrored(place, point, normal, eye) for place in places]
+        lamps.append(next((place for place in places if not _stands_before(place, film, camera)), None))
+    return replace(light, lamps=tuple(lamp for lamp in lamps if lamp))
+
+
+def _farther(lamp: Lamp, times: float) -> Lamp:
+    """The lamp so many times as far from the world's origin, and as much larger."""
+    half = (times * lamp.half_mm[0], times * lamp.half_mm[1])
+    return replace(lamp, centre_mm=_vector(times * np.array(lamp.centre_mm)), half_mm=half)
+
+
+def _stands_before(lamp: Lamp, film: FilmMesh, camera: Camera) -> bool:
+    """Whether some of a lamp is in the photo and nearer than the film; never the phone's own."""
+    depth = camera.camera_points(film.vertices.reshape(-1, 3))[:, 2].max()
+    centre = camera.camera_points(np.array([lamp.centre_mm]))
+    if lamp.at_camera or centre[0, 2] > depth:
+        return False
+    outline, reach = (centre, lamp.half_mm[0]) if lamp.kind == "sphere" else (camera.camera_points(lamp.corners), 0.0)
+    (fx, _, x), (_, fy, y), _ = camera.intrinsics
+    height, width = camera.size
+    sides = np.array([[fx, 0, x], [-fx, 0, width - x], [0, fy, y], [0, -fy, height - y], [0, 0, 1.0]])
+    inside = outline @ (sides / np.linalg.norm(sides, axis=1, keepdims=True)).T
+    return bool((inside.max(axis=0) > -reach).all())
 
 
 def _stands_behind(lamp: Lamp, camera_mm: Vector3) -> bool:
@@ -232,12 +260,12 @@ def mirrored(lamp: Lamp, point: Vector3, normal: Vector3, camera_mm: Vector3) ->
     reach = max(float(old @ old), 1.2 * float(point @ point))
     along = float(point @ towards)
     centre = point + (np.sqrt(along**2 - point @ point + reach) - along) * towards
-    turn = _rotation(old / np.linalg.norm(old), centre / np.linalg.norm(centre))
+    turn = smallest_rotation(old / np.linalg.norm(old), centre / np.linalg.norm(centre))
     axis, across = np.array([lamp.axis, lamp.across]) @ turn.T
     return replace(lamp, centre_mm=_vector(centre), axis=_vector(axis), across=_vector(across))
 
 
-def _rotation(start: Vector3, stop: Vector3) -> Float[np.ndarray, "3 3"]:
+def smallest_rotation(start: Vector3, stop: Vector3) -> Float[np.ndarray, "3 3"]:
     """The smallest rotation that takes one unit vector to another (any half turn between opposite ones)."""
     both = start + stop
     if both @ both < 1e-12:

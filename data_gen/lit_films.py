@@ -22,12 +22,12 @@ from data_gen.manifest import deciding, describe_dataset, described_sources, gen
 from data_gen.prints import make_print
 from data_gen.rooms import prefilter
 from data_gen.sample import SampleConfig, black_and_white, densest_of, metered, on_sensor, scene_light, sheet_of
-from data_gen.scene import Scene, passes, sample_scene
+from data_gen.scene import Scene, passes, placed, sample_scene
 from data_gen.shade import FilmLight
 from data_gen.sources import SourceConfig, draw_environment, draw_volume
-from data_gen.work import check_open3d, source_names, start_worker, write_missing
+from data_gen.work import check_open3d, run_command, source_names, start_worker, write_missing
 from hybrid.coords import linear_from_srgb, rgb_from_bgr, srgb_from_linear
-from hybrid.errors import HybridError, require_at_least
+from hybrid.errors import require_at_least
 from hybrid.image_io import write_bytes
 from hybrid.learn.light_data import LitFilm
 from hybrid.levels import CHANNEL_SHARES
@@ -89,7 +89,7 @@ def lit_film(seed: int, number: int, photos: int, sources: SourceConfig) -> LitF
     )
     lit = []
     for _ in range(photos):
-        film = frames[int(rng.integers(len(frames)))].mesh
+        film = placed(frames[int(rng.integers(len(frames)))].mesh)
         scene = sample_scene(film, _PHOTO_SIZE, rng, made_of.scene)
         light, around = scene_light(film, scene, room, float(np.median(reflectance)))
         light = on_sensor(light, film, scene)
@@ -152,10 +152,7 @@ def _write_film(config: LitFilmsConfig, number: int) -> None:
 
 def main() -> None:
     """Command line."""
-    try:
-        lit_films(tyro.cli(LitFilmsConfig, prog="python -m data_gen.lit_films"))
-    except (HybridError, OSError) as error:
-        raise SystemExit(f"error: {error}") from None
+    run_command("data_gen.lit_films", LitFilmsConfig, lit_films)
 
 
 if __name__ == "__main__":

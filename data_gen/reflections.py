@@ -81,18 +81,23 @@ def lamp_highlight(lamp: Lamp, seen: SeenFilm, surface: Gloss) -> Float[np.ndarr
     stride = max(1, n // HIGHLIGHT_LATTICE)
     every = slice(stride // 2, None, stride)
     coarse = seen.part(every, every)
-    wide = max(surface.alpha, 0.5 / len(coarse.points))  # half vectors turn by about 1 rad over the film
+    wide, sharp = (max(surface.alpha, 0.5 / k) for k in (len(coarse.points), n))  # half vectors turn by about 1 rad
     rough = highlight(lamp, coarse.points, coarse.normals, coarse.view, surface, wide)
     if stride == 1:
         return rough
-    values = _between(rough, n, stride, cv2.INTER_LINEAR)
-    if rough.max() > 0 and surface.alpha < 2.0 / len(rough):
-        rows, cols = (np.flatnonzero((rough > 0.02 * rough.max()).any(axis=axis)) for axis in (1, 0))
-        block = tuple(slice(max(int(k[0]) - 1, 0) * stride, (int(k[-1]) + 2) * stride) for k in (rows, cols))
-        part = seen.part(*block)
-        values[block] = highlight(lamp, part.points, part.normals, part.view, surface, max(surface.alpha, 0.5 / n))
+    if rough.max() == 0 or surface.alpha >= 2.0 / len(rough):
+        return _between(rough, n, stride, cv2.INTER_LINEAR)
+    seen_from = min(0.02 * rough.max(), FAINT / np.mean(lamp.radiance))
+    rows, cols = (np.flatnonzero((rough > seen_from).any(axis=axis)) for axis in (1, 0))
+    block = tuple(slice(max(int(k[0]) - 1, 0) * stride, (int(k[-1]) + 2) * stride) for k in (rows, cols))
+    part, tails = seen.part(*block), highlight(lamp, coarse.points, coarse.normals, coarse.view, surface, sharp)
+    values = _between(tails, n, stride, cv2.INTER_LINEAR)
+    values[block] = highlight(lamp, part.points, part.normals, part.view, surface, sharp)
     return values
 
+
+FAINT = 0.05
+"""Radiance of a lamp's reflection, on that lattice's wide lobe, from which on it is evaluated finely."""
 
 HIGHLIGHT_LATTICE = 32
 """Film points along each side at which highlights of lamps are looked for."""

@@ -16,7 +16,7 @@ from data_gen.ground_shadows import NEAR_MM
 from data_gen.patches import hidden_share, put_over, shading_only
 from data_gen.prints import FilmPrint, PrintConfig, make_print
 from data_gen.rooms import FilteredEnvironment, prefilter
-from data_gen.scene import Scene, SceneConfig, passes, sample_scene
+from data_gen.scene import Scene, SceneConfig, passes, placed, sample_scene
 from data_gen.shade import FilmLight, light_before, light_through, lit_film, room_behind
 from data_gen.sources import SourceConfig, draw_environment, draw_volume
 from data_gen.surroundings import Surroundings, surroundings
@@ -50,8 +50,9 @@ METERED_EVERY = 3
 COLOUR_TAKEN_OUT = 0.6
 """Power by which white balance follows the light's colour."""
 
-_CORNERS, _DENSITY = 7, 8
-"""Tell the random numbers of corners, and of the print's greys, from those of the rest of a film."""
+_CORNERS, _DENSITY, _DEVELOPMENT = 7, 8, 9
+"""Tell the random numbers of corners, of the print's greys and of each photo's development from those of the rest of a
+film: so many as a photo has pixels are drawn for its noise."""
 
 PLACES = (32, 32)
 """Film points whose place in the photo, and so their vignetting, is looked up; it varies slowly."""
@@ -110,18 +111,21 @@ def film_samples(seed: int, number: int, config: SampleConfig) -> Iterator[Sampl
     rng = np.random.default_rng([seed, number])
     film_print = make_print(draw_volume(config.sources, rng), rng, config.prints)
     recipe, frames = bend(sheet_of(film_print), rng, config.bend)
+    films = [placed(frame.mesh) for frame in frames]
     room = prefilter(draw_environment(config.sources, rng))
     densest = densest_of([seed, number], config)
     levels = print_levels(film_print.image, densest)
     corners = corners_of(film_print.size_mm, [seed, number], config)
     casters: dict[int, FilmCaster] = {}
+    size, map_size = (config.size, config.size), (config.map_size, config.map_size)
     for k in range(config.photos_per_film):
-        chosen = int(rng.integers(len(frames)))
+        chosen = int(rng.integers(len(films)))
         if chosen not in casters:
             facet_mm = FACET_MM * max(1.0, FACET_SIDE / config.size)
-            casters[chosen] = FilmCaster(frames[chosen].mesh, facet_mm, corners)
-        scene = sample_scene(frames[chosen].mesh, (config.size, config.size), rng, config.scene)
-        sample = _photograph(casters[chosen], film_print, levels, scene, room, rng, (config.map_size, config.map_size))
+            casters[chosen] = FilmCaster(films[chosen], facet_mm, corners)
+        scene = sample_scene(films[chosen], size, rng, config.scene)
+        noise = np.random.default_rng([seed, number, k, _DEVELOPMENT])
+        sample = _photograph(casters[chosen], film_print, levels, scene, room, noise, map_size)
         sample.parameters.update(
             seed=seed, film=number, photo=k, recipe=recipe, frame=chosen, room=room.environment.name,
             round_corners=None if corners is None else (corners.u, corners.v), densest=densest,
@@ -148,7 +152,7 @@ def _photograph(
     caster: FilmCaster, film_print: FilmPrint, levels: PrintLevels, scene: Scene, room: FilteredEnvironment,
     rng: np.random.Generator, map_size: tuple[int, int],
 ) -> Sample:  # fmt: skip
-    """One photo of a bent film."""
+    """One photo of a bent film. rng: for its development."""
     film, camera = caster.film, scene.camera
     light, around = scene_light(film, scene, room, float(np.median(levels.reflectance[-1])))
     backward = true_backward_map(film, camera)
@@ -188,16 +192,17 @@ def _photograph(
 
 
 def scene_light(film: FilmMesh, scene: Scene, room: FilteredEnvironment, grey: float) -> tuple[FilmLight, Surroundings]:
-    """Light that leaves the film, and all around it, which shines and shows through the film but for a light box.
+    """Light that leaves the film, and all around it, which shines and shows through the film.
 
-    grey: the print's usual reflectance. A dark background follows what the film shows without it.
+    grey: the print's usual reflectance. A dark background follows what the film shows without it. It may be the mask of
+    a light box, which then is all there is behind the film.
     """
     lit = lit_film(film, scene)
-    light = light_before(lit, room)
-    if scene.light.box:
+    light, masked = light_before(lit, room), scene.light.light_box and scene.backdrop.kind != "panel"
+    if masked:
         light = light + light_through(lit, room_behind(lit, room))
     around = surroundings(scene, film, room, np.median(light.veil + light.gain * np.float32(grey), axis=(0, 1)))
-    if not scene.light.box:
+    if not masked:
         light = light + light_through(lit, behind_film(lit, room, around.behind))
     return light, around
 

@@ -9,7 +9,15 @@ import numpy as np
 
 from data_gen.backdrop import Backdrop, sample_backdrop
 from data_gen.develop import Lens, sample_lens
-from data_gen.lighting import Light, Material, over_table, sample_light, sample_material, some_mirrored
+from data_gen.lighting import (
+    Light,
+    Material,
+    over_table,
+    sample_light,
+    sample_material,
+    smallest_rotation,
+    some_mirrored,
+)
 from data_gen.onlookers import Billboard, sample_onlookers
 from data_gen.shadows import Shadow, sample_shadows
 from data_gen.things import Thing, sample_things
@@ -58,13 +66,25 @@ class Scene:
         return {k: asdict(getattr(self, k)) for k in ("material", "light", "lens", "backdrop")} | rest
 
 
+def placed(film: FilmMesh) -> FilmMesh:
+    """A bent film moved to where scenes have it: its middle the world's origin, its plane that of a flat film.
+
+    The forces that bend a film may carry it off and turn it over; it is turned back as little as can be.
+    """
+    points = film.vertices - film.vertices.mean(axis=(0, 1))
+    normal = np.linalg.svd(points.reshape(-1, 3), full_matrices=False)[2][2]
+    facing = film.normals(film.u_lines, film.v_lines).mean(axis=(0, 1))
+    turn = smallest_rotation(normal * np.copysign(1.0, normal @ facing), np.array([0.0, 0.0, -1.0]))
+    return film.bent(points @ turn.T)
+
+
 def sample_scene(film: FilmMesh, size: tuple[int, int], rng: np.random.Generator, config: SceneConfig) -> Scene:
-    """A random scene for a bent film and a photo of ``size`` (height, width)."""
+    """A random scene for a bent film, ``placed``, and a photo of ``size`` (height, width)."""
     camera = sample_camera(film, size, rng, config.view)
     light = over_table(sample_light(rng, config.light_box_share), camera.centre_world)
-    light = some_mirrored(light, film, camera.centre_world, rng)
+    light = some_mirrored(light, film, camera, rng)
     backdrop = sample_backdrop(light, rng)
-    lying = backdrop.kind in ("table", "wall", "panel") and backdrop.gap_mm < REACH_BEHIND_MM
+    lying = light.light_box or (backdrop.kind in ("table", "wall") and backdrop.gap_mm < REACH_BEHIND_MM)
     things = sample_things(lying, rng) if rng.random() < config.thing_share else ()
     shadows = sample_shadows(rng) if rng.random() < config.shadow_share else ()
     material, lens = sample_material(rng, clear_base=light.light_box or backdrop.kind != "dark"), sample_lens(rng)

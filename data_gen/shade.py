@@ -205,16 +205,19 @@ def _room_straight(lit: LitFilm, room: FilteredEnvironment) -> Float[np.ndarray,
 
 
 def light_box_lamp(box: LightBox, film: FilmMesh, camera_mm: Float[np.ndarray, "3"]) -> tuple[Lamp, LightBox]:
-    """The box as a rectangle just behind the film, as the camera sees it, upright in the film's world."""
+    """The box as a rectangle just behind the film, as the camera sees it, upright in the film's world.
+
+    Its first side runs to the right as seen.
+    """
     points = film.vertices.reshape(-1, 3)
     centre, away = points.mean(axis=0), 1.0 if points[:, 2].mean() > camera_mm[2] else -1.0
     depth = (points[:, 2] * away).max() + box.gap_mm
     half = (box.size[0] * film.size_mm[1] / 2, box.size[1] * film.size_mm[0] / 2)
     at = (float(centre[0]), float(centre[1]), float(away * depth))
-    return Lamp("rectangle", at, (0.0, 0.0, -away), (1.0, 0.0, 0.0), half, box.radiance), box
+    return Lamp("rectangle", at, (0.0, 0.0, -away), (away, 0.0, 0.0), half, box.radiance), box
 
 
 def _panel_uv(lamp: Lamp, points: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 2"]:
-    """Where on the panel, (0, 0) to (1, 1), points lie that are moved onto it along its normal."""
-    offset = (points - np.array(lamp.centre_mm))[..., :2] / np.array(lamp.half_mm)
+    """Where on the panel, (0, 0) to (1, 1) right and down, points lie that are moved onto it along its normal."""
+    offset = (points - np.array(lamp.centre_mm))[..., :2] * [lamp.across[0], 1.0] / np.array(lamp.half_mm)
     return np.clip((1 + offset) / 2, 0, 1)

@@ -22,9 +22,10 @@ def behind_film(lit: LitFilm, room: FilteredEnvironment, picture: Float[np.ndarr
     """What reaches the far side of a film before a ``picture``: linear radiance over the whole photo.
 
     A table, wall or dark ground hides the room: all light then comes from it, over an area as wide as it is far away.
+    A light box sheds its own, which what lies on it takes from what is seen straight through the film alone.
     """
     straight = _straight(lit, picture)
-    if lit.scene.backdrop.kind == "room":
+    if lit.scene.backdrop.kind in ("room", "panel"):
         return Behind(straight, entering_light(lit, -lit.smooth.normals, room))
     reach = (lit.scene.backdrop.gap_mm + STANDING_OFF_MM) * LATTICE / max(lit.film.size_mm)
     even = cv2.GaussianBlur(straight, (0, 0), float(min(reach, LATTICE)), borderType=cv2.BORDER_REFLECT)

@@ -10,7 +10,7 @@ from data_gen._clutter import _SIZE_MM, sprite
 from data_gen._materials import _PAINTED, TILE, tile
 from data_gen.backdrop import KINDS, sample_backdrop
 from data_gen.background import background
-from data_gen.ground import Ground, ground_below, ground_light
+from data_gen.ground import Ground, ground_below, ground_light, place_things
 from data_gen.ground_shadows import lit_ground, through
 from data_gen.lamps import Lamp
 from data_gen.lighting import Light, LightBox, sample_light
@@ -109,6 +109,19 @@ def test_white_matt_ground_in_even_light_is_as_bright_as_the_light():
     assert (light.gloss >= 0).all()
     assert light.gloss.max() < 0.7
     np.testing.assert_allclose(light.matt(), light.room)
+
+
+def test_what_lies_on_metal_hides_its_gloss(room):
+    """Black things on a mirroring table are dark, whatever room it mirrors."""
+    photographed = scene("table", 2, light_for("table"), material="metal", things=40, blur=0.01)
+    ground = ground_below(FILM, photographed.camera, photographed.backdrop)
+    rng, reflectance = np.random.default_rng(photographed.backdrop.seed), np.ones((*SIZE, 3), np.float32)
+    place_things(reflectance, ground, photographed.camera, photographed.backdrop, rng)
+    black = reflectance.max(axis=-1) < 0.05
+    gloss = ground_light(ground, photographed.camera, photographed, room, SIZE).gloss
+    assert black.sum() > 100
+    assert gloss[black].mean() > 0.1
+    assert background(photographed, FILM, room, BASE)[black].mean() < 0.5 * gloss[black].mean()
 
 
 # ---------------------------------------------------------------- shadows on it

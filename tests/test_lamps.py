@@ -109,6 +109,12 @@ def test_highlight_of_a_rectangle_is_the_integral_over_it(roughness: float, cent
     assert got[0] == pytest.approx(summed_highlight(one, view, roughness), rel=0.02)
 
 
+def test_a_disc_is_round_to_a_hundredth():
+    corners = lamp("disc", half=(80.0, 80.0)).corners - np.array([0.0, 0.0, 500.0])
+    edges = (corners + np.roll(corners, 1, axis=0)) / 2
+    assert np.linalg.norm(edges, axis=1).min() > 0.99 * np.linalg.norm(corners, axis=1).max()
+
+
 @pytest.mark.parametrize("roughness", [0.15, 0.4, 0.8])
 def test_bulb_and_disc_of_one_solid_angle_shine_alike(roughness: float):
     view = np.array([[-0.3, 0.1, np.sqrt(0.9)]], np.float32)
@@ -117,6 +123,19 @@ def test_bulb_and_disc_of_one_solid_angle_shine_alike(roughness: float):
     bulb, disc = Lamp("sphere", *facing), Lamp("disc", *facing)
     a, b = (highlight(x, ORIGIN, UP, view, surface, surface.alpha)[0] for x in (bulb, disc))
     assert a == pytest.approx(b, rel=0.02)
+
+
+@pytest.mark.parametrize("kind", ["sphere", "disc", "rectangle"])
+@pytest.mark.parametrize("roughness", [0.1, 0.5])
+def test_a_lamp_below_the_horizon_leaves_no_highlight(kind: str, roughness: float):
+    """Light that comes from behind the film is mirrored by nothing on the side that is seen."""
+    surface, view = gloss(roughness, 1.5), np.array([[0.2, 0.0, np.sqrt(0.96)]], np.float32)
+    for x in (0.0, -150.0, 400.0):
+        below = lamp(kind, (x, 0.0, -700.0), (70.0, 70.0), (0.0, 0.0, 1.0))
+        above = lamp(kind, (x, 0.0, 700.0), (70.0, 70.0))
+        got, some = (highlight(one, ORIGIN, UP, view, surface, surface.alpha)[0] for one in (below, above))
+        assert got == 0
+        assert some > 0
 
 
 def test_a_huge_lamp_in_a_mirror_shows_its_radiance_times_fresnel():

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from surroundings_case import FILM, camera, scene
 
-from data_gen.lamps import Lamp
-from data_gen.lighting import Light, over_table, room_from_film
+from data_gen.lamps import Lamp, lamp_seen, vector_irradiance
+from data_gen.lighting import Light, over_table, room_from_film, some_mirrored
 from data_gen.rooms import prefilter, procedural_room
 from data_gen.scene import SceneConfig, sample_scene
 from data_gen.shade import film_light
@@ -63,3 +63,34 @@ def test_no_table_is_photographed_from_below():
         drawn = sample_scene(FILM, (96, 96), np.random.default_rng(seed), config)
         if drawn.light.lying:
             assert drawn.light.up @ drawn.camera.centre_world > 0
+
+
+def test_no_lamp_stands_in_the_photo_before_the_film():
+    """It would hide the film, and is not drawn; none that is drawn beyond the film is lost."""
+    lamps, beyond = 0, 0
+    for seed in range(150):
+        drawn = sample_scene(FILM, (96, 96), np.random.default_rng(seed), SceneConfig(light_box_share=0.0))
+        view = drawn.camera
+        rays = (view.pixel_rays() @ view.camera_from_world[:3, :3]).astype(np.float32)
+        rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
+        for lamp in drawn.light.lamps:
+            if not lamp.at_camera:
+                both = [replace(lamp, axis=tuple(k * x for x in lamp.axis)) for k in (1.0, -1.0)]
+                seen = any(lamp_seen(one, np.broadcast_to(view.centre_world, rays.shape), rays).any() for one in both)
+                farther = (
+                    view.camera_points(np.array([lamp.centre_mm]))[0, 2]
+                    > view.camera_points(FILM.vertices)[..., 2].max()
+                )
+                assert farther or not seen
+                lamps, beyond = lamps + 1, beyond + (seen and farther)
+    assert lamps > 90
+    assert beyond > 5
+
+
+def test_a_lamp_that_makes_way_lights_the_films_middle_as_before():
+    bulb = replace(BULB, centre_mm=(-60.0, 20.0, -400.0))
+    for seed in range(10):
+        (moved,) = some_mirrored(replace(LYING, lamps=(bulb,)), FILM, camera(), np.random.default_rng(seed)).lamps
+        assert np.linalg.norm(moved.centre_mm) > 1.1 * np.linalg.norm(bulb.centre_mm)
+        received = [np.linalg.norm(vector_irradiance(one, np.zeros((1, 3)))) for one in (bulb, moved)]
+        assert received[1] == pytest.approx(received[0], rel=1e-4)

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from surroundings_case import FILM
+from surroundings_case import FILM, camera
 from test_develop import PLAIN
 
 from data_gen.develop import develop, local_tone, sample_lens
@@ -106,15 +106,12 @@ def test_two_lenses_in_five_map_tones_locally():
 
 
 def test_a_window_behind_the_film_stays_there_and_one_before_it_is_turned_to_where_it_shows():
-    film, camera_mm = FILM, np.array([0.0, 0.0, -900.0])
     window = Lamp(
         "rectangle", (300.0, 0.0, 1500.0), (0.0, 0.0, -1.0), (1.0, 0.0, 0.0), (500.0, 700.0), (50.0, 50.0, 50.0)
     )
     before = replace(window, centre_mm=(300.0, 900.0, -800.0))
     for seed in range(20):
-        lit = some_mirrored(
-            Light(1.0, 0.0, False, lamps=(window, before)), film, camera_mm, np.random.default_rng(seed)
-        )
+        lit = some_mirrored(Light(1.0, 0.0, False, lamps=(window, before)), FILM, camera(), np.random.default_rng(seed))
         assert lit.lamps[0] == window
         assert lit.lamps[1].centre_mm[2] < 0
 

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from data_gen.gloss import ALBEDO_COSINES, GRAZING_MEAN, fresnel, gloss, smith
-from data_gen.lamps import Lamp
+from data_gen.lamps import Lamp, highlight
 from data_gen.lighting import (
     LAMP_SHARE,
     Light,
@@ -20,7 +20,7 @@ from data_gen.lighting import (
     sample_light,
     sample_material,
 )
-from data_gen.reflections import reflection, wide_reflection
+from data_gen.reflections import lamp_highlight, reflection, wide_reflection
 from data_gen.rooms import Environment, directions, prefilter, procedural_room
 from data_gen.scene import Scene, SceneConfig, sample_scene
 from data_gen.seen_film import seen_film
@@ -223,6 +223,21 @@ def test_a_mirrored_lamp_shows_at_its_point_and_lights_the_middle_as_before(uv: 
     v_near, u_near = (int(x * len(light.veil)) for x in (uv[1], uv[0]))
     near = light.veil[max(v_near - 2, 0) : v_near + 3, max(u_near - 2, 0) : u_near + 3]
     assert near.max() > 0.5 * light.veil.max()
+
+
+@pytest.mark.parametrize("roughness", [0.08, 0.15])
+def test_a_sharp_highlight_fades_without_a_frame(roughness: float):
+    """On the coarse lattice that finds it, as on the fine one: what is left of a step shows less than a display level.
+
+    Of a bright lamp tails are seen far around its image.
+    """
+    surface, seen = gloss(roughness, 1.5), seen_film(flat(), camera().centre_world, 320)
+    bulb = replace(BULB, centre_mm=(-100.0, 50.0, -700.0), radiance=(800.0, 800.0, 800.0))
+    shown = 800 * lamp_highlight(bulb, seen, surface)
+    alpha = max(surface.alpha, (1 / 2) / len(seen.points))
+    exact = 800 * highlight(bulb, seen.points, seen.normals, seen.view, surface, alpha)
+    assert exact.max() > 1
+    assert np.abs(shown - exact).max() < 0.02
 
 
 def test_the_sun_shows_where_the_mirrored_ray_meets_it():

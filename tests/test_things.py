@@ -194,6 +194,22 @@ def test_a_dome_has_the_normals_of_a_sphere():
     assert ((shape[..., 3] > MIDDLE) == (radius < 15))[np.abs(radius - 15) > 0.2].all()
 
 
+@pytest.mark.parametrize("grip", GRIPS)
+@pytest.mark.parametrize("variant", range(VARIANTS))
+def test_all_of_a_hand_is_before_the_film_or_behind_it(grip, variant):
+    """What is in neither picture would be missing, cut off along a joint: the thumb was."""
+    model = hand_model(grip, variant)
+    before, whole = model.skin[..., 0] > MIDDLE, model.shape[..., 3] > MIDDLE
+    assert hand(grip).behind or (before == whole).mean() > 0.995
+
+
+@pytest.mark.parametrize("grip", GRIPS)
+def test_an_arm_that_goes_on_beyond_its_picture_has_no_stripes(grip):
+    """Its first column is repeated: a spot there would be drawn out along the arm."""
+    for variant in range(VARIANTS):
+        assert np.abs(hand_model(grip, variant).skin[:, 0, 1].astype(int) - 128).max() <= 1
+
+
 def test_models_are_drawn_once_and_alike():
     first = hand_model("pinch", 2)
     assert hand_model("pinch", 2) is first
@@ -214,6 +230,12 @@ def test_nobody_reaches_behind_a_film_that_lies_on_something():
     rng = np.random.default_rng(0)
     for _ in range(60):
         assert not any(h.behind for h in sample_hands(2, True, rng))
+
+
+def test_nobody_reaches_behind_a_film_on_a_light_box():
+    for seed in range(60):
+        drawn = sample_scene(FILM, SIZE, np.random.default_rng(seed), SceneConfig(light_box_share=1.0, thing_share=1.0))
+        assert not any(isinstance(thing, Hand) and thing.behind for thing in drawn.things)
 
 
 def test_holders_are_of_every_kind():

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 from surroundings_case import FILM, SIZE, camera, even_room, scene
@@ -10,10 +11,13 @@ from data_gen.background import background
 from data_gen.lamps import Lamp
 from data_gen.lighting import Light, LightBox, Material
 from data_gen.rooms import Environment, prefilter, procedural_room
+from data_gen.sample import scene_light
 from data_gen.seen_film import seen_film
 from data_gen.shade import light_before, light_through, lit_film, room_behind
+from data_gen.surroundings import Surroundings
 from data_gen.through import behind_film
 from hybrid.coords import pixel_from_film, sample_bilinear
+from hybrid.mesh.camera import look_at
 
 BASE = np.array([0.02, 0.02, 0.02])
 AIR = Material(diffuse=0.0, transmission=0.0, clear=1.0, haze=0.0, roughness=0.5, ior=1.0)
@@ -50,6 +54,47 @@ def test_a_film_of_air_shows_the_light_box_as_the_panel_beside_it(room):
     picture, lit = background(taken, FILM, room, BASE), lit_film(FILM, taken)
     gain = light_through(lit, room_behind(lit, room)).gain
     assert np.median(np.abs(gain / shown(picture, lit) - 1)) < 0.02
+
+
+def test_a_film_of_air_shows_what_lies_on_the_light_box(room, monkeypatch):
+    taken = scene("panel", 1, Light(front=0.05, turn_deg=0.0, lying=False, box=BOX))
+    picture = cv2.resize(np.random.default_rng(0).random((6, 8, 3), np.float32), SIZE[::-1])
+    monkeypatch.setattr("data_gen.sample.surroundings", lambda *given: Surroundings(picture, ()))
+    gain = scene_light(FILM, replace(taken, material=AIR), room, 1.0)[0].gain
+    expected = shown(picture, lit_film(FILM, taken))
+    assert np.abs(gain - expected).mean() < 0.02 * expected.mean()
+
+
+def test_a_light_box_seen_from_behind_the_film_is_as_from_the_front(room):
+    """Half a turn about the vertical: what hangs on it can be read, and it is as bright where it is seen to be."""
+    taken = scene("panel", 2, Light(front=0.0, turn_deg=0.0, lying=False, box=BOX), blur=0.3, things=6)
+    taken, turn = replace(taken, material=AIR), np.diag([-1.0, 1.0, -1.0])
+    pose = look_at(turn @ taken.camera.centre_world, np.zeros(3), np.array([0, 1.0, 0]))
+    behind = replace(taken, camera=replace(taken.camera, camera_from_world=pose))
+    front, back = (background(one, FILM, room, BASE) for one in (taken, behind))
+    np.testing.assert_allclose(back, front, atol=0.02 * front.max())
+    gains = [light_through(lit, room_behind(lit, room)).gain for lit in (lit_film(FILM, x) for x in (taken, behind))]
+    np.testing.assert_allclose(gains[1][:, ::-1], gains[0], rtol=1e-3)
+
+
+def test_other_films_lie_beside_that_on_a_light_box(room):
+    """As films are hung: at most their rims are under it."""
+    for seed in range(6):
+        taken = scene("panel", seed, Light(front=0.0, turn_deg=0.0, lying=False, box=BOX), blur=0.3)
+        seen = [replace(taken, backdrop=replace(taken.backdrop, things=things)) for things in (0, 12)]
+        bare, hung = (background(one, FILM, room, BASE) for one in seen)
+        assert (hung < 0.9 * bare).mean() > 0.02
+        lit = lit_film(FILM, taken)
+        assert (shown(hung, lit) < 0.9 * shown(bare, lit)).mean() < 0.15
+
+
+@pytest.mark.parametrize("material", [AIR, MILK])
+def test_a_bare_light_box_shines_through_as_one_that_is_masked(material, room):
+    taken = scene("panel", 1, Light(front=0.05, turn_deg=0.0, lying=False, box=BOX), blur=0.3, things=0)
+    taken = replace(taken, material=material)
+    masked = replace(taken, backdrop=replace(taken.backdrop, kind="dark"))
+    gains = [scene_light(FILM, seen, room, 0.5)[0].gain for seen in (taken, masked)]
+    assert np.median(np.abs(gains[0] / gains[1] - 1)) < 0.01
 
 
 def test_a_scattering_film_on_an_even_table_is_lit_by_it_alone():
