@@ -15,10 +15,10 @@ from jaxtyping import Float32
 from tqdm import tqdm
 
 from data_gen.shards import npy_bytes
-from data_gen.work import start_worker, workers
+from data_gen.work import run_command, start_worker, workers
 from hybrid.backward import end_point_error, film_as_seen
 from hybrid.effort import RectifyConfig
-from hybrid.errors import HybridError, require_at_least
+from hybrid.errors import require_at_least
 from hybrid.image_io import write_bytes
 from hybrid.learn.edge_data import FILM_MAPS
 from hybrid.learn.inference import ready
@@ -90,10 +90,7 @@ def _film_map(folder: Path, number: int) -> Float32[np.ndarray, "n m 2"]:
 
 def main() -> None:
     """Command line."""
-    try:
-        print(write_film_maps(tyro.cli(FilmMapsConfig, prog="python -m data_gen.film_maps")))
-    except HybridError as error:
-        raise SystemExit(f"error: {error}") from None
+    run_command("data_gen.film_maps", FilmMapsConfig, lambda config: print(write_film_maps(config)))
 
 
 if __name__ == "__main__":

@@ -64,14 +64,14 @@ def check_open3d() -> None:
 def run_command(module: str, kind: type[Options], run: Callable[[Options], Any]) -> None:
     """Run ``python -m MODULE``: an error that a user can mend, of the options as well, is one line, and so is Ctrl-C.
 
-    kind: a dataclass with the field ``out``, of which tyro makes the command line.
+    kind: a dataclass of which tyro makes the command line. Its field ``out``, if any, is where things are written.
     """
     try:
         config: Any = tyro.cli(kind, prog=f"python -m {module}")
         try:
             run(config)
         except OSError as error:
-            raise DataError(told(error, config.out)) from error
+            raise DataError(told(error, getattr(config, "out", None))) from error
     except HybridError as error:
         raise SystemExit(f"error: {_with_flags(str(error), kind)}") from None
     except KeyboardInterrupt:

@@ -85,3 +85,15 @@ def test_no_data_set_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr("sys.argv", ["film_maps", str(tmp_path)])
     with pytest.raises(SystemExit, match="error: "):
         main()
+
+
+def test_ctrl_c_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture) -> None:
+    def stopped(config: FilmMapsConfig) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("data_gen.film_maps.write_film_maps", stopped)
+    monkeypatch.setattr("sys.argv", ["film_maps", str(tmp_path)])
+    with pytest.raises(SystemExit) as end:
+        main()
+    assert end.value.code == 130
+    assert capsys.readouterr().err.startswith("stopped; ")
