@@ -35,7 +35,6 @@ from hybrid.errors import ConfigError, DataError, HybridError, describe, require
 from hybrid.image_io import write_rgb
 from hybrid.outputs import make_folder
 from hybrid.pipeline import Rectifier
-from hybrid.rectify.trust import REFERENCE_PX
 from hybrid.workers import shared_out
 
 SHOWN = 2
@@ -99,7 +98,7 @@ class Task:
         """The changed photo and its truth; the same each time."""
         rng = np.random.default_rng(zlib.crc32(f"{self.change} {self.case.name}".encode()))
         sheet, other = (Sheet(case.photo(), case.backward) for case in (self.case, self.other))
-        return CHANGES[self.change][1](sheet, other, rng)
+        return replace(CHANGES[self.change][1](sheet, other, rng), before_px=max(sheet.photo.shape[:2]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,20 +118,19 @@ class Rectifiers:
 def tried(whole: bool, rectifiers: Rectifiers, task: Task) -> Ended:
     """A changed photo, flattened."""
     it = task.made()
-    to_reference = REFERENCE_PX / max(task.case.photo().shape[:2]) / it.scale
 
     def error_px(found: BackwardMap | None) -> float | None:
         if found is None:
             return None
         near = read_alike(found, it.backward)[0]
-        return to_reference * float(end_point_error(near, it.backward.lattice(LATTICE)).mean())
+        return it.to_reference * float(end_point_error(near, it.backward.lattice(LATTICE)).mean())
 
     network = error_px(rectifiers.alone.network_map(it.photo))
     if not whole:
         return Ended(task.change, task.case.name, network)
     result = rectifiers.whole(it.photo)
     found = error_px(result.backward)
-    limit = np.inf if result.limit_px is None else to_reference * result.limit_px
+    limit = np.inf if result.limit_px is None else it.to_reference * result.limit_px
     wrong = result.status.ok and found is not None and found > limit
     return Ended(task.change, task.case.name, network, found, result.status.code.name, wrong)
 
