@@ -199,7 +199,8 @@ class Signs:
     borders_shown: mean probability that borders between cells show where the grid has them.
     lopsided: of the grid (``SliceGrid.lopsided``).
     sheet: whether a bent sheet explains what was seen.
-    flat: whether the photo was found to be the flat film itself; nothing else counts then.
+    flat: whether the photo was found to be the flat film itself; only ``lopsided`` and ``off_frame`` count then.
+    off_frame: how far from such a photo's frame what is refined from there ends, in parts of the film's size.
     doubted: whether it was in doubt at first, so that this is the surest of several refinements.
     weakest: the edge with the least support, as the film lies in the photo: top, bottom, left or right.
     outside: edges, named likewise, that lie outside the photo for the most part.
@@ -223,6 +224,7 @@ class Signs:
     lopsided: float
     sheet: bool
     flat: bool = False
+    off_frame: float = 0.0
     doubted: bool = False
     weakest: str = "weakest"
     outside: tuple[str, ...] = ()

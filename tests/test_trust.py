@@ -167,6 +167,14 @@ def test_a_flat_picture_is_expected_to_be_off_in_proportion_to_its_size() -> Non
     assert two == pytest.approx(2 * one)
 
 
+def test_a_flat_picture_is_expected_to_be_off_by_what_refining_its_frame_moves() -> None:
+    flat = replace(SURE, flat=True)
+    aslant, further = (replace(flat, off_frame=share) for share in (0.002, 0.02))
+    assert expected_error_px(flat) < expected_error_px(aslant) < expected_error_px(further)
+    assert expected_error_px(aslant) == pytest.approx(0.002 * flat.film_px)
+    assert film_verdict(further).ok
+
+
 def test_margins_are_as_lopsided_as_they_differ_along_the_worse_axis() -> None:
     film = BackwardMap.from_function(lambda uv: 100.0 + uv * 400.0)
     vertices = np.array([0.02, 0.05]) + np.array([0.96, 0.88]) * film_nodes((3, 4))

@@ -64,7 +64,8 @@ def already_flat(
     refined: Refinement | None,
     exactly: Callable[[BackwardMap], Refinement],
 ) -> tuple[Refinement | None, str]:
-    """The photo's frame as the film's map if the photo is the flat film itself, else None; with the evidence.
+    """The photo's frame as the film's map if the photo is the flat film itself, else None; with the evidence. The error
+    that it expects is how far it moves where it is refined: hardly, or by as much as cells leave open.
 
     coarse, refined: the network's map, and what became of it; None where it was not refined. filled: share of the photo
     that shows film. exactly: refines a map into the photo.
@@ -91,7 +92,8 @@ def already_flat(
         return None, reason
     if edges_inside and straight < SURER * bent[-1]:
         return None, f"the sheet's edges are seen inside the photo; {reason}"
-    return replace(framed, backward=frame, grid=grid, expected_px=None, aspect=None), reason
+    moved = float(np.linalg.norm(framed.backward.lattice((33, 33)) - frame.nodes, axis=-1).mean())
+    return replace(framed, backward=frame, grid=grid, expected_px=moved, aspect=None), reason
 
 
 def is_frame(told: BackwardMap, size: tuple[int, int]) -> bool:

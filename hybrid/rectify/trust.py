@@ -31,8 +31,9 @@ from hybrid.strips import SIDES, Side
 REFERENCE_PX = 1080
 """Longer side of the photos that limits in pixels are stated for."""
 
-FLAT_ERROR = 0.0005
-"""Error of a photo that is the flat film itself, in parts of the film's size: cells that agree pin it so closely."""
+FLAT_ERROR, ASLANT = 0.0005, 0.004
+"""Error of a photo that is the flat film itself, in parts of the film's size, where cells pin it; and how far off it
+may be at the mean where they do not: of 81 scans put aslant 28 pass for flat, one of which is further off."""
 
 UNKNOWN_STATED = 0.01
 """Stands for the error that refinement expects where it left the map as it was: the network's, in parts of the film."""
@@ -164,6 +165,7 @@ def signs_of(
         lopsided=UNKNOWN_LOPSIDED if grid is None else grid.lopsided,
         sheet=refinement.aspect is not None,
         flat=flat,
+        off_frame=(refinement.expected_px or 0.0) / film_px if flat else 0.0,
         weakest=across.weakest,
         outside=sides_outside(backward, pyramid.size),
     )
@@ -184,7 +186,7 @@ def expected_error_px(signs: Signs, config: TrustConfig | None = None) -> float:
     """Mean distance, in pixels of the photo, by which the points of the film are expected to be off."""
     config = config or TrustConfig()
     if _whole_photo(signs, config):
-        return FLAT_ERROR * signs.film_px
+        return float(np.clip(signs.off_frame, FLAT_ERROR, ASLANT)) * signs.film_px
     return float(np.exp(_weighted(features(signs), config.error))) * signs.film_px
 
 
