@@ -19,8 +19,8 @@ class FuseOptions(PhotoOptions):
     """Make one film of two or more photos of it, taken with phone or lamps moved, so that glare vanishes.
 
     Writes what ``hybrid rectify`` writes, named after the first photo: NAME_fused_film.png and so on. Photos in which
-    no film is found are left out. NAME_fused_rectified and the photo beside the film are of the first that shows it,
-    with its glare. Photos of different films are refused; the exit code is then 1.
+    no film is found are left out. NAME_fused_rectified and the photo beside the film are of the first that is OK, or
+    else that shows the film, with its glare. Photos of different films are refused; the exit code is then 1.
     """
 
     config: Annotated[RectifyConfig, tyro.conf.arg(name="")] = field(default_factory=RectifyConfig)

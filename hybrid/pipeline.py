@@ -93,9 +93,9 @@ class Rectifier:
         names: of the photos, for messages; else they are numbered.
 
         film, glare and confidence are made of all photos in which a film is found, as large as the largest of their
-        films; the others are left out (``result.left_out``). The rest is of the first of them (``result.photo``),
-        its map moved to where all whose map is sure say that the print lies (all, if none is): status and expected
-        error are theirs. The first photo's result where no film is found in any.
+        films; the others are left out (``result.left_out``). The rest is of the first of them whose map is sure, or the
+        first if none's is (``result.photo``), that map moved to where all whose map is sure say that the print lies
+        (all, if none is): status and expected error are theirs. The first photo's result where no film is found in any.
 
         Args:
             sources: as for a single photo, two or more.

@@ -252,7 +252,8 @@ class RectifyResult:
     signs: what speaks for the map and against it, of which both are told (``rectify/trust.py``).
     photo_size: height and width of the photo in pixels.
     photo: of a film fused from several photos the index of the one that rectified, backward and the grid's vertices in
-        the photo are of: the first in which a film was found. photos: how many were given to be fused, 1 of others.
+        the photo are of: the first whose map is sure, or else that shows a film. photos: how many were given to be
+        fused, 1 of others.
     left_out: which of these it is not made of.
     """
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from functools import lru_cache
+from itertools import permutations
 from pathlib import Path
 
 import cv2
@@ -176,7 +177,8 @@ def test_an_unsure_map_does_not_move_a_sure_one():
         assert map_error_px(result) < 1.5
         assert result.status.ok
         assert result.expected_error_px == pytest.approx(0.5, rel=0.02)  # in pixels of the first photo
-        assert ("itself unsure" in result.stages[-1].reason) == (shown[0] is sure)
+        assert "itself unsure" in result.stages[-1].reason
+        assert shown[result.photo] is sure
         assert result.signs == sure[1].signs  # what speaks for the status that is given
     result = fused(other, unsure(sure))
     assert result.status.code is StatusCode.UNSURE
@@ -276,6 +278,14 @@ def test_an_unsure_photo_of_something_else_is_left_out_and_no_part_of_the_film()
     assert [(one.photo, one.why) for one in result.left_out] == [(1, "itself unsure, it is not like photo 1")]
     assert result.stages[-1].reason.startswith("2 photos; photo 2 left out: itself unsure, it is not like photo 1; ")
     assert fused(NO_FILM, shown[0]).stages[-1].reason.startswith("1 photo; photo 1 left out")
+
+
+def test_which_photos_are_left_out_does_not_depend_on_their_order():
+    sure, other, blind = seen(SPOTS[0], 0), unsure(seen(SPOTS[1], 1, film=1)), NO_FILM
+    for shown in permutations((sure, other, blind)):
+        result = fused(*shown)
+        assert shown[result.photo] is sure
+        assert {id(shown[one.photo]) for one in result.left_out} == {id(other), id(blind)}
 
 
 NO_FILM = np.zeros((64, 64, 3), np.uint8), RectifyResult(Status(StatusCode.NO_FILM))

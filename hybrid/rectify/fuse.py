@@ -274,44 +274,42 @@ def _seen_slices(film: Film, grid: SliceGrid, samples: int) -> Float32[np.ndarra
     return sample_bilinear(film, points).reshape(grid.rows, samples, grid.cols, samples)
 
 
-def _cover_on(
-    size: tuple[int, int], result: RectifyResult, way: Orientation, shift: Float[np.ndarray, "gh gw 2"]
-) -> Bool[np.ndarray, "h w"]:
-    """Where something lies before the film of a photo that was moved in one way, on the common film of ``size``.
-
-    shift: of the photo's film beside the common one.
-    """
-    if result.covered is None or not result.covered.any():
-        return np.zeros(size, dtype=bool)
-    own = np.ascontiguousarray(way.moved(result.covered)).astype(np.float32)
-    return _moved_by(cv2.resize(own, size[::-1], interpolation=cv2.INTER_LINEAR), shift) >= 0.5
-
-
-def _surest_grid(
-    grids: Sequence[SliceGrid | None], shifts: Sequence[Float[np.ndarray, "gh gw 2"]], first: BackwardMap
-) -> SliceGrid | None:
-    """The grid of the greatest confidence, where the print lies on the common film; None without any.
-
-    shifts: of each grid's film beside the common one. first: the common film's map into the photo that it is given for.
-    """
-    seen = [(grid, shift) for grid, shift in zip(grids, shifts, strict=True) if grid is not None]
-    if not seen:
-        return None
-    grid, shift = max(seen, key=lambda one: one[0].confidence)
-    beside, vertices = BackwardMap(shift), grid.vertices
-    for _ in range(3):  # the common film's point that lies there once it is shifted
-        vertices = grid.vertices - beside.photo_from_film(vertices)
-    return replace(grid, vertices=vertices, vertices_photo=first.photo_from_film(vertices))
-
-
-def _largest_size(results: Sequence[RectifyResult]) -> tuple[int, int]:
-    """Height and width of the fused film: sides in the ratio of the first one's, the longer as long as any one's."""
-    height, width = _film_of(results[0]).shape
-    more = max(max(_film_of(one).shape) for one in results) / max(height, width)
-    return round(more * height), round(more * width)
-
-
 # ---------------------------------------------------------------- all together
+
+
+@dataclass(frozen=True, eq=False)
+class Member:
+    """A photo that the fused film is made of.
+
+    index: among those that were given. way: how its film has to be moved to lie as the base's does. turned: its map,
+    moved so. shift: (gh, gw, 2) film units by which points of its film lie beside those of the base, and later of the
+    common film, on film nodes.
+    """
+
+    index: int
+    photo: UInt8[np.ndarray, "_ _ 3"]
+    result: RectifyResult
+    way: Orientation
+    turned: BackwardMap
+    shift: Float[np.ndarray, "gh gw 2"]
+
+    @property
+    def backward(self) -> BackwardMap:
+        """From the common film's uv to the photo."""
+        return read_beside(self.turned, self.shift)
+
+    @property
+    def side_px(self) -> float:
+        """The longer side of its film in its photo."""
+        return max(self.turned.mean_film_pixels())
+
+    def cover_on(self, size: tuple[int, int]) -> Bool[np.ndarray, "h w"]:
+        """Where something lies before the film, on the common film of ``size``."""
+        covered = self.result.covered
+        if covered is None or not covered.any():
+            return np.zeros(size, dtype=bool)
+        own = np.ascontiguousarray(self.way.moved(covered)).astype(np.float32)
+        return _moved_by(cv2.resize(own, size[::-1], interpolation=cv2.INTER_LINEAR), self.shift) >= 0.5
 
 
 def fuse(
@@ -323,60 +321,119 @@ def fuse(
     resample: ResampleConfig | None = None,
     names: Sequence[str] | None = None,
 ) -> RectifyResult:
-    """One result of several photos of one film, lying as in the first of those that show it, as large as the largest.
+    """One result of several photos of one film, lying as in the base, as large as the largest.
 
     results: of the photos; those without a film are left out, and if none has one the first's is returned. reader: of
     their light. names: of the photos, for messages.
-    film, glare and confidence are made of all; rectified and backward are of the first photo with a film
-    (``result.photo``), moved to where those photos together say that the print lies whose maps are sure, or all if none
-    is; status, expected error and grid are theirs.
+    The base is the first photo whose map is sure, or the first with a film if none's is (``result.photo``): rectified
+    and backward are its own, moved to where those photos together say that the print lies whose maps are sure, or all
+    if none is; status, expected error and grid are theirs. film, glare and confidence are made of all.
 
     Raises:
         FusionError: the photos show different films.
     """
-    config = config or FuseConfig()
-    start = perf_counter()
+    config, start = config or FuseConfig(), perf_counter()
     names = names or [f"photo {number}" for number in range(1, len(photos) + 1)]
     showing = [index for index, result in enumerate(results) if result.status.has_film]
     if not showing:
         return results[0]
-    at = showing[0]
+    at = next((index for index in showing if results[index].status.ok), showing[0])
+    members, left_out, notes = _members(photos, results, at, config, names)
+    counts = [one.result.status.ok or not results[at].status.ok for one in members]
+    common = to_common([one.shift for one in members], counts)
+    members = [replace(one, shift=shift) for one, shift in zip(members, common, strict=True)]
+    base = next(one for one in members if one.index == at)
+    asked = [one for one, counted in zip(members, counts, strict=True) if counted]
+    merged = _merged(members, base, reader, config.merge, light or DeilluminateConfig(), resample)
+    shares = ", ".join(f"{share:.0%}" for share in merged.shares)
+    without = [f"{names[one.photo]} left out: {one.why}" for one in left_out]
+    several = f"{len(members)} photo{'s' * (len(members) > 1)}"
+    others = sum(stage.seconds for one in results if one is not base.result for stage in one.stages)
+    report = StageReport(
+        "fuse",
+        True,
+        "; ".join([several, *without, *notes, f"shares {shares}"]),
+        others + perf_counter() - start,
+    )
+    return replace(
+        base.result,
+        expected_error_px=_expected_px(asked, base),
+        film=merged.film,
+        rectified=merged.rectified,
+        backward=base.backward,
+        grid=_surest_grid(asked, base),
+        glare=merged.glare,
+        covered=merged.covered,
+        confidence=merged.confidence,
+        stages=(*base.result.stages, report),
+        photo=at,
+        left_out=tuple(left_out),
+    )
+
+
+def _members(
+    photos: Sequence[UInt8[np.ndarray, "_ _ 3"]],
+    results: Sequence[RectifyResult],
+    at: int,
+    config: FuseConfig,
+    names: Sequence[str],
+) -> tuple[list[Member], list[LeftOut], list[str]]:
+    """The photos that show the film of the one at ``at``, those that do not and say so, and what is told of the former.
+
+    Raises:
+        FusionError: a photo whose map is sure shows another film.
+    """
     base = results[at]
     if base.backward is None:
         raise FusionError(describe(what="Photos that cannot be fused", got="one without a map", do="Leave it out."))
-    used, maps, shifts, found_in = [photos[at]], [base.backward], [np.zeros((NODES, NODES, 2))], [base]
-    grids, ways = [base.grid], [Orientation(0, False)]
-    left_out = [LeftOut(index, "no film was found in it") for index in range(len(results)) if index not in showing]
-    notes = []
-    for index in showing[1:]:
-        result = results[index]
-        try:
-            found = register(base, result, config, (names[at], names[index]))
-        except FusionError:
-            if result.status.ok:
-                raise
-            left_out.append(LeftOut(index, f"itself unsure, it is not like {names[at]}"))
-            continue
-        unsure = "" if result.status.ok else ", itself unsure"
-        notes.append(f"{names[index]} moved by up to {found.largest:.1%} of the film{unsure}")
-        used.append(photos[index])
-        maps.append(found.turned)
-        shifts.append(found.shift)
-        grids.append(result.grid and result.grid.turned(found.way))
-        ways.append(found.way)
-        found_in.append(result)
-    size = _largest_size(found_in)
-    counts = [one.status.ok for one in found_in] if any(one.status.ok for one in found_in) else [True] * len(used)
-    asked = [one for one, counted in zip(found_in, counts, strict=True) if counted]
-    shifts = to_common(shifts, counts)
-    lengths = [max(own.mean_film_pixels()) for own in maps]
-    maps = [read_beside(own, shift) for own, shift in zip(maps, shifts, strict=True)]
-    flats = [rectify_photo(photo, backward, size, resample) for photo, backward in zip(used, maps, strict=True)]
-    told = [one if counted else None for one, counted in zip(grids, counts, strict=True)]
-    grid = _surest_grid(told, shifts, maps[0])
-    covers = [_cover_on(size, *of_photo) for of_photo in zip(found_in, ways, shifts, strict=True)]
+    members, left_out, notes = [], [], []
+    for index, result in enumerate(results):
+        if index == at:
+            members.append(
+                Member(at, photos[at], base, Orientation(0, False), base.backward, np.zeros((NODES, NODES, 2)))
+            )
+        elif not result.status.has_film:
+            left_out.append(LeftOut(index, "no film was found in it"))
+        else:
+            try:
+                found = register(base, result, config, (names[at], names[index]))
+            except FusionError:
+                if result.status.ok:
+                    raise
+                left_out.append(LeftOut(index, f"itself unsure, it is not like {names[at]}"))
+                continue
+            members.append(Member(index, photos[index], result, found.way, found.turned, found.shift))
+            unsure = "" if result.status.ok else ", itself unsure"
+            notes.append(f"{names[index]} moved by up to {found.largest:.1%} of the film{unsure}")
+    return members, left_out, notes
+
+
+@dataclass(frozen=True, eq=False)
+class Merged:
+    """The common film of all members: film, glare, covered, confidence as of a RectifyResult, (h, w); rectified as the
+    base shows it; shares: of each member, of the film."""
+
+    film: Film
+    rectified: UInt8[np.ndarray, "h w 3"]
+    glare: Bool[np.ndarray, "h w"]
+    covered: Bool[np.ndarray, "h w"]
+    confidence: Film
+    shares: tuple[float, ...]
+
+
+def _merged(
+    members: Sequence[Member],
+    base: Member,
+    reader: LevelReader,
+    config: MergeConfig,
+    light: DeilluminateConfig,
+    resample: ResampleConfig | None,
+) -> Merged:
+    """The photos read through their maps, each without its light, and merged."""
+    size = _largest_size(members, base)
+    flats = [rectify_photo(one.photo, one.backward, size, resample) for one in members]
+    covers = [one.cover_on(size) for one in members]
     print_seen = [flat.valid & ~cover for flat, cover in zip(flats, covers, strict=True)]
-    light = light or DeilluminateConfig()
     reads = [read_light(flat.image, seen, reader, light) for flat, seen in zip(flats, print_seen, strict=True)]
     tone = float(np.median([one.levels.root_share for one in reads]))  # it is one print, and mostly one camera
     lights = [
@@ -387,38 +444,38 @@ def fuse(
         [one.film for one in lights],
         [one.glare | ~seen for one, seen in zip(lights, print_seen, strict=True)],
         [one.confidence for one in lights],
-        config.merge,
+        config,
     )
     glare = fused.lost & np.logical_or.reduce([one.glare for one in lights])
-    shares = ", ".join(f"{share:.0%}" for share in fused.shares)
-    without = [f"{names[one.photo]} left out: {one.why}" for one in left_out]
-    reason = "; ".join([f"{len(used)} photo{'s' * (len(used) > 1)}", *without, *notes, f"shares {shares}"])
-    others = sum(stage.seconds for one in results if one is not base for stage in one.stages)
-    report = StageReport("fuse", True, reason, others + perf_counter() - start)
-    errors = [
-        one.expected_error_px * lengths[0] / length
-        for one, length, counted in zip(found_in, lengths, counts, strict=True)
-        if counted and one.expected_error_px is not None
-    ]
-    signs = asked[0].signs
-    if signs is not None and base.signs is not None:  # of another photo, perhaps of another size
-        signs = replace(signs, film_px=base.signs.film_px, photo_px=base.signs.photo_px)
-    return replace(
-        base,
-        status=asked[0].status,
-        signs=signs,
-        expected_error_px=float(np.mean(errors)) if errors else None,
-        film=fused.film,
-        rectified=flats[0].image,
-        backward=maps[0],
-        grid=grid,
-        glare=glare,
-        covered=fused.lost & ~glare & np.logical_or.reduce(covers),
-        confidence=fused.confidence,
-        stages=(*base.stages, report),
-        photo=at,
-        left_out=tuple(left_out),
-    )
+    covered = fused.lost & ~glare & np.logical_or.reduce(covers)
+    shown = next(flat.image for flat, one in zip(flats, members, strict=True) if one is base)
+    return Merged(fused.film, shown, glare, covered, fused.confidence, tuple(fused.shares))
+
+
+def _largest_size(members: Sequence[Member], base: Member) -> tuple[int, int]:
+    """Height and width of the fused film: sides in the ratio of the base's, the longer as long as any one's."""
+    height, width = _film_of(base.result).shape
+    more = max(max(_film_of(one.result).shape) for one in members) / max(height, width)
+    return round(more * height), round(more * width)
+
+
+def _surest_grid(members: Sequence[Member], base: Member) -> SliceGrid | None:
+    """The grid of the greatest confidence, where the print lies on the common film; None without any."""
+    seen = [(one.result.grid.turned(one.way), one.shift) for one in members if one.result.grid is not None]
+    if not seen:
+        return None
+    grid, shift = max(seen, key=lambda one: one[0].confidence)
+    beside, vertices = BackwardMap(shift), grid.vertices
+    for _ in range(3):  # the common film's point that lies there once it is shifted
+        vertices = grid.vertices - beside.photo_from_film(vertices)
+    return replace(grid, vertices=vertices, vertices_photo=base.backward.photo_from_film(vertices))
+
+
+def _expected_px(members: Sequence[Member], base: Member) -> float | None:
+    """The mean of the errors that are expected of the members' maps, in pixels of the base; None if none is known."""
+    known = [(one.result.expected_error_px, one.side_px) for one in members]
+    errors = [px * base.side_px / side for px, side in known if px is not None]
+    return float(np.mean(errors)) if errors else None
 
 
 __all__ = ["FuseConfig", "Registration", "fuse", "phase_shift", "register"]
