@@ -36,10 +36,9 @@ def run(arguments: list[str]) -> int:
         print(f"hybrid fuse: {told}", file=sys.stderr)
         return 2
     make_folder(options.out)
-    photos = [read_photo(path) for path in paths]
-    result = Rectifier(options.config).fuse(photos, [path.name for path in paths])
+    result = Rectifier(options.config).fuse(paths, [path.name for path in paths])
     made = made_by(options.effort, RectifyConfig.of(options.effort), options.config)
-    shown = photos[result.photo]
+    shown = read_photo(paths[result.photo])
     files = write_result(options.out, paths, shown, result, options.rectified_format, made, options.dicom)
     warnings = [*warnings_of(result), *left_out_photos(paths, result), *further_pictures(paths)]
     print("\n".join(report_lines(paths[0], result, files, warnings, options.verbose)))

@@ -107,9 +107,16 @@ def pictures_in(path: str | os.PathLike[str]) -> int:
 
 def photo_size(path: str | os.PathLike[str]) -> tuple[int, int]:
     """Height and width of the picture in a file that was read before, as it is stored."""
+    with opened(path) as image:
+        return image.height, image.width
+
+
+@contextmanager
+def opened(path: str | os.PathLike[str]) -> Iterator[Image.Image]:
+    """The picture in a file that was read before, for what its header tells; no pixel is decoded."""
     _hear_of_heif()
     with _pillow_limits(), Image.open(path) as image:
-        return image.height, image.width
+        yield image
 
 
 def jpeg_extent(data: bytes) -> tuple[int, int] | None:
@@ -368,6 +375,7 @@ __all__ = [
     "as_photo",
     "jpeg_extent",
     "levels_16",
+    "opened",
     "photo_size",
     "pictures_in",
     "read_photo",

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Bool
 
 from hybrid.backward import BackwardMap, Orientation
+from hybrid.camera import TOLD_SIGMA, told_focal
 from hybrid.effort import Effort, RectifyConfig
 from hybrid.errors import ConfigError, FusionError, describe
 from hybrid.geometry import Readers, beyond_doubt, flat_itself, judged, shape_of, whole_sheet
@@ -43,6 +44,7 @@ from hybrid.rectify.fuse import fuse
 from hybrid.rectify.invert import Inversion, agreed
 from hybrid.rectify.refine import Refinement
 from hybrid.rectify.resample import Rectified, rectify_photo
+from hybrid.rectify.sheet import SheetConfig
 from hybrid.rectify.survey import Verdict, survey_photo, survey_print
 from hybrid.rectify.trust import expected_error_px, largest_error_px
 from hybrid.stages import Clock, Report
@@ -51,6 +53,8 @@ from hybrid.threads import one_thread
 
 class Rectifier:
     """Rectifies photos; the networks are loaded once, here, and once in each process that it is sent to.
+
+    Nothing in it changes: threads may share it, and its copy is itself.
 
     Raises:
         ConfigError: ``config`` is no RectifyConfig. DataError: ``config.weights`` is not a weights file.
@@ -70,7 +74,13 @@ class Rectifier:
         self._levels: LevelReader = level_reader(ready(packaged_light_net()))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return Rectifier, (self.config,)
+        return type(self), (self.config,)
+
+    def __copy__(self) -> Rectifier:
+        return self
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Rectifier:
+        return self
 
     def __call__(self, source: str | Path | np.ndarray, corners: Corners | None = None) -> RectifyResult:
         """The flat film of a photo.
@@ -84,8 +94,9 @@ class Rectifier:
             PhotoError: the source cannot be read as a photo. A photo without a film is no error but a status.
             ConfigError: these are no corners of a sheet that the photo shows.
         """
+        clock = Clock()
         with one_thread():
-            return self._rectified(source, corners)
+            return self._rectified(*_photo_of(source, clock), corners, clock)
 
     def fuse(self, sources: Iterable[str | Path | np.ndarray], names: Sequence[str] | None = None) -> RectifyResult:
         """One film of several photos of it, between which phone or lamps moved, so that glare vanishes.
@@ -115,9 +126,11 @@ class Rectifier:
         if names is not None and len(names) != len(sources):
             got, allowed = f"{len(names)} of {len(sources)} photos", "one of each"
             raise FusionError(describe(what="Names to fuse", got=got, allowed=allowed, do="Name all, or none."))
-        photos = [as_photo(source) for source in sources]
-        results = [self(photo) for photo in photos]
+        clocks = [Clock() for _ in sources]
         with one_thread():
+            read = [_photo_of(source, clock) for source, clock in zip(sources, clocks, strict=True)]
+            results = [self._rectified(*one, None, clock) for one, clock in zip(read, clocks, strict=True)]
+            photos = [photo for photo, _ in read]
             options = self.config.fuse, self.config.light, self.config.resample
             return replace(fuse(photos, results, self._levels, *options, names), photos=len(photos))
 
@@ -133,8 +146,12 @@ class Rectifier:
             edit: of what this rectifier made of it.
 
         Raises:
-            PhotoError: the source cannot be read as a photo. ConfigError: it is another photo (of another size).
+            PhotoError: the source cannot be read as a photo. ConfigError: it is another photo (of another size), or
+            this is no GridEdit.
         """
+        if not isinstance(edit, GridEdit):
+            got, do = f"a {type(edit).__name__}", "Make one: GridEdit.of(result)."
+            raise ConfigError(describe(what="Edited grid", got=got, allowed="a GridEdit", do=do))
         before = edit.result
         if edit.grid is before.grid and edit.backward is before.backward:
             return before
@@ -142,7 +159,7 @@ class Rectifier:
         assert before.covered is not None
         clock = Clock()
         with one_thread():
-            photo = _photo_of(source, clock)
+            photo, _ = _photo_of(source, clock)
             before.of_photo(photo.shape)
             pyramid = Pyramid(photo)
             with clock.stage("resample") as report:
@@ -182,16 +199,14 @@ class Rectifier:
         mean = agreed(sides) if sides else None
         return mean.backward if isinstance(mean, Inversion) else None
 
-    def _rectified(self, source: str | Path | np.ndarray, corners: Corners | None) -> RectifyResult:
-        """All stages, one after the other, until one says that there is no film."""
-        clock = Clock()
-        photo = _photo_of(source, clock)
+    def _rectified(self, photo: Photo, focal: float | None, corners: Corners | None, clock: Clock) -> RectifyResult:
+        """All stages, one after the other, until one says that there is no film. focal: as of ``_photo_of``."""
         with clock.stage("survey") as report:
             shown = survey_photo(photo, self.config.survey)
             report.reason = shown.reason
         if not shown.ok:
             return RectifyResult(Status(shown.code), clock.reports)
-        pyramid, readers, config = Pyramid(photo), self._readers, self.config
+        pyramid, readers, config = Pyramid(photo), self._readers, _with_lens(self.config, focal)
         told = None if corners is None else film_at(corners, (photo.shape[0], photo.shape[1]))
         if told is None:
             seen = see(readers.network, pyramid, config, clock)
@@ -221,7 +236,8 @@ class Rectifier:
         if corners is not None and not survey_print(pyramid, found.refinement.backward, config.survey).ok:
             doubts = (*verdict.doubts, "it is printed dark on bright: of a negative, invert the picture first")
             verdict = replace(verdict, code=StatusCode.UNSURE, doubts=doubts)
-        result = self._finish(pyramid, seen.maps, found.refinement, flat is not None, clock)
+        camera = config.refine.sheet
+        result = self._finish(pyramid, seen.maps, found.refinement, None if flat is not None else camera, clock)
         return replace(
             result,
             status=Status(verdict.code, verdict.doubts),
@@ -232,21 +248,22 @@ class Rectifier:
         )
 
     def _finish(
-        self, pyramid: Pyramid, maps: CoarseMaps, refinement: Refinement, is_flat: bool, clock: Clock
+        self, pyramid: Pyramid, maps: CoarseMaps, refinement: Refinement, camera: SheetConfig | None, clock: Clock
     ) -> RectifyResult:
         """Read the photo once through the map, turn the film upright, then take the light out.
 
-        is_flat: whether the photo is the flat film: then the film is as large, and nothing is stretched.
+        camera: what is known of it; None where the photo is the flat film itself: then the film is as large, and
+        nothing is stretched.
         """
         backward: BackwardMap = refinement.backward
         grid: SliceGrid | None = refinement.grid
         with clock.stage("resample") as report:
-            if is_flat:
+            if camera is None:
                 down, across = backward.mean_film_pixels()
                 size = bounded_size(backward, down / across, self.config.size)
             else:
-                camera = self.config.refine.sheet
-                size = film_size(backward, pyramid.size, grid, self.config.size, refinement.aspect, camera)
+                aspect, sigma = refinement.aspect, refinement.aspect_sigma
+                size = film_size(backward, pyramid.size, grid, self.config.size, aspect, camera, sigma)
             flat = rectify_photo(pyramid, backward, size, self.config.resample)
             report.reason = f"to {size[1]} x {size[0]} pixels"
         with clock.stage("upright") as report:
@@ -296,17 +313,28 @@ class Rectifier:
         return way, float(chances[way.index])
 
 
-def _photo_of(source: str | Path | np.ndarray, clock: Clock) -> Photo:
-    """The photo, as a stage."""
+def _photo_of(source: str | Path | np.ndarray, clock: Clock) -> tuple[Photo, float | None]:
+    """The photo, as a stage, and the focal length in its longer sides if its file tells it."""
     with clock.stage("read") as report:
-        photo = as_photo(source)
-        report.reason = f"{photo.shape[1]} x {photo.shape[0]} pixels"
-    return photo
+        photo, focal = as_photo(source), told_focal(source)
+        lens = "" if focal is None else f", by a lens of {focal:.2f} times its longer side"
+        report.reason = f"{photo.shape[1]} x {photo.shape[0]} pixels{lens}"
+    return photo, focal
+
+
+def _with_lens(config: RectifyConfig, focal: float | None) -> RectifyConfig:
+    """The options for a photo whose focal length, in its longer sides, is told."""
+    if focal is None:
+        return config
+    usual = config.refine.sheet
+    limits = min(usual.focal_range[0], focal), max(usual.focal_range[1], focal)
+    sheet = replace(usual, focal=focal, focal_sigma=(TOLD_SIGMA, TOLD_SIGMA), focal_range=limits)
+    return replace(config, refine=replace(config.refine, sheet=sheet))
 
 
 @lru_cache(maxsize=3)
-def _rectifier(effort: str) -> Rectifier:
-    return Rectifier(RectifyConfig.of(effort))
+def _rectifier(config: RectifyConfig) -> Rectifier:
+    return Rectifier(config)
 
 
 def rectify(
@@ -317,4 +345,4 @@ def rectify(
     Raises:
         ConfigError: there is no such effort, or these are no corners of a film.
     """
-    return _rectifier(str(effort))(photo, corners)
+    return _rectifier(RectifyConfig.of(effort))(photo, corners)

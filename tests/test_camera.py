@@ -1,72 +1,94 @@
-"""Camera and ray-cast maps: project and unproject, crop and resize commute, maps and backward map agree."""
+"""What a photo's file tells of the lens, and what that is worth where the photo leaves the film's sides open."""
+
+from __future__ import annotations
+
+from pathlib import Path
 
 import numpy as np
 import pytest
+from bent_sheets import flat_sheet_seen
+from PIL import Image
+from PIL.ExifTags import IFD, Base
 
-from hybrid.coords import pixel_centres
-from hybrid.mesh.camera import Camera, look_at
-from hybrid.mesh.film import film_mesh
-from hybrid.mesh.raycast import FilmCaster, true_backward_map
+from hybrid.backward import BackwardMap
+from hybrid.camera import TOLD_SIGMA, told_focal
+from hybrid.pipeline import rectify
+from hybrid.rectify.film_size import FilmSizeConfig, known_by_plane, snap_aspect
+from hybrid.rectify.sheet import SheetConfig
 
+SIZE = 400, 300
+"""Width and height of the photos."""
 
-def camera(size=(120, 160), distortion=(0.05, -0.02)):
-    f = 1.3 * size[1]
-    intrinsics = np.array([[f, 0, size[1] / 2 + 3], [0, f, size[0] / 2 - 2], [0, 0, 1.0]])
-    pose = look_at(np.array([60.0, -40.0, -700.0]), np.array([5.0, 0.0, 0.0]), np.array([0.1, 1.0, 0.0]))
-    return Camera(intrinsics, pose, distortion, size)
-
-
-def bent_film():
-    mesh = film_mesh((430.0, 350.0), np.linspace(0, 1, 4), np.linspace(0, 1, 5), 3)
-    x, y = mesh.vertices[..., 0], mesh.vertices[..., 1]
-    return mesh.bent(np.stack([x, y, 30 * np.sin(x / 90) + 12 * np.cos(y / 120)], axis=-1))
+LEANING, ASLANT = (0.5, 0.0, 0.0), (0.5, 0.5, 0.2)
+"""How a sheet is turned that only leans, and one whose sides all converge."""
 
 
-def test_a_ray_through_a_projected_point_meets_it():
-    cam = camera()
-    xyz = np.random.default_rng(0).uniform([-150, -150, 400], [150, 150, 900], (200, 3))
-    rays = cam.ray_directions(cam.photo_from_camera(xyz))
-    np.testing.assert_allclose(rays * xyz[:, 2:], xyz, atol=1e-3)
+def photo_with(path: Path, orientation: int = 1, **tags: float) -> Path:
+    """A photo whose EXIF has such tags."""
+    picture = Image.new("RGB", SIZE)
+    exif = picture.getexif()
+    exif[Base.Orientation] = orientation
+    exif.get_ifd(IFD.Exif).update({Base[name]: value for name, value in tags.items()})
+    picture.save(path, exif=exif)
+    return path
 
 
-def test_resizing_and_cropping_commute_with_projection():
-    cam = camera()
-    xyz = np.random.default_rng(1).uniform(-100, 100, (50, 3))
-    at = cam.photo_from_world(xyz)
-    np.testing.assert_allclose(cam.resized((240, 320)).photo_from_world(xyz), 2 * at, atol=1e-9)
-    np.testing.assert_allclose(cam.cropped((7, 11), (50, 60)).photo_from_world(xyz), at - [7, 11], atol=1e-9)
+@pytest.mark.parametrize("suffix", ["jpg", "png", "webp"])
+@pytest.mark.parametrize("orientation", [1, 6])
+def test_a_lens_of_26_mm_is_three_quarters_of_the_longer_side(tmp_path: Path, suffix: str, orientation: int):
+    path = photo_with(tmp_path / f"a.{suffix}", orientation, FocalLengthIn35mmFilm=26)
+    assert told_focal(path) == pytest.approx(26 / 43.27 * 5 / 4, rel=1e-3)
+    assert told_focal(str(path)) == told_focal(path)
 
 
-def test_look_at_puts_the_target_on_the_axis_and_down_downwards():
-    eye, target = np.array([100.0, 50.0, -500.0]), np.array([10.0, -20.0, 30.0])
-    pose = look_at(eye, target, np.array([0.0, 1.0, 0.0]))
-    seen = pose[:3, :3] @ target + pose[:3, 3]
-    np.testing.assert_allclose(seen, [0, 0, np.linalg.norm(target - eye)], atol=1e-9)
-    assert (pose[:3, :3] @ [0, 1, 0])[1] > 0.5
-    assert np.linalg.det(pose[:3, :3]) == pytest.approx(1)
+def test_a_photo_that_was_cropped_tells_none(tmp_path: Path):
+    tags = {"FocalLengthIn35mmFilm": 26, "ExifImageWidth": 4000, "ExifImageHeight": 3000}
+    assert told_focal(photo_with(tmp_path / "a.jpg", **tags)) is not None
+    assert told_focal(photo_with(tmp_path / "b.jpg", **{**tags, "ExifImageWidth": 5000})) is None
+    turned = {**tags, "ExifImageWidth": 3000, "ExifImageHeight": 4000}
+    assert told_focal(photo_with(tmp_path / "c.jpg", **turned)) is not None
 
 
-def test_maps_agree_with_the_camera_and_the_backward_map():
-    cam, film = camera((240, 320)), bent_film()
-    maps = FilmCaster(film).annotate(cam)
-    centres = pixel_centres(cam.size)[maps.mask]
-    assert 0.1 < maps.mask.mean() < 0.9
-    np.testing.assert_allclose(cam.photo_from_camera(maps.xyz[maps.mask]), centres, atol=0.05)
-    np.testing.assert_allclose(true_backward_map(film, cam).photo_from_film(maps.uv[maps.mask]), centres, atol=0.1)
-    assert np.isnan(maps.uv[~maps.mask]).all()
-    assert np.isnan(maps.depth[~maps.mask]).all()
-    np.testing.assert_allclose(np.linalg.norm(maps.normal[maps.mask], axis=-1), 1, atol=1e-6)  # float32
-    assert ((maps.normal * maps.xyz)[maps.mask].sum(axis=-1) < 0).all()  # normals face the camera
+def test_what_is_no_lens_of_a_phone_is_none(tmp_path: Path):
+    for equivalent_mm in (0, 3, 2000):
+        assert told_focal(photo_with(tmp_path / "a.jpg", FocalLengthIn35mmFilm=equivalent_mm)) is None
+    assert told_focal(photo_with(tmp_path / "a.jpg")) is None
+    assert told_focal(np.zeros((8, 8, 3), np.uint8)) is None
+    (tmp_path / "b.jpg").write_bytes(b"no picture")
+    assert told_focal(tmp_path / "b.jpg") is None
 
 
-def test_the_uv_map_is_the_annotations():
-    cam, film = camera(), bent_film()
-    mask, uv = FilmCaster(film).uv_map(cam)
-    maps = FilmCaster(film).annotate(cam)
-    np.testing.assert_array_equal(mask, maps.mask)
-    np.testing.assert_allclose(uv[mask], maps.uv[mask], atol=5e-5)  # interpolated to 0.01 px
+def test_the_lens_is_told_with_the_photo(tmp_path: Path):
+    result = rectify(photo_with(tmp_path / "a.jpg", FocalLengthIn35mmFilm=26))
+    assert result.stages[0].reason == "400 x 300 pixels, by a lens of 0.75 times its longer side"
 
 
-def test_a_film_read_right_is_not_mirrored():
-    backward = true_backward_map(bent_film(), camera())
-    assert (np.linalg.det(backward.jacobian(np.random.default_rng(0).random((100, 2)))) > 0).all()
+def seen(turned: tuple[float, float, float], focal: float, aspect: float = 43 / 35) -> BackwardMap:
+    return BackwardMap.from_function(flat_sheet_seen(aspect, focal, turned, (768, 1024)))
+
+
+@pytest.mark.parametrize("focal", [0.4, 0.75, 1.5])
+def test_the_ratio_of_a_sheet_that_leans_is_open_but_for_the_lens(focal: float):
+    """Its upper and lower side are parallel in the photo, whatever the lens."""
+    known = SheetConfig(focal=focal, focal_sigma=(TOLD_SIGMA, TOLD_SIGMA))
+    ratio, sigma = known_by_plane(seen(LEANING, focal), (768, 1024), known)
+    assert ratio == pytest.approx(43 / 35, rel=0.01)
+    assert sigma < 0.03
+    _, left_open = known_by_plane(seen(LEANING, focal), (768, 1024))
+    assert left_open > 0.05
+    _, told = known_by_plane(seen(ASLANT, focal), (768, 1024))
+    assert told < 0.01
+
+
+def test_what_the_lens_leaves_open_formats_and_square_cells_tell():
+    config = FilmSizeConfig()
+    assert snap_aspect(1.30, None, config, exact=True, sigma=0.001) == 1.30
+    assert snap_aspect(1.30, None, config, exact=True, sigma=0.02) == pytest.approx(1.25)
+    assert snap_aspect(1.45, None, config, exact=True, sigma=0.5) == 1.45  # no format is that near
+
+
+def test_the_ratio_is_nearly_right_without_a_told_lens():
+    for focal in (0.7, 0.8):
+        ratio, sigma = known_by_plane(seen(LEANING, focal), (768, 1024))
+        snapped = snap_aspect(ratio, None, FilmSizeConfig(), exact=True, sigma=sigma)
+        assert snapped == pytest.approx(43 / 35, rel=0.03)

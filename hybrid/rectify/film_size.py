@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,6 +18,10 @@ FORMATS_CM = ((35, 43), (28, 35), (25, 30), (20, 25))
 
 FOCALS = 60
 """Focal lengths that are tried, each 3 % longer than the one before."""
+
+SIGMAS, LOOSEST = 3.0, 0.1
+"""How many standard deviations beside a ratio that the photo leaves open known ones are looked for, and how far at
+most."""
 
 RIGHT_ANGLE = 0.01
 """Standard deviation of the cosine of the angle between a flat film's sides, as a map has it."""
@@ -50,9 +55,19 @@ class FilmSizeConfig:
 def plane_aspect(backward: BackwardMap, size: tuple[int, int], config: SheetConfig | None = None) -> float:
     """Height over width of the sheet, taken for flat, before a camera that looks at the photo's centre.
 
-    size: (height, width) of the photo. The homography nearest to the map tells both sides' lengths once the focal
-    length is known; which one it is, beside what is usual of phones, the right angle between the sides tells (Zhang and
-    He 2007, "Whiteboard scanning and image enhancement").
+    size: (height, width) of the photo.
+    """
+    return known_by_plane(backward, size, config)[0]
+
+
+def known_by_plane(
+    backward: BackwardMap, size: tuple[int, int], config: SheetConfig | None = None
+) -> tuple[float, float]:
+    """Height over width of the sheet, taken for flat, and the standard deviation of its logarithm.
+
+    The homography nearest to the map tells both sides' lengths once the focal length is known; which one it is, beside
+    what is usual of phones, the right angle between the sides tells (Zhang and He 2007, "Whiteboard scanning and image
+    enhancement"). Where the sheet only leans that angle is right for every focal length, and the ratio is left open.
     """
     config = config or SheetConfig()
     homography = nearest_homography(backward, Frame.of(size))
@@ -62,22 +77,49 @@ def plane_aspect(backward: BackwardMap, size: tuple[int, int], config: SheetConf
     squares = inner(across, across), inner(down, down)
     cosine = inner(across, down) / np.sqrt(squares[0] * squares[1])
     unusual = np.log(focal / config.focal) / config.focal_sigma[1]
-    best = int(np.argmin((cosine / RIGHT_ANGLE) ** 2 + unusual**2))
-    return float(np.sqrt(squares[1][best] / squares[0][best]))
+    cost = (cosine / RIGHT_ANGLE) ** 2 + unusual**2
+    aspects, best = 0.5 * np.log(squares[1] / squares[0]), int(np.argmin(cost))
+    weight = np.exp(-0.5 * (cost - cost[best]))
+    variance = float(weight @ np.square(aspects - aspects[best]) / weight.sum())
+    return float(np.exp(aspects[best])), float(np.sqrt(variance))
 
 
-def snap_aspect(aspect: float, grid: SliceGrid | None, config: FilmSizeConfig, exact: bool = False) -> float:
-    """The aspect ratio (height over width) that square cells give, or else the film format nearest, if close."""
-    to_cells, to_format = 2 * [config.snap_exact] if exact else (config.snap_grid, config.snap)
-    if grid is not None and grid.confidence > 0.5:
-        span = grid.vertices[-1, -1] - grid.vertices[0, 0]
-        square = float((grid.rows / grid.cols) * (span[0] / span[1])) if min(span) > 0 else 0.0
-        if square > 0 and abs(np.log(aspect / square)) <= to_cells:
-            return square
-    formats = np.array([long / short for short, long in FORMATS_CM])
-    known = np.concatenate([formats, 1.0 / formats])
-    nearest = float(known[np.argmin(np.abs(np.log(known / aspect)))])
-    return nearest if abs(np.log(aspect / nearest)) <= to_format else aspect
+def snap_aspect(
+    aspect: float, grid: SliceGrid | None, config: FilmSizeConfig, exact: bool = False, sigma: float = 0.0
+) -> float:
+    """The aspect ratio (height over width) that square cells give, or else the film format nearest, if close.
+
+    exact: whether the sheet was fitted, or is flat: then whichever is nearest. sigma: of the logarithm of ``aspect``:
+    what such a photo leaves open, squares and formats tell.
+    """
+    formats = [long / short for short, long in FORMATS_CM]
+    known = [*formats, *(1.0 / ratio for ratio in formats)]
+    square = _of_square_cells(grid)
+    if exact:
+        within = max(config.snap_exact, min(SIGMAS * sigma, LOOSEST))
+        return _nearest(aspect, known if square is None else [square, *known], within)
+    if square is not None and _apart(aspect, square) <= config.snap_grid:
+        return square
+    return _nearest(aspect, known, config.snap)
+
+
+def _of_square_cells(grid: SliceGrid | None) -> float | None:
+    """Height over width of the film if the cells of its grid are square; None where the grid is not sure."""
+    if grid is None or grid.confidence <= 0.5:
+        return None
+    across, down = grid.vertices[-1, -1] - grid.vertices[0, 0]
+    return float((grid.rows / grid.cols) * (across / down)) if min(across, down) > 0 else None
+
+
+def _nearest(aspect: float, known: Sequence[float], within: float) -> float:
+    """The nearest of known ratios, if one is near enough."""
+    nearest = min(known, key=lambda ratio: _apart(aspect, ratio))
+    return nearest if _apart(aspect, nearest) <= within else aspect
+
+
+def _apart(one: float, other: float) -> float:
+    """Distance of two ratios, of their logarithms."""
+    return abs(float(np.log(one / other)))
 
 
 def film_size(
@@ -87,17 +129,18 @@ def film_size(
     config: FilmSizeConfig | None = None,
     aspect: float | None = None,
     camera: SheetConfig | None = None,
+    sigma: float = 0.0,
 ) -> tuple[int, int]:
     """Size (h, w) in pixels of the flat film: nothing that the photo resolves is lost, within the bounds.
 
     photo_size: (height, width). aspect: height over width, where it is known from the sheet that was fitted
     (refine.py); else it is told by the nearest plane, exactly if the film is one. camera: which focal
-    lengths are usual.
+    lengths are usual. sigma: of the logarithm of ``aspect``.
     """
     config = config or FilmSizeConfig()
     exact = aspect is not None or survey_plane(backward, config.flat)[0].yes
-    measured = plane_aspect(backward, photo_size, camera) if aspect is None else aspect
-    snapped = snap_aspect(measured, grid, config, exact)
+    measured, sigma = known_by_plane(backward, photo_size, camera) if aspect is None else (aspect, sigma)
+    snapped = snap_aspect(measured, grid, config, exact, sigma)
     return bounded_size(backward, float(np.clip(snapped, 1.0 / config.max_aspect, config.max_aspect)), config)
 
 

@@ -68,7 +68,8 @@ class Refinement:
     expected_px: mean end-point error that is left, in pixels of the photo, as such evidence goes (EXPECTED); None where
         the coarse map was kept.
     edges: number of the sheet's edges that were seen.
-    aspect: height over width of the unstretched sheet that explains what is seen; None where none does.
+    aspect: height over width of the unstretched sheet that explains what is seen; None where none does. aspect_sigma:
+        standard deviation of its logarithm.
     stands: whether what was seen bears the map out, also one that was kept as no other explains that better.
     across: the sheet's edges as they were read across the map's (edge_paths.py); None where that was not looked at.
     """
@@ -79,6 +80,7 @@ class Refinement:
     expected_px: float | None = None
     edges: int = 0
     aspect: float | None = None
+    aspect_sigma: float = 0.0
     stands: bool = False
     across: EdgesRead | None = None
 
@@ -140,6 +142,7 @@ def refine(
         expected_px=share * max(backward.mean_film_pixels()) if changed else None,
         edges=course.edges,
         aspect=aspect if changed else None,
+        aspect_sigma=0.0 if course.sheet is None else course.sheet.aspect_sigma,
         stands=course.believed,
     )
 

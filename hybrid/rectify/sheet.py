@@ -14,7 +14,7 @@ from jaxtyping import Float
 
 from hybrid.backward import BackwardMap
 from hybrid.coords import film_centres, film_nodes
-from hybrid.errors import require_at_least
+from hybrid.errors import require_at_least, require_at_most
 from hybrid.rectify.bspline import SortedDesign, axis_weights
 from hybrid.rectify.invert import fit_homography
 
@@ -61,11 +61,11 @@ class SheetConfig:
     """That is the same sheet again where no coefficient lies this far, in film heights, from where it was."""
     reversed_gain: float = 0.75
     """It counts if the cost is less than this part then."""
-    focal: float = 1.1
-    """Usual focal length of a phone, in sides of the photo."""
+    focal: float = 0.85
+    """Usual focal length of a phone, in sides of the photo: 0.7 to 0.8 of most main lenses, others are longer."""
     focal_sigma: tuple[float, float] = (0.1, 0.5)
     """Standard deviation of its logarithm: while nothing but the network's map is known, and with what is seen."""
-    focal_range: tuple[float, float] = (0.65, 3.5)
+    focal_range: tuple[float, float] = (0.4, 3.5)
     """Shortest and longest of a phone."""
     beyond_sigma: float = 0.1
     """The standard deviation beyond these."""
@@ -77,7 +77,10 @@ class SheetConfig:
     def __post_init__(self) -> None:
         require_at_least(self, 0.1, "focal", "focal_range")
         require_at_least(self, 1e-3, "focal_sigma", "beyond_sigma", "distortion", "stretched", "bent")
-        require_at_least(self, 0.0, "firm")
+        require_at_least(self, 1e-3, "edge_px", "print_px", "network_px")
+        require_at_least(self, 1e-6, "strain")
+        require_at_least(self, 0, "firm", "steps")
+        require_at_most(self, 1, "firm")
         require_at_least(self, 1, "every", "intervals")
 
     @property

@@ -28,7 +28,7 @@ from scipy.linalg import LinAlgError
 from hybrid.backward import BackwardMap
 from hybrid.coords import film_nodes
 from hybrid.rectify.sheet import NODES, Frame, Sheet, SheetConfig, flat_sheet, relief_reversed
-from hybrid.rectify.sheet_problem import Problem, State, minimised, strain
+from hybrid.rectify.sheet_problem import Problem, State, aspect_sigma, minimised, strain
 from hybrid.rectify.sheet_seen import NOTHING, seen_through
 from hybrid.rectify.sightings import Sightings
 
@@ -42,7 +42,7 @@ class FittedSheet:
 
     cost: half the sum of squares, in deviations: how badly a sheet explains what was seen. constants: those that each
     list of sightings shares. bent: cost of bending that it was found with, from which on more counts ever less.
-    stretched: whether it stretches.
+    stretched: whether it stretches. aspect_sigma: of the logarithm of its ratio of sides.
     """
 
     sheet: Sheet
@@ -51,6 +51,7 @@ class FittedSheet:
     constants: tuple[Float[np.ndarray, " _"], ...]
     bent: float
     stretched: bool
+    aspect_sigma: float
 
 
 def fit_sheet(
@@ -76,7 +77,7 @@ def fit_sheet(
             state = _bent_either_way(problem, near, frame)
     except LinAlgError:
         return None
-    return _result(state, frame, sightings, config)
+    return _result(replace(problem, bent=state.bent), state, frame, sightings)
 
 
 def _bent_either_way(problem: Problem, near: BackwardMap, frame: Frame) -> State:
@@ -143,14 +144,15 @@ def _target(coarse: BackwardMap, frame: Frame) -> Float[np.ndarray, "m 2"]:
     return frame.from_photo(coarse.photo_from_film(film_nodes(NODES).reshape(-1, 2)))
 
 
-def _result(state: State, frame: Frame, sightings: Sequence[Sightings], config: SheetConfig) -> FittedSheet | None:
+def _result(problem: Problem, state: State, frame: Frame, sightings: Sequence[Sightings]) -> FittedSheet | None:
     backward = state.sheet.backward(frame)
     if backward is None:
         return None
     ends = np.cumsum([s.shared.shape[1] for s in sightings])
     constants = tuple(np.split(state.constants, ends[:-1]))
-    stretched = strain(state.sheet, config, 0, derivatives=False).cost > config.stretched
-    return FittedSheet(state.sheet, backward, state.cost, constants, state.bent, stretched)
+    stretched = strain(state.sheet, problem.config, 0, derivatives=False).cost > problem.config.stretched
+    sigma = aspect_sigma(problem, state)
+    return FittedSheet(state.sheet, backward, state.cost, constants, state.bent, stretched, sigma)
 
 
 __all__ = ["FittedSheet", "fit_sheet"]

@@ -147,6 +147,23 @@ class Problem:
         return block
 
 
+def aspect_sigma(problem: Problem, state: State) -> float:
+    """Standard deviation of the logarithm of the ratio of sides around a solution, by the inverse normal matrix.
+
+    Sides that are parallel in the photo, as of a sheet that only leans, leave it open how long the lens is, and so the
+    ratio. Infinite where the matrix cannot be inverted.
+    """
+    curves = slid(problem.seen, state.sheet, state.constants, problem.seen.along, near=True)
+    total = problem.normal_equations(state, curves)
+    factor, info = _POTRF(total.matrix.T, lower=True, clean=False)
+    if info != 0:
+        return float("inf")
+    at = total.camera + ASPECT
+    unit = np.zeros(len(total.right))
+    unit[at] = 1.0
+    return float(np.sqrt(_POTRS(factor, unit, lower=True)[0][at]))
+
+
 def minimised(problem: Problem, state: State, steps: int, near: bool = False, enough: float = np.inf) -> State:
     """The state after at most so many Gauss-Newton steps.
 
@@ -251,4 +268,4 @@ def _add_camera(total: Sum, sheet: Sheet, config: SheetConfig, focal_sigma: floa
     total.add_prior(total.camera + LENS, sheet.distortion / config.distortion, 1.0 / config.distortion)
 
 
-__all__ = ["Eased", "Problem", "State", "bending_cost", "minimised", "strain", "strain_curvature"]
+__all__ = ["Eased", "Problem", "State", "aspect_sigma", "bending_cost", "minimised", "strain", "strain_curvature"]
