@@ -25,7 +25,7 @@ import numpy as np
 import tyro
 from tqdm import tqdm
 
-from benchmarks.command import run_command
+from benchmarks.command import GOES_ON, run_command
 from data_gen.manifest import deciding, describe_dataset, described_sources, generator_digest
 from data_gen.prints import FilmPrint, make_print
 from data_gen.sources import SourceConfig, draw_volume, loaded
@@ -61,6 +61,7 @@ class Options:
     def __post_init__(self) -> None:
         require_at_least(self, 1, "count", "samples")
         require_at_least(self, 64, "side")
+        require_at_least(self, 0, "seed")
 
 
 @dataclass(frozen=True)
@@ -250,7 +251,7 @@ def run(options: Options, command: list[str]) -> int:
     Raises:
         ConfigError: the folder holds photos that were made with other options.
     """
-    make_folder(options.out / "textures")
+    make_folder(options.out / "textures", "--out")
     _keep_options(options)
     rooms = room_files(options.sources)
     for number in tqdm(range(options.count), unit="photo"):
@@ -278,7 +279,7 @@ def _makers() -> str:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command; 0 when all photos are there."""
-    return run_command("benchmarks.blender_photos", Options, run, arguments)
+    return run_command("benchmarks.blender_photos", Options, run, arguments, stopped=GOES_ON)
 
 
 if __name__ == "__main__":

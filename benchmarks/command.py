@@ -8,15 +8,25 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
-import tyro
+import numpy as np
+from jaxtyping import UInt8
 
 from benchmarks.machine import describe_run
-from hybrid.errors import HybridError
-from hybrid.image_io import write_bytes
+from hybrid.command import FAILED, NOT_UNDERSTOOD, run_options
+from hybrid.errors import ConfigError, describe
+from hybrid.image_io import write_bytes, write_rgb
 from hybrid.outputs import make_folder
 
 Options = TypeVar("Options")
 Found = TypeVar("Found")
+
+
+BEGINS_ANEW = "what is not written yet is lost, and the same command begins anew"
+GOES_ON = "what is finished is kept, and the same command goes on"
+"""What is true after Ctrl-C, of what is measured in memory and of what is kept in files on the way."""
+
+PICTURES = (".png", ".jpg", ".jpeg")
+"""Suffixes of pictures that can be written."""
 
 
 def run_command(
@@ -25,26 +35,45 @@ def run_command(
     run: Callable[[Options, list[str]], Found],
     arguments: Sequence[str] | None,
     verdict: Callable[[Found], int] = lambda found: 0,
+    stopped: str = BEGINS_ANEW,
 ) -> int:
     """Run ``python -m NAME`` with these words, those of the command line if None; its exit code.
 
     options: a dataclass, of which tyro makes the command line. run: takes the options and the whole command, as
-    ``benchmarks.machine.describe_run`` wants it. verdict: exit code by what was found. An error that a user can mend,
-    of the options as well, is one line and exit code 1.
+    ``benchmarks.machine.describe_run`` wants it. verdict: exit code by what was found, where 2 is that something is
+    not as it has to be. An error that a user can mend, of the options as well, is one line and exit code 1. stopped:
+    what is true of the work after Ctrl-C, which is one line, too.
     """
     words = list(sys.argv[1:] if arguments is None else arguments)
     command = f"python -m {name}"
-    try:
-        return verdict(run(tyro.cli(options, args=words, prog=command), [command, *words]))
-    except HybridError as error:
-        print(f"{name}: {error}", file=sys.stderr)
-        return 1
+    ending = run_options(options, lambda given: verdict(run(given, [command, *words])), words, command, stopped)
+    if ending.told:
+        print(f"{name}: {ending.told}", file=sys.stderr)
+    return FAILED if ending.told and ending.code == NOT_UNDERSTOOD else ending.code
+
+
+def require_picture(config: Any, name: str) -> None:
+    """Refuse the option of a picture to write, if one is named, that has another suffix than ``PICTURES``.
+
+    Raises:
+        ConfigError: it has.
+    """
+    path: Path | None = getattr(config, name)
+    if path is not None and path.suffix.lower() not in PICTURES:
+        option, allowed = f"{type(config).__name__}.{name}", ", ".join(PICTURES)
+        raise ConfigError(describe(what=option, got=path, allowed=allowed, do="Name another file."))
+
+
+def write_picture(path: Path, picture: UInt8[np.ndarray, "h w 3"]) -> None:
+    """Write a picture; its folder is made."""
+    make_folder(path.parent, "--picture")
+    write_rgb(path, picture)
 
 
 def write_figures(path: Path, command: list[str], figures: Mapping[str, Any]) -> None:
     """Figures as a JSON file, with the command and the machine that made them; its folder is made."""
-    make_folder(path.parent)
+    make_folder(path.parent, "--json")
     write_bytes(path, (json.dumps({"run": describe_run(command), **figures}, indent=1) + "\n").encode())
 
 
-__all__ = ["run_command", "write_figures"]
+__all__ = ["BEGINS_ANEW", "GOES_ON", "require_picture", "run_command", "write_figures", "write_picture"]

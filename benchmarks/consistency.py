@@ -25,6 +25,7 @@ from data_gen.generate import GenerateConfig, generate
 from data_gen.sources import SourceConfig
 from hybrid.backward import BackwardMap
 from hybrid.coords import pixel_centres, rescale_points
+from hybrid.errors import require_at_least
 from hybrid.learn.shards import Shard, open_dataset
 from hybrid.mesh.camera import Camera
 
@@ -164,6 +165,11 @@ class Options:
     """Processes that make the samples."""
     sources: tyro.conf.OmitArgPrefixes[SourceConfig] = field(default_factory=SourceConfig)
     """What is printed and what lights it."""
+
+    def __post_init__(self) -> None:
+        require_at_least(self, 1, "samples")
+        require_at_least(self, 0, "workers")
+        require_at_least(self, 32, "size")
 
 
 def measured(options: Options) -> dict[str, Any]:

@@ -11,9 +11,8 @@ from pathlib import Path
 import tyro
 
 from benchmarks.charts import Axis, Chart, Points, page_of, scatter
-from benchmarks.command import run_command
+from benchmarks.command import require_picture, run_command, write_picture
 from hybrid.errors import DataError, describe
-from hybrid.image_io import write_rgb
 
 Curve = tuple[tuple[float, float], ...]
 
@@ -26,6 +25,9 @@ class CurvesConfig:
     """Its ``curves.csv``."""
     picture: Path = Path("curves.png")
     """The picture to write, .png or .jpg."""
+
+    def __post_init__(self) -> None:
+        require_picture(self, "picture")
 
 
 def read_curves(path: Path) -> dict[str, Curve]:
@@ -75,7 +77,7 @@ def _chart(title: str, unit: str, curves: dict[str, Curve]) -> Chart:
 def run(config: CurvesConfig, command: list[str]) -> None:
     """Draw the curves."""
     drawn = [scatter(chart) for chart in charts(read_curves(config.curves))]
-    write_rgb(config.picture, page_of(drawn, columns=len(drawn)))
+    write_picture(config.picture, page_of(drawn, columns=len(drawn)))
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -31,6 +31,7 @@ from data_gen.sample import SampleConfig
 from data_gen.sources import SourceConfig, draw_volume
 from data_gen.work import Workers, film_bytes, workers
 from hybrid.coords import node_centres_1d
+from hybrid.errors import require_at_least
 from hybrid.mesh.camera import Camera, look_at
 from hybrid.mesh.film import film_mesh
 from hybrid.mesh.raycast import FilmCaster
@@ -68,6 +69,9 @@ class Options:
     """That each rate is measured for."""
     sources: tyro.conf.OmitArgPrefixes[SourceConfig] = field(default_factory=SourceConfig)
     """CT volumes and environments; without them all is embedded."""
+
+    def __post_init__(self) -> None:
+        require_at_least(self, 0, "seconds")
 
 
 def measured(options: Options) -> dict[str, Any]:

@@ -30,7 +30,7 @@ from benchmarks.photos import TruePhoto, load_photos
 from hybrid.backward import BackwardMap
 from hybrid.coords import pixel_from_film, sample_bilinear
 from hybrid.draw import contact_sheet, fitted, rgb_from_film, side_by_side
-from hybrid.errors import ConfigError, describe
+from hybrid.errors import ConfigError, describe, require_at_least
 from hybrid.image_io import write_rgb
 from hybrid.learn.inference import ready
 from hybrid.learn.light import level_reader
@@ -273,6 +273,9 @@ class Options:
     pictures: Path | None = None
     """Folder for light.jpg: photo with its light, film and print, worst first."""
 
+    def __post_init__(self) -> None:
+        require_at_least(self, 1, "every")
+
 
 def measure(options: Options) -> Iterator[tuple[str, LightScore, Compared]]:
     """Every photo and sample, with the set that it is of."""
@@ -308,7 +311,7 @@ def run(options: Options, command: list[str]) -> dict[str, Any]:
     listed = {kind: [asdict(score) for score in of_kind] for kind, of_kind in scores.items()}
     write_figures(options.json_path, command, {"summary": summary, "scores": listed})
     if options.pictures is not None:
-        make_folder(options.pictures)
+        make_folder(options.pictures, "--pictures")
         tiles.sort(key=lambda tile: tile[0])
         sheet = contact_sheet([tile for *_, tile in tiles], [caption for _, caption, _ in tiles], 2)
         write_rgb(options.pictures / "light.jpg", sheet)

@@ -29,7 +29,7 @@ ERROR_RANGE_PX = 10.0
 
 def write_pictures(report: Report, folder: Path) -> None:
     """The charts of a report into a folder."""
-    make_folder(folder)
+    make_folder(folder, "--out")
     write_rgb(folder / "time_error.png", time_against_error(report))
     write_rgb(folder / "bend.png", error_against_bend(report))
     write_rgb(folder / "stages.png", seconds_by_stage(report))
@@ -39,7 +39,7 @@ def write_gallery(report: Report, cases: Sequence[Case], weights: Path | None, c
     """So many photos from the best to the worst of ``hybrid``, which runs on them again; nothing, if it was not run."""
     chosen = best_to_worst(report, count)
     if chosen:
-        make_folder(folder)
+        make_folder(folder, "--out")
         by_name = {case.name: case for case in cases}
         rectify = Rectifier(RectifyConfig(weights=path_in(weights, "filmnet")))
         picture = gallery([(label, by_name[name], rectify(by_name[name].photo())) for label, name in chosen])

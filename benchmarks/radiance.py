@@ -22,7 +22,7 @@ import numpy as np
 import tyro
 from jaxtyping import Bool, Float
 
-from benchmarks.command import run_command, write_figures
+from benchmarks.command import require_picture, run_command, write_figures, write_picture
 from benchmarks.path_tracer import TraceConfig, mitsuba, trace
 from data_gen.lamps import Lamp
 from data_gen.lighting import Light, LightBox, Material
@@ -31,8 +31,7 @@ from data_gen.scene import Scene, SceneConfig, sample_scene
 from data_gen.shade import film_light
 from data_gen.work import check_open3d
 from hybrid.coords import pixel_from_film, sample_bilinear, srgb_from_linear
-from hybrid.errors import ConfigError, describe
-from hybrid.image_io import write_rgb
+from hybrid.errors import ConfigError, describe, require_at_least
 from hybrid.mesh.camera import Camera, look_at
 from hybrid.mesh.film import FilmMesh, film_mesh
 from hybrid.mesh.raycast import FilmCaster
@@ -59,6 +58,10 @@ class Options:
     """Per pixel."""
     only: tuple[str, ...] = ()
     """The scenes with one of these words in their names; all if none is named."""
+
+    def __post_init__(self) -> None:
+        require_at_least(self, 1, "side", "samples")
+        require_picture(self, "picture")
 
 
 @dataclass(frozen=True)
@@ -228,7 +231,7 @@ def measured(options: Options) -> dict[str, Any]:
         )
     if options.picture:
         picture = cv2.resize(np.concatenate(rows), None, fx=4, fy=4, interpolation=cv2.INTER_NEAREST)
-        write_rgb(options.picture, np.rint(picture * 255).astype(np.uint8))
+        write_picture(options.picture, np.rint(picture * 255).astype(np.uint8))
     within = sum(one["shading"] <= BOUND for one in figures)
     return {
         "options": {"side": options.side, "samples": options.samples},

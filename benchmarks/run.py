@@ -19,7 +19,7 @@ from torch import nn
 from tqdm import tqdm
 
 from benchmarks.cases import Case, photo_cases, sample_cases
-from benchmarks.command import run_command
+from benchmarks.command import GOES_ON, run_command
 from benchmarks.lineup import CONFIGURATIONS, lineup
 from benchmarks.machine import commit, describe_run, shown_contents, shown_data, use_threads, used_machine
 from benchmarks.measure import forward_time, measure, peak_memory
@@ -32,7 +32,7 @@ from benchmarks.results import Forward, Measured, Memory, MethodNote, Report, Se
 from benchmarks.schema import keep_settings, kept, write_record
 from benchmarks.summary import spread
 from benchmarks.traits import note_of
-from hybrid.errors import ConfigError, describe
+from hybrid.errors import ConfigError, describe, require_at_least, require_at_most
 from hybrid.learn.dewarpnet import DewarpNet, DewarpNetConfig
 from hybrid.learn.firenet import FiReNet, FiReNetConfig
 from hybrid.learn.network import FilmNet, FilmNetConfig
@@ -110,6 +110,9 @@ class Options:
             got = f"--sizes {self.sizes} --counts {self.counts} --repeats {self.repeats}"
             do = "Give as many counts as sizes, for example --sizes 1 12 --counts 8 2."
             raise ConfigError(describe(what="sizes", got=got, allowed="positive numbers", do=do))
+        require_at_least(self, 1, "threads")
+        require_at_least(self, 0, "seed")
+        require_at_most(self, 2**64 - 1, "seed")
         known = lineup(self.add)
         unknown = [name for name in self.methods if name not in known]
         if unknown:
@@ -269,7 +272,7 @@ def _network_alone(options: Options, name: str, device: str, batch: int) -> Forw
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command; 0 if it went through."""
-    return run_command("benchmarks.run", Options, run, arguments)
+    return run_command("benchmarks.run", Options, run, arguments, stopped=GOES_ON)
 
 
 __all__ = ["Options", "load_cases", "main", "run"]

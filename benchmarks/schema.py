@@ -84,7 +84,7 @@ def problems(value: Any, schema: Mapping[str, Any], at: str = "$") -> list[str]:
 
 def write_record(path: Path, record: Any) -> None:
     """A dataclass as a JSON file, whole or not at all; its folder is made."""
-    make_folder(path.parent)
+    make_folder(path.parent, "--out or --json")
     write_bytes(path, (json.dumps(asdict(record), indent=1, allow_nan=False) + "\n").encode())
 
 

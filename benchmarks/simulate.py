@@ -21,11 +21,11 @@ import numpy as np
 import tyro
 from tqdm import tqdm
 
-from benchmarks.command import run_command, write_figures
+from benchmarks.command import require_picture, run_command, write_figures, write_picture
 from benchmarks.mechanics import SZE_TIP, heavy_strip, lattice_sheet, sheared_cantilever
 from benchmarks.recipe_picture import contact_sheet, picture_of
 from benchmarks.stress import StressResult, outcomes, run_scene
-from hybrid.image_io import write_rgb
+from hybrid.errors import require_at_least
 from hybrid.mesh.contact import Plane
 from hybrid.mesh.film import FilmMesh, film_mesh
 from hybrid.mesh.forces import gravity
@@ -229,6 +229,10 @@ class Options:
     only: tuple[str, ...] = ()
     """Names of the checks to run, none for all."""
 
+    def __post_init__(self) -> None:
+        require_at_least(self, 1, "scenes")
+        require_picture(self, "picture")
+
 
 def measured(options: Options) -> dict[str, Any]:
     """All figures."""
@@ -251,7 +255,7 @@ def measured(options: Options) -> dict[str, Any]:
             print(f"{name}: {_short(figures[name])}", flush=True)
     if options.picture is not None:
         tiles = [picture_of(found[0].mesh, name, 620.0) for name, found in frames().items()]
-        write_rgb(options.picture, contact_sheet(tiles, 5))
+        write_picture(options.picture, contact_sheet(tiles, 5))
     return figures
 
 

@@ -23,7 +23,7 @@ from benchmarks.own_photos import make_photos
 from benchmarks.schema import write_record
 from benchmarks.stress_records import SoakReport
 from hybrid.draw import resized
-from hybrid.errors import ConfigError, describe
+from hybrid.errors import ConfigError, describe, require_at_least
 from hybrid.pipeline import Rectifier, RectifyConfig
 from hybrid.records import RectifyResult
 
@@ -70,6 +70,7 @@ class Options:
             got = f"--films {self.films} --photos {self.photos} --photo-px {self.photo_px} --threads {self.threads}"
             allowed = "films >= 20, photos from 1 to a quarter of that, photo-px >= 64, threads >= 1"
             raise ConfigError(describe(what="soak", got=got, allowed=allowed, do="Choose others."))
+        require_at_least(self, 0, "seed")
 
 
 def soak(

@@ -24,7 +24,7 @@ import numpy as np
 from tqdm import tqdm
 
 from benchmarks.cases import Case, read_alike, sample_cases
-from benchmarks.command import run_command
+from benchmarks.command import GOES_ON, run_command
 from benchmarks.damage import CUT_OFF, Damaged, cut_file, damaged, visible_error_px
 from benchmarks.machine import commit, describe_run, shown_contents, shown_data, use_threads, used_machine
 from benchmarks.own_photos import make_photos
@@ -32,7 +32,7 @@ from benchmarks.problems import PROBLEMS, ended, part_of
 from benchmarks.schema import keep_settings, kept, write_record
 from benchmarks.stress_records import DamagedPhoto, Part, StabilityReport, StressSettings
 from hybrid.backward import BackwardMap
-from hybrid.errors import ConfigError, PhotoError, describe
+from hybrid.errors import ConfigError, PhotoError, describe, require_at_least
 from hybrid.image_io import write_bytes
 from hybrid.pipeline import Rectifier, RectifyConfig
 from hybrid.records import RectifyResult, StatusCode
@@ -101,6 +101,7 @@ class Options:
         if min(self.damaged, self.problems) < 0 or self.threads < 1:
             got = f"--damaged {self.damaged} --problems {self.problems} --threads {self.threads}"
             raise ConfigError(describe(what="counts", got=got, allowed=">= 0 (threads: >= 1)", do="Choose others."))
+        require_at_least(self, 0, "seed")
 
 
 def run(options: Options, command: list[str]) -> StabilityReport:
@@ -302,7 +303,7 @@ def _verdict(report: StabilityReport) -> int:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command; 0 if nothing failed, 2 if something did."""
-    return run_command("benchmarks.stability", Options, run, arguments, _verdict)
+    return run_command("benchmarks.stability", Options, run, arguments, _verdict, GOES_ON)
 
 
 __all__ = ["Options", "main", "run"]

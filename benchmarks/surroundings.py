@@ -211,7 +211,7 @@ def _each(options: Options, tasks: Sequence[Task], config: RectifyConfig) -> Ite
 
 def _draw(folder: Path, tasks: Sequence[Task], rectifier: Rectifier) -> None:
     """Some photos of each change, with what is found in them."""
-    make_folder(folder)
+    make_folder(folder, "--pictures")
     tiles, captions = [], []
     for name in dict.fromkeys(task.change for task in tasks):
         for task in [one for one in tasks if one.change == name][:SHOWN]:

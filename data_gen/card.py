@@ -19,9 +19,10 @@ from scipy.interpolate import make_interp_spline
 from data_gen._card_text import card_text
 from data_gen._charts import bars, histogram, sheet
 from data_gen.manifest import write_file
+from data_gen.work import run_command
 from hybrid.coords import rgb_from_bgr
 from hybrid.draw import contact_sheet, fitted
-from hybrid.errors import DataError, HybridError, describe
+from hybrid.errors import DataError, describe
 from hybrid.learn.shards import Shard, open_dataset, read_description
 
 SHEET_SIDE = 8
@@ -194,10 +195,8 @@ class CardConfig:
 
 def main() -> None:
     """Command line."""
-    try:
-        write_card(tyro.cli(CardConfig, prog="python -m data_gen.card").folder)
-    except HybridError as error:
-        raise SystemExit(f"error: {error}") from None
+    stopped = "the card is not whole, and the same command makes all of it anew"
+    run_command("data_gen.card", CardConfig, lambda config: write_card(config.folder), stopped)
 
 
 if __name__ == "__main__":

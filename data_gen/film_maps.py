@@ -90,7 +90,8 @@ def _film_map(folder: Path, number: int) -> Float32[np.ndarray, "n m 2"]:
 
 def main() -> None:
     """Command line."""
-    run_command("data_gen.film_maps", FilmMapsConfig, lambda config: print(write_film_maps(config)))
+    stopped = "no maps are written, and the same command begins anew"
+    run_command("data_gen.film_maps", FilmMapsConfig, lambda config: print(write_film_maps(config)), stopped)
 
 
 if __name__ == "__main__":

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field, replace
 from itertools import islice
@@ -26,6 +27,7 @@ from data_gen.manifest import (
 )
 from data_gen.sample import SampleConfig
 from data_gen.sources import SourceConfig
+from data_gen.volumes import with_left_out
 from data_gen.work import check_open3d, film_bytes, run_command, source_names, workers
 from hybrid.errors import ConfigError, DataError, describe, require_at_least
 
@@ -108,7 +110,10 @@ def _make_shards(config: GenerateConfig) -> None:
     """Make the shards that are not there yet."""
     sample, size = config.sample_config(), config.shard_size
     with workers(config.workers, config.scheduler) as those:
-        options = _options(config, next(those.in_order(source_names, [(sample.sources,)])))
+        names, left_out = next(those.in_order(with_left_out, [(source_names, sample.sources)]))
+        for told in left_out:
+            print(told, file=sys.stderr)
+        options = _options(config, names)
         entries = finished_shards(config.out, size)
         there = sum(entry.count for entry in entries.values())
         describe_dataset(config.out, options, max(config.count, there))

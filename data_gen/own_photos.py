@@ -190,7 +190,8 @@ def _make_and_tell(config: OwnPhotosConfig) -> None:
 
 def main() -> None:
     """Command line."""
-    run_command("data_gen.own_photos", OwnPhotosConfig, _make_and_tell)
+    stopped = "no samples are written, and the same command begins anew"
+    run_command("data_gen.own_photos", OwnPhotosConfig, _make_and_tell, stopped)
 
 
 if __name__ == "__main__":

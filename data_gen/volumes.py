@@ -5,16 +5,29 @@ from __future__ import annotations
 import hashlib
 import json
 import logging
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from multiprocessing import parent_process
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 from jaxtyping import Float, Int16
 
 from hybrid.errors import NPZ_ERRORS, DataError, describe, install_extra
 
+Found = TypeVar("Found")
+
 LOG = logging.getLogger(__name__)
+"""Each file that is left out, and what was done to uneven series."""
+
+LEFT_OUT = logging.getLogger(f"{__name__}.left_out")
+"""What of a folder is left out, in one message. Where nothing else is set up it is shown on stderr: a warning, but in
+processes that work for another, of which each reads the same folder."""
+
+MOST_TOLD = 5
+"""So many are told with the reason; of a folder with more the first ones."""
 
 MIN_PRINT_SLICES = 3
 """A folder may hold single images; a film needs a few slices of the same series."""
@@ -187,9 +200,9 @@ def read_npz(path: Path) -> CtVolume:
 def load_volumes(folder: Path | str) -> list[CtVolume]:
     """Every volume under ``folder``: ``.npz`` and NIfTI files, DICOM folders and zips of DICOM files, in sorted order.
 
-    A NIfTI file, or what is in a DICOM folder, that is no CT is logged with the reason. Raises DataError where the
-    folder is missing, where an ``.npz`` is damaged, where the reader's package is not installed, and where nothing is
-    found.
+    A NIfTI file, or what is in a DICOM folder, that is no CT, and what has too few slices, is told with the reason
+    (``LEFT_OUT``). Raises DataError where the folder is missing, where an ``.npz`` is damaged, where the reader's
+    package is not installed, and where nothing is found.
     """
     folder = Path(folder)
     if not folder.is_dir():
@@ -197,21 +210,26 @@ def load_volumes(folder: Path | str) -> list[CtVolume]:
             describe(what="CT folder", where=folder, got="no such folder", do="Give a folder with CT volumes in it")
         )
     files = [path for path in sorted(folder.rglob("*")) if path.is_file()]
-    volumes = [read_npz(path) for path in files if path.suffix.lower() == ".npz"]
-    volumes += _read_nifti([path for path in files if path.name.lower().endswith(NIFTI_SUFFIXES)])
+    refusals: list[str] = []
+    found = [read_npz(path) for path in files if path.suffix.lower() == ".npz"]
+    found += _read_nifti([path for path in files if path.name.lower().endswith(NIFTI_SUFFIXES)], refusals)
     if any(path.suffix.lower() == ".zip" or _looks_like_dicom(path) for path in files):
-        volumes += _read_dicom(folder)
-    volumes = [volume for volume in volumes if len(volume.hu) >= MIN_PRINT_SLICES]
+        found += _read_dicom(folder, refusals)
+    volumes = [volume for volume in found if len(volume.hu) >= MIN_PRINT_SLICES]
+    few = f"fewer than {MIN_PRINT_SLICES} slices"
+    refusals += [f"{volume.name}: {few}" for volume in found if len(volume.hu) < MIN_PRINT_SLICES]
     if not volumes:
+        nothing = f"{len(files)} files, no volume of {MIN_PRINT_SLICES} or more axial CT slices"
         raise DataError(
             describe(
                 what="CT folder",
                 where=folder,
-                got=f"{len(files)} files, no volume of {MIN_PRINT_SLICES} or more axial CT slices",
+                got="\n  ".join([nothing, *_first(refusals)]),
                 allowed=".npz or NIfTI volumes, DICOM folders, zips of DICOM files",
                 do="Check the path, or leave the option out to use the built-in phantoms",
             )
         )
+    _tell_left_out(folder, refusals)
     return volumes
 
 
@@ -222,7 +240,47 @@ def _looks_like_dicom(path: Path) -> bool:
         return file.read(132)[128:] == b"DICM"
 
 
-def _read_nifti(paths: list[Path]) -> list[CtVolume]:
+def _tell_left_out(folder: Path, refusals: list[str]) -> None:
+    """Say how many sources of a folder are left out, and why."""
+    for refusal in refusals:
+        LOG.info("left out: %s", refusal)
+    if refusals:
+        told = f"{len(refusals)} of the CT sources in {folder} {'is' if len(refusals) == 1 else 'are'} left out:"
+        level = logging.WARNING if parent_process() is None else logging.INFO
+        LEFT_OUT.log(level, "%s", "\n  ".join([told, *_first(refusals)]))
+
+
+def _first(refusals: list[str]) -> list[str]:
+    """All of them, or the first ones and how many more."""
+    more = len(refusals) - MOST_TOLD
+    return [*refusals[:MOST_TOLD], *([f"and {more} more"] if more > 0 else [])]
+
+
+def with_left_out(task: Callable[..., Found], *arguments: Any) -> tuple[Found, list[str]]:
+    """What a task gives, and what it would have told is left out of the folders that it reads: a task as well, for
+    workers, whose stderr nobody may see."""
+    with _heard() as told:
+        return task(*arguments), told
+
+
+@contextmanager
+def _heard() -> Iterator[list[str]]:
+    """The messages on what is left out that are logged within, which go nowhere else."""
+    told: list[str] = []
+    handler, before = logging.Handler(), (LEFT_OUT.level, LEFT_OUT.propagate)
+    handler.emit = lambda record: told.append(record.getMessage())  # type: ignore[method-assign]
+    LEFT_OUT.addHandler(handler)
+    LEFT_OUT.setLevel(logging.INFO)
+    LEFT_OUT.propagate = False
+    try:
+        yield told
+    finally:
+        LEFT_OUT.removeHandler(handler)
+        LEFT_OUT.setLevel(before[0])
+        LEFT_OUT.propagate = before[1]
+
+
+def _read_nifti(paths: list[Path], refusals: list[str]) -> list[CtVolume]:
     if not paths:
         return []
     try:
@@ -234,18 +292,19 @@ def _read_nifti(paths: list[Path]) -> list[CtVolume]:
         try:
             volumes.append(read_nifti(path))
         except NotCtError as refusal:  # segmentations lie beside the CT they belong to
-            LOG.info("%s", refusal)
+            refusals.append(str(refusal))
     return volumes
 
 
-def _read_dicom(source: Path) -> list[CtVolume]:
+def _read_dicom(source: Path, refusals: list[str]) -> list[CtVolume]:
     try:
         from data_gen.dicom import read_all
     except ModuleNotFoundError as error:
         raise _not_installed("DICOM data", source, "pydicom") from error
     reading = read_all(source)
-    for remark in (*reading.refusals, *reading.notes):
-        LOG.info("%s", remark)
+    refusals += [f"{refusal.source}: {refusal.reason}" for refusal in reading.refusals]
+    for note in reading.notes:
+        LOG.info("%s", note)
     return list(reading.volumes)
 
 

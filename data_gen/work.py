@@ -6,7 +6,6 @@ import asyncio
 import ctypes
 import multiprocessing
 import os
-import re
 import socket
 import sys
 from collections import deque
@@ -21,7 +20,6 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import cv2
-import tyro
 from threadpoolctl import threadpool_limits
 from tqdm import tqdm
 
@@ -29,8 +27,8 @@ from data_gen._clutter import draw_sprites
 from data_gen.sample import SampleConfig, film_samples
 from data_gen.shards import sample_bytes
 from data_gen.sources import SourceConfig, loaded
+from hybrid.command import FAILED, NOT_UNDERSTOOD, run_options
 from hybrid.errors import ConfigError, DataError, HybridError, describe, install_extra
-from hybrid.outputs import told
 from hybrid.workers import deaf_to_interrupts, leave_with_parent
 
 Options = TypeVar("Options")
@@ -48,6 +46,9 @@ CLUSTER_AHEAD = 16
 CLUSTER_PATIENCE = "20s"
 """How long a scheduler may take to answer."""
 
+FINISHED_IS_KEPT = "what is finished is kept, and the same command goes on"
+"""What is true after Ctrl-C, where files are written one after the other."""
+
 _AGAIN = "Run the same command again: finished shards are kept."
 
 
@@ -61,27 +62,26 @@ def check_open3d() -> None:
         raise ConfigError(describe(what="Making data", got="no Open3D", do=install_extra("data")))
 
 
-def run_command(module: str, kind: type[Options], run: Callable[[Options], Any]) -> None:
+def run_command(
+    module: str, kind: type[Options], run: Callable[[Options], Any], stopped: str = FINISHED_IS_KEPT
+) -> None:
     """Run ``python -m MODULE``: an error that a user can mend, of the options as well, is one line, and so is Ctrl-C.
 
     kind: a dataclass of which tyro makes the command line. Its field ``out``, if any, is where things are written.
+    stopped: what is true of the work after Ctrl-C.
     """
-    try:
-        config: Any = tyro.cli(kind, prog=f"python -m {module}")
-        try:
-            run(config)
-        except OSError as error:
-            raise DataError(told(error, getattr(config, "out", None))) from error
-    except HybridError as error:
-        raise SystemExit(f"error: {_with_flags(str(error), kind)}") from None
-    except KeyboardInterrupt:
-        print("stopped; what is finished is kept, and the same command goes on", file=sys.stderr)
-        raise SystemExit(130) from None
 
+    def done(config: Options) -> int:
+        run(config)
+        return 0
 
-def _with_flags(message: str, kind: type) -> str:
-    """A message about options (``GenerateConfig.map_size``) that calls them what the command line does."""
-    return re.sub(rf"\b{kind.__name__}\.(\w+)", lambda found: f"--{found[1]}".replace("_", "-"), message)
+    ending = run_options(kind, done, None, f"python -m {module}", stopped)
+    if ending.code == FAILED and ending.told:
+        raise SystemExit(f"error: {ending.told}")
+    if ending.told:
+        print(f"error: {ending.told}" if ending.code == NOT_UNDERSTOOD else ending.told, file=sys.stderr)
+    if ending.code:
+        raise SystemExit(ending.code)
 
 
 # ---------------------------------------------------------------- tasks

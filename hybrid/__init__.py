@@ -8,15 +8,17 @@ __version__ = "0.1.0"
 
 if TYPE_CHECKING:
     from hybrid.backward import BackwardMap, Orientation
+    from hybrid.effort import Effort
     from hybrid.errors import ConfigError, DataError, FusionError, HybridError, PhotoError
     from hybrid.grid_edit import GridEdit
     from hybrid.outputs import save_result
     from hybrid.pipeline import Rectifier, RectifyConfig, rectify
-    from hybrid.records import RectifyResult, SliceGrid, StageReport, Status, StatusCode
+    from hybrid.records import LeftOut, RectifyResult, Signs, SliceGrid, StageReport, Status, StatusCode
 
 _PLACES = {
     "BackwardMap": "hybrid.backward",
     "Orientation": "hybrid.backward",
+    "Effort": "hybrid.effort",
     "ConfigError": "hybrid.errors",
     "DataError": "hybrid.errors",
     "FusionError": "hybrid.errors",
@@ -27,7 +29,9 @@ _PLACES = {
     "Rectifier": "hybrid.pipeline",
     "RectifyConfig": "hybrid.pipeline",
     "rectify": "hybrid.pipeline",
+    "LeftOut": "hybrid.records",
     "RectifyResult": "hybrid.records",
+    "Signs": "hybrid.records",
     "SliceGrid": "hybrid.records",
     "StageReport": "hybrid.records",
     "Status": "hybrid.records",
@@ -37,14 +41,17 @@ __all__ = [
     "BackwardMap",
     "ConfigError",
     "DataError",
+    "Effort",
     "FusionError",
     "GridEdit",
     "HybridError",
+    "LeftOut",
     "Orientation",
     "PhotoError",
     "Rectifier",
     "RectifyConfig",
     "RectifyResult",
+    "Signs",
     "SliceGrid",
     "StageReport",
     "Status",

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from math import factorial
 
 import numpy as np
 from jaxtyping import Float, Shaped
-from scipy.interpolate import RectBivariateSpline, make_interp_spline
+from scipy.interpolate import make_interp_spline
 
 from hybrid.coords import film_centres_1d, film_nodes, node_centres_1d
 
@@ -30,13 +31,24 @@ def _lattice_weights(n_nodes: int, n: int) -> tuple[Float[np.ndarray, "n g"], Fl
     return spline(node_centres_1d(n)), slope(node_centres_1d(n))
 
 
+@lru_cache(maxsize=8)
+def _piece_weights(n_nodes: int) -> Float[np.ndarray, "p g"]:
+    """Weights of the node values in the coefficients of the spline's pieces, from node to node: of the powers, from 0
+    to 3, of the place in a piece."""
+    spline, _ = _node_splines(n_nodes)
+    nodes, step = node_centres_1d(n_nodes), 1.0 / (n_nodes - 1)
+    powers = [spline.derivative(k)(nodes[:-1]) * step**k / factorial(k) for k in range(3)]
+    cubic = spline.derivative(3)(nodes[:-1] + 0.5 * step) * step**3 / 6.0  # it jumps at nodes
+    return np.stack([*powers, cubic], axis=1).reshape(-1, n_nodes)
+
+
 def spline_weights(n_nodes: int, t: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n g"]:
     """Weights of the g node values in the cubic spline through them, at film coordinates ``t`` of one axis; beyond
     [0, 1] it goes on linearly, as BackwardMap does. Read-only: the same few ``t`` come again and again."""
     return _weights_at(n_nodes, np.asarray(t, dtype=np.float64).tobytes())
 
 
-@lru_cache(maxsize=32)
+@lru_cache(maxsize=64)
 def _weights_at(n_nodes: int, t: bytes) -> Float[np.ndarray, "n g"]:
     spline, slope = _node_splines(n_nodes)
     at = np.frombuffer(t)
@@ -52,6 +64,27 @@ def _points(values: Float[np.ndarray, "*n 2"], what: str) -> Float[np.ndarray, "
     if points.ndim == 0 or points.shape[-1] != 2:
         raise ValueError(f"{what}: got shape {points.shape}; allowed: (..., 2)")
     return points
+
+
+def _cubic(coefficients: Float[np.ndarray, "*n 4"], at: Float[np.ndarray, "*#n"]) -> Float[np.ndarray, "*n"]:
+    """Values of cubics, each given by the coefficients of the powers from 0 to 3."""
+    constant, linear, square, cube = (coefficients[..., k] for k in range(4))
+    return ((cube * at + square) * at + linear) * at + constant
+
+
+def _cubic_slope(coefficients: Float[np.ndarray, "*n 4"], at: Float[np.ndarray, "*#n"]) -> Float[np.ndarray, "*n"]:
+    """Their derivatives."""
+    _, linear, square, cube = (coefficients[..., k] for k in range(4))
+    return (3.0 * cube * at + 2.0 * square) * at + linear
+
+
+def _newton_step(jacobian: Float[np.ndarray, "n 2 2"], error: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
+    """By how much film points have to move for their photo points to move by ``error``; none where the map folds."""
+    (a, b), (c, d) = (jacobian[:, k].T for k in (0, 1))
+    det = a * d - b * c
+    safe = np.where(np.abs(det) > 1e-9, det, np.inf)
+    x, y = error.T
+    return np.stack([d * x - b * y, a * y - c * x], axis=1) / safe[:, None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,15 +115,30 @@ class BackwardMap:
         return BackwardMap(photo_from_film(uv.reshape(-1, 2)).reshape(*size, 2))
 
     @cached_property
-    def _splines(self) -> tuple[RectBivariateSpline, RectBivariateSpline]:
+    def _patches(self) -> Float[np.ndarray, "k 2 4 4"]:
+        """Between each four nodes, the coefficients of x and of y by the powers of the place down and across."""
         gh, gw = self.nodes.shape[:2]
-        v, u = node_centres_1d(gh), node_centres_1d(gw)
-        return (RectBivariateSpline(v, u, self.nodes[..., 0]), RectBivariateSpline(v, u, self.nodes[..., 1]))
+        down = np.tensordot(_piece_weights(gh), self.nodes, axes=(1, 0))
+        both = np.tensordot(down, _piece_weights(gw), axes=(1, 1)).reshape(gh - 1, 4, 2, gw - 1, 4)
+        return both.transpose(0, 3, 2, 1, 4).reshape(-1, 2, 4, 4)
+
+    def _columns_at(
+        self, inside: Float[np.ndarray, "n 2"], slope: bool = False
+    ) -> tuple[Float[np.ndarray, "n 2 4"], Float[np.ndarray, "n 1"], Float[np.ndarray, "n 2 4"] | None]:
+        """At film points: the cubics of the place down in the patch, in which x and y vary there, that place, and what
+        these cubics' coefficients change by across (``slope``)."""
+        gh, gw = self.nodes.shape[:2]
+        across, down = inside[:, 0] * (gw - 1), inside[:, 1] * (gh - 1)
+        i, j = np.minimum(down.astype(np.intp), gh - 2), np.minimum(across.astype(np.intp), gw - 2)
+        patches, at = self._patches[i * (gw - 1) + j], (across - j)[:, None, None]
+        cubics = _cubic(patches, at)
+        return cubics, (down - i)[:, None], (gw - 1) * _cubic_slope(patches, at) if slope else None
 
     def photo_from_film(self, uv: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n 2"]:
         """Photo points of film points; outside [0, 1]^2 the map goes on linearly from the nearest edge point."""
         inside = np.clip(_points(uv, "film points (u, v)"), 0.0, 1.0)
-        points = np.stack([s.ev(inside[..., 1], inside[..., 0]) for s in self._splines], axis=-1)
+        cubics, down, _ = self._columns_at(inside.reshape(-1, 2))
+        points = _cubic(cubics, down).reshape(inside.shape)
         beyond = np.asarray(uv, dtype=np.float64) - inside
         outside = np.any(beyond, axis=-1)
         if np.any(outside):
@@ -99,10 +147,11 @@ class BackwardMap:
 
     def jacobian(self, uv: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n 2 2"]:
         """d(x, y) / d(u, v) in pixels per film unit; its determinant is positive where nothing folds or mirrors."""
-        inside = np.clip(uv, 0.0, 1.0)
-        du = [s.ev(inside[..., 1], inside[..., 0], dx=0, dy=1) for s in self._splines]
-        dv = [s.ev(inside[..., 1], inside[..., 0], dx=1, dy=0) for s in self._splines]
-        return np.stack([np.stack(du, axis=-1), np.stack(dv, axis=-1)], axis=-1)
+        inside = np.clip(_points(uv, "film points (u, v)"), 0.0, 1.0)
+        cubics, down, slopes = self._columns_at(inside.reshape(-1, 2), slope=True)
+        assert slopes is not None
+        by_v = (self.nodes.shape[0] - 1) * _cubic_slope(cubics, down)
+        return np.stack([_cubic(slopes, down), by_v], axis=-1).reshape(*inside.shape, 2)
 
     def film_from_photo(
         self, xy: Float[np.ndarray, "*n 2"], iterations: int = 12, tolerance_px: float = 1e-3
@@ -124,17 +173,7 @@ class BackwardMap:
         moving = np.arange(len(uv))
         for _ in range(iterations):
             at = uv[moving]
-            error = target[moving] - self.photo_from_film(at)
-            jacobian = self.jacobian(at)
-            det = np.linalg.det(jacobian)
-            safe = np.where(np.abs(det) > 1e-9, det, np.inf)
-            step = np.stack(
-                [
-                    (jacobian[:, 1, 1] * error[:, 0] - jacobian[:, 0, 1] * error[:, 1]) / safe,
-                    (jacobian[:, 0, 0] * error[:, 1] - jacobian[:, 1, 0] * error[:, 0]) / safe,
-                ],
-                axis=1,
-            )
+            step = _newton_step(self.jacobian(at), target[moving] - self.photo_from_film(at))
             uv[moving] = np.clip(at + np.clip(step, -0.2, 0.2), -0.5, 1.5)
             moving = moving[np.abs(uv[moving] - at).max(axis=1) > 1e-10]
             if not moving.size:
@@ -157,8 +196,7 @@ class BackwardMap:
         """
         uv = start.copy()
         for _ in range(iterations):
-            apart = xy - self.photo_from_film(uv)
-            step = np.linalg.solve(self.jacobian(uv), apart[..., None])[..., 0]
+            step = _newton_step(self.jacobian(uv), xy - self.photo_from_film(uv))
             uv += np.clip(step, -most_step, most_step)
         return uv
 
@@ -194,6 +232,10 @@ class BackwardMap:
 
     def mean_film_pixels(self) -> tuple[float, float]:
         """Mean height and width in photo pixels of the film: lengths of the lattice lines, averaged."""
+        return self._mean_film_pixels
+
+    @cached_property
+    def _mean_film_pixels(self) -> tuple[float, float]:
         across = np.linalg.norm(np.diff(self.nodes, axis=1), axis=-1).sum(axis=1).mean()
         down = np.linalg.norm(np.diff(self.nodes, axis=0), axis=-1).sum(axis=0).mean()
         return float(down), float(across)
@@ -219,6 +261,10 @@ class Orientation:
     turns: int
     mirrored: bool
 
+    def __post_init__(self) -> None:
+        if self.turns not in range(4):
+            raise ValueError(f"Orientation.turns: got {self.turns}; allowed: 0 to 3")
+
     @property
     def index(self) -> int:
         """0 to 7: turns, plus 4 if mirrored."""
@@ -226,7 +272,9 @@ class Orientation:
 
     @staticmethod
     def from_index(index: int) -> Orientation:
-        """The orientation of an index from 0 to 7."""
+        """The orientation of an index from 0 to 7; ValueError for others."""
+        if index not in range(8):
+            raise ValueError(f"Index of an Orientation: got {index}; allowed: 0 to 7")
         return Orientation(index % 4, index >= 4)
 
     @property

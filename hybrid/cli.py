@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import io
-import os
 import sys
 from collections.abc import Callable, Sequence
+from functools import partial
 
 USAGE = """\
 usage: hybrid {rectify,fuse,train,info} [options]
@@ -25,6 +25,15 @@ Photo of a bent CT film in, flat print out.
 """
 
 
+STOPPED = {
+    "rectify": "what is finished is kept (a film whose JSON says UNFINISHED is not)",
+    "fuse": "the film is not finished (its JSON says UNFINISHED, if files of it are written)",
+    "train": "what is learnt is saved, and the same command goes on",
+    "info": "nothing is lost",
+}
+"""What is true after Ctrl-C."""
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one subcommand; returns the exit code: 0 for success, 1 if anything failed, 2 for a command line that is not
     understood."""
@@ -39,7 +48,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "info": _info,
     }
     if arguments and arguments[0] in commands:
-        return _guarded(commands[arguments[0]], arguments[1:])
+        return _guarded(arguments[0], partial(commands[arguments[0]], arguments[1:]))
     if arguments in (["--help"], ["-h"]):
         print(USAGE, end="")
         return 0
@@ -53,23 +62,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 2
 
 
-def _guarded(command: Callable[[list[str]], int], arguments: list[str]) -> int:
+def _guarded(name: str, command: Callable[[], int]) -> int:
     """Run a subcommand; an error that a user can mend is one line, and Ctrl-C no stack trace."""
-    from hybrid.errors import HybridError
+    from hybrid.command import NOT_UNDERSTOOD, ended
 
-    try:
-        return command(arguments)
-    except BrokenPipeError:  # who reads this has gone, as ``head`` does
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 1
-    except (HybridError, OSError, MemoryError) as error:
-        from hybrid.outputs import told
-
-        print(f"hybrid: {told(error)}", file=sys.stderr)
-        return 1
-    except KeyboardInterrupt:
-        print("hybrid: stopped; what is finished is kept (a film whose JSON says UNFINISHED is not)", file=sys.stderr)
-        return 130
+    ending = ended(command, STOPPED[name])
+    if ending.told:
+        said_by = f"hybrid {name}" if ending.code == NOT_UNDERSTOOD else "hybrid"
+        print(f"{said_by}: {ending.told}", file=sys.stderr)
+    return ending.code
 
 
 def _rectify(arguments: list[str]) -> int:
@@ -85,11 +86,10 @@ def _fuse(arguments: list[str]) -> int:
 
 
 def _train(arguments: list[str]) -> int:
-    import tyro
-
+    from hybrid.command import parsed
     from hybrid.learn.train import TrainConfig, train
 
-    train(tyro.cli(TrainConfig, args=arguments, prog="hybrid train"))
+    train(parsed(TrainConfig, arguments, "hybrid train"))
     return 0
 
 

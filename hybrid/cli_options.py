@@ -6,15 +6,15 @@ import argparse
 import inspect
 import math
 import os
-import re
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
 import tyro
 
+from hybrid.command import with_flags
 from hybrid.effort import Effort
 from hybrid.errors import ConfigError, describe
 from hybrid.image_io import SUFFIXES
@@ -74,7 +74,7 @@ def parse(
         _refuse_photos_like_options(arguments)
         return tyro.cli(kind, args=["--help" if a == ALL else a for a in arguments], prog=prog, default=default)
     except ConfigError as error:
-        print(f"{prog}: {_with_flags(str(error), default.config)}", file=sys.stderr)
+        print(f"{prog}: {with_flags(str(error), kind)}", file=sys.stderr)
         raise SystemExit(2) from None
 
 
@@ -86,26 +86,20 @@ def _refuse_photos_like_options(arguments: Sequence[str]) -> None:
             raise ConfigError(describe(what="Photos", where=word, got=got, do=do))
 
 
-def _with_flags(message: str, config: Any) -> str:
-    """A message about options (``UprightConfig.mirror``) that calls them what the command line does."""
-    stages = {type(getattr(config, stage.name)).__name__: stage.name for stage in fields(config)}
-
-    def flag(found: re.Match[str]) -> str:
-        stage = stages.get(found[1])
-        return found[0] if stage is None else f"--{stage}.{found[2]}".replace("_", "-")
-
-    return re.sub(r"\b(\w+)\.(\w+)", flag, message)
-
-
 def photos_among(paths: Sequence[Path]) -> list[Path]:
     """The photos that are named and those in folders that are, without results of earlier runs, which is told.
 
-    A folder without any stands for itself: it is told as a photo that cannot be read is.
+    Results that are named with no photo beside them are meant: ``*.jpg`` names them beside the photos that they are of.
+    A folder without any photo stands for itself: it is told as a photo that cannot be read is.
     """
-    named = [photo for path in paths for photo in (_photos_in(path) if os.path.isdir(path) else [path])]
-    photos = [path for path in named if not is_result(path)]
-    if len(photos) < len(named):
-        print(f"{len(named) - len(photos)} of these files are left out: they are results of earlier runs")
+    named = [path for path in paths if not os.path.isdir(path)]
+    meant = set(named) if all(map(is_result, named)) else set()
+    files = [photo for path in paths for photo in (_photos_in(path) if os.path.isdir(path) else [path])]
+    photos = [path for path in files if path in meant or not is_result(path)]
+    less = len(files) - len(photos)
+    if less:
+        one, several = "is left out: it is a result of an earlier run", "are left out: they are results of earlier runs"
+        print(f"{less} of these files {one if less == 1 else several}")
     return photos
 
 

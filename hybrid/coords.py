@@ -7,6 +7,7 @@ No ``+ 0.5``, ``* 2 - 1``, ``1 - v``, ``[..., ::-1]`` or ``align_corners`` stand
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import cv2
@@ -68,7 +69,13 @@ def node_centres_1d(n: int) -> Float[np.ndarray, " n"]:
 
 def film_nodes(size: tuple[int, int]) -> Float[np.ndarray, "gh gw 2"]:
     """Film uv of a lattice of ``size`` (rows, columns) nodes, edges included."""
-    u, v = np.meshgrid(node_centres_1d(size[1]), node_centres_1d(size[0]))
+    return _film_nodes(*size).copy()
+
+
+@lru_cache(maxsize=32)
+def _film_nodes(rows: int, columns: int) -> Float[np.ndarray, "gh gw 2"]:
+    """The same few sizes come again and again."""
+    u, v = np.meshgrid(node_centres_1d(columns), node_centres_1d(rows))
     return np.stack([u, v], axis=-1)
 
 

@@ -7,7 +7,6 @@ cannot tell stays out of them: no spacing of pixels, no place in the patient, no
 from __future__ import annotations
 
 import hashlib
-import io
 import uuid
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -15,12 +14,11 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
-from PIL import Image
 from pydicom.dataset import Dataset, FileMetaDataset
 from pydicom.uid import ExplicitVRLittleEndian, SecondaryCaptureImageStorage
 
 from hybrid import __version__
-from hybrid.image_io import jpeg_extent, levels_16, photo_size
+from hybrid.image_io import jpeg_extent, levels_16, photo_size, tiff_compression
 from hybrid.records import RectifyResult
 
 JPEG, JPEG_2000, HEVC, WEBP, AV1 = "ISO_10918_1", "ISO_15444_1", "ISO_23008_2", "RFC_9649", "AOM_AV1"
@@ -28,7 +26,7 @@ JPEG, JPEG_2000, HEVC, WEBP, AV1 = "ISO_10918_1", "ISO_15444_1", "ISO_23008_2", 
 none."""
 
 JPEG_IN_TIFF = (6, 7)
-"""Values of TIFF's tag 259."""
+"""Values of ``image_io.tiff_compression``."""
 
 NOT_DIAGNOSTIC = "Made of a photo of a film. Not for diagnosis: greys are not Hounsfield units, geometry is the film's."
 
@@ -79,8 +77,7 @@ def lossy_method(data: bytes) -> str | None:
         coding = data.find(b"\xff\x52")  # the marker COD; 13 bytes on it tells the wavelet, of which 9-7 (0) loses
         return JPEG_2000 if coding >= 0 and data[coding + 13 : coding + 14] == b"\0" else None
     if data[:4] in (b"II*\0", b"MM\0*"):
-        with Image.open(io.BytesIO(data)) as tiff:
-            return JPEG if tiff.tag_v2.get(259) in JPEG_IN_TIFF else None  # pyright: ignore[reportAttributeAccessIssue]
+        return JPEG if tiff_compression(data) in JPEG_IN_TIFF else None
     return None
 
 

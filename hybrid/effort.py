@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, is_dataclass
 from pathlib import Path
 from typing import Literal
 
-from hybrid.errors import ConfigError, describe, require_at_least, require_numbers
+from hybrid.errors import ConfigError, describe, require_at_most, require_numbers
 from hybrid.learn.orientation import UprightConfig
 from hybrid.learn.predict import PredictConfig
 from hybrid.rectify.clear_margins import ClearMarginsConfig
@@ -59,7 +59,7 @@ class RectifyConfig:
 
     def __post_init__(self) -> None:
         require_numbers(self)
-        require_at_least(self, 0, "tries")
+        require_at_most(self, 1, "hopeless")
 
     @staticmethod
     def of(effort: Effort | str) -> RectifyConfig:
@@ -85,7 +85,7 @@ class RectifyConfig:
             "thorough": RectifyConfig(tries=4),
         }
         if not isinstance(effort, str) or effort not in efforts:
-            raise ConfigError(
-                describe(what="Effort", got=repr(effort), allowed=", ".join(efforts), do="Name one of them.")
-            )
+            got = repr(effort) if isinstance(effort, str) else f"a {type(effort).__name__}"
+            do = "For options of your own: Rectifier(config)(photo)." if is_dataclass(effort) else "Name one of them."
+            raise ConfigError(describe(what="Effort", got=got, allowed=", ".join(efforts), do=do))
         return efforts[effort]

@@ -6,6 +6,7 @@ import math
 import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import MISSING, Field, fields, is_dataclass
+from numbers import Integral, Real
 from typing import Any, NoReturn
 from zipfile import BadZipFile
 
@@ -68,7 +69,7 @@ def _require(config: Any, allowed: Callable[[Any], bool], told: str, names: Sequ
     for name in names:
         value = getattr(config, name)
         values = value if isinstance(value, tuple) else (value,)
-        if not values or not all(map(allowed, values)):
+        if not values or not all(isinstance(each, Real) and allowed(each) for each in values):
             _refuse(config, name, value, told)
 
 
@@ -83,8 +84,8 @@ class FittedWeights:
 
 def require_numbers(config: Any) -> None:
     """Refuse options that cannot be, in a record of options and in those within it: something else than such a record,
-    NaN, with which no comparison holds, and what is below 0, but for fitted weights and options that usually are:
-    sizes, counts and shares are not.
+    what is no number, or not a whole one, where that is usual, NaN, with which no comparison holds, and what is below
+    0, but for fitted weights and options that usually are: sizes, counts and shares are not.
 
     Raises:
         ConfigError: one is.
@@ -96,10 +97,34 @@ def require_numbers(config: Any) -> None:
                 _refuse(config, one.name, value, f"a {type(usual).__name__}")
             require_numbers(value)
             continue
+        if not _is_alike(value, usual):
+            _refuse(config, one.name, value, _told_kind(usual))
         signed = isinstance(config, FittedWeights) or (isinstance(usual, float) and usual < 0)
         values = value if isinstance(value, tuple) else (value,)
         if any(isinstance(each, (int, float)) and not each >= (-math.inf if signed else 0) for each in values):
             _refuse(config, one.name, value, "numbers" if signed else ">= 0")
+
+
+def _is_alike(value: Any, usual: Any) -> bool:
+    """Whether a value is of the kind of the usual one: yes or no, a whole number, a number, or a tuple of them."""
+    if isinstance(usual, tuple):
+        if not isinstance(value, tuple):
+            return False
+        return all(map(_is_alike, value, usual if len(usual) == len(value) else usual[:1] * len(value)))
+    if isinstance(usual, bool):
+        return isinstance(value, bool)
+    if isinstance(usual, int):
+        return isinstance(value, Integral)
+    return isinstance(value, Real) or not isinstance(usual, float)
+
+
+def _told_kind(usual: Any) -> str:
+    """The kind that ``_is_alike`` asks for, in words."""
+    if isinstance(usual, tuple):
+        return "a tuple of numbers" if any(isinstance(each, float) for each in usual) else "a tuple of whole numbers"
+    if isinstance(usual, bool):
+        return "True or False"
+    return "a whole number" if isinstance(usual, int) else "a number"
 
 
 def _usual(option: Field[Any]) -> Any:

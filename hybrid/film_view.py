@@ -70,7 +70,7 @@ def view_film(
         inside = np.ones(x.shape, dtype=bool)
     else:
         inside = (x >= low) & (x <= right) & (y >= low) & (y <= bottom)
-        image[~inside] = 0
+        image = cv2.copyTo(image, inside.view(np.uint8))  # 0 elsewhere
     return FilmView(np.atleast_3d(image).astype(np.float32), u, v, inside)
 
 

@@ -51,8 +51,12 @@ class GridEdit:
         """The edit of a result's grid; of one of ``cells`` (rows, columns) that fills the sheet where these are given.
 
         Raises:
-            ConfigError: the result has no film, or no grid and no cells are given, or these are no numbers of slices.
+            ConfigError: this is no result, or one without a film, or no grid and no cells are given, or these are no
+            numbers of slices.
         """
+        if not isinstance(result, RectifyResult):
+            got, do = f"a {type(result).__name__}", "Rectify the photo first: GridEdit.of(Rectifier()(photo))."
+            raise ConfigError(describe(what="Grid to edit", got=got, allowed="a RectifyResult", do=do))
         if result.backward is None:
             do = "Name the sheet's corners: Rectifier()(photo, corners)."
             raise ConfigError(describe(what="Grid to edit", got=f"a result {result.status.code.name}", do=do))
@@ -76,16 +80,12 @@ class GridEdit:
             ConfigError: there is no such corner, it is no point, or the film would fold.
         """
         rows, cols = self.start.vertices_photo.shape[:2]
-        try:
-            x, y = (float(each) for each in to)
-        except (TypeError, ValueError):
-            allowed, do = "a photo point (x, y)", "Name two numbers."
-            raise ConfigError(describe(what="Place of a corner", got=repr(to), allowed=allowed, do=do)) from None
+        x, y = _point(to)
         if not (_whole(row, col) and 0 <= row < rows and 0 <= col < cols):
             allowed = f"rows 0 to {rows - 1}, columns 0 to {cols - 1}"
             raise ConfigError(describe(what="Corner of a cell", got=(row, col), allowed=allowed, do="Choose another."))
         further = replace(self, done=(*self.done, Move(row, col, (x, y))), undone=())
-        if not np.isfinite([x, y]).all() or further.backward.folds((33, 33)):
+        if further.backward.folds((33, 33)):
             got, allowed = f"({x:g}, {y:g})", "points in between its neighbours: the film would fold"
             raise ConfigError(describe(what="Place of a corner", got=got, allowed=allowed, do="Move it less far."))
         return further
@@ -130,6 +130,18 @@ class GridEdit:
             edited = BackwardMap(edited.nodes + fit_tps(at, left)(nodes))
             left = by - (edited.photo_from_film(at) - film.photo_from_film(at))
         return edited
+
+
+def _point(to: Sequence[float] | np.ndarray) -> tuple[float, float]:
+    """The numbers of a photo point; ConfigError for what is none."""
+    try:
+        x, y = (float(each) for each in to)
+    except (TypeError, ValueError):
+        x = y = np.nan
+    if not np.isfinite([x, y]).all():
+        allowed, do = "a photo point (x, y)", "Name two numbers."
+        raise ConfigError(describe(what="Place of a corner", got=repr(to), allowed=allowed, do=do))
+    return x, y
 
 
 def _whole(*numbers: object) -> bool:

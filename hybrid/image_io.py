@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import threading
 import uuid
@@ -117,6 +118,12 @@ def opened(path: str | os.PathLike[str]) -> Iterator[Image.Image]:
     _hear_of_heif()
     with _pillow_limits(), Image.open(path) as image:
         yield image
+
+
+def tiff_compression(data: bytes) -> int | None:
+    """How the pixels of a TIFF that was read before are compressed, as its tag 259 says; None if it does not."""
+    with _pillow_limits(), Image.open(io.BytesIO(data)) as image:
+        return getattr(image, "tag_v2", {}).get(COMPRESSION)
 
 
 def jpeg_extent(data: bytes) -> tuple[int, int] | None:
@@ -379,6 +386,7 @@ __all__ = [
     "photo_size",
     "pictures_in",
     "read_photo",
+    "tiff_compression",
     "write_bytes",
     "write_film",
     "write_grey",

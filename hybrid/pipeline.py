@@ -328,7 +328,7 @@ def _with_lens(config: RectifyConfig, focal: float | None) -> RectifyConfig:
         return config
     usual = config.refine.sheet
     limits = min(usual.focal_range[0], focal), max(usual.focal_range[1], focal)
-    sheet = replace(usual, focal=focal, focal_sigma=(TOLD_SIGMA, TOLD_SIGMA), focal_range=limits)
+    sheet = replace(usual, focal=focal, focal_sigma=(TOLD_SIGMA, TOLD_SIGMA), focal_range=limits, main_lens=0.0)
     return replace(config, refine=replace(config.refine, sheet=sheet))
 
 

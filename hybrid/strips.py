@@ -70,11 +70,12 @@ class StripConfig:
 
 @dataclass(frozen=True, eq=False)
 class StripReader:
-    """What reads strips. strip: how they are cut. logs: of strips, and of where the photo covers them, the
-    log-probabilities of the rows at which the edge crosses each column; the last: it is not in the strip."""
+    """What reads strips. strip: how they are cut. logs: of strips, four after four that belong together, and of where
+    the photo covers them, the log-probabilities of the rows at which the edge crosses each column; the last: it is not
+    in the strip."""
 
     strip: StripConfig
-    logs: Callable[[UInt8[np.ndarray, "4 r c 3"], Bool[np.ndarray, "4 r c"]], Float[np.ndarray, "4 r1 c2"]]
+    logs: Callable[[UInt8[np.ndarray, "k r c 3"], Bool[np.ndarray, "k r c"]], Float[np.ndarray, "k r1 c2"]]
 
 
 def view_across(
@@ -85,12 +86,18 @@ def view_across(
     along, across = film_centres_1d(columns * fine), side.edge + side.inward * depth
     if side.axis == 1:
         view = view_film(photo, film, along, across)
-        image, inside = view.image, view.inside
-    else:
-        view = view_film(photo, film, across, along)
-        image, inside = view.image.transpose(1, 0, 2), view.inside.T
-    image = cv2.resize(image, (columns, len(depth)), interpolation=cv2.INTER_AREA)  # the mean of each ``fine``
-    return image, np.asarray(inside.reshape(len(depth), columns, fine).all(axis=2))
+        image = cv2.resize(view.image, (columns, len(depth)), interpolation=cv2.INTER_AREA)  # the mean of each ``fine``
+        return image, _all_of_each(view.inside, fine)
+    view = view_film(photo, film, across, along)
+    image = cv2.resize(view.image, (len(depth), columns), interpolation=cv2.INTER_AREA)
+    return np.ascontiguousarray(image.transpose(1, 0, 2)), _all_of_each(view.inside.T, fine)
+
+
+def _all_of_each(inside: Bool[np.ndarray, "d n"], fine: int) -> Bool[np.ndarray, "d p"]:
+    """Whether all of each ``fine`` columns are true."""
+    if inside.all():
+        return np.ones((len(inside), inside.shape[1] // fine), dtype=bool)
+    return np.logical_and.reduce([inside[:, k::fine] for k in range(fine)])
 
 
 def strip_copy(pyramid: Pyramid, film: BackwardMap, config: StripConfig) -> tuple[Photo, BackwardMap]:

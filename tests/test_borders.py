@@ -155,7 +155,7 @@ def test_a_blank_film_shows_no_borders():
 
 
 @pytest.mark.parametrize(("columns", "groups"), [(2, 1), (5, 1), (6, 2), (9, 2)])
-def test_borders_are_read_in_groups_of_four(columns, groups):
+def test_borders_are_read_at_once_in_groups_of_four(columns, groups):
     photo, film = ruled_photo(columns)
     sizes = []
 
@@ -166,7 +166,7 @@ def test_borders_are_read_in_groups_of_four(columns, groups):
     layout = known(columns)
     layout = replace(layout, repeats=(layout.repeats[0], None))
     (found,) = read_borders(photo, film, layout, StripReader(STRIP, counted), GRID, CONFIG)
-    assert sizes == [GROUP] * groups
+    assert sizes == [GROUP * groups]
     assert len(np.unique(np.round(columns * found.sightings.seen[:, 0]))) == columns - 1
 
 

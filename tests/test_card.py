@@ -12,7 +12,7 @@ from simple_samples import SIZE_MM, cylinder
 
 from data_gen._card_text import _same, command
 from data_gen._charts import ticks
-from data_gen.card import LABELS, bend_of, label_values, write_card
+from data_gen.card import LABELS, bend_of, label_values, main, write_card
 from data_gen.generate import GenerateConfig, generate
 from data_gen.sample import SampleConfig
 from data_gen.sources import SourceConfig
@@ -113,3 +113,28 @@ def test_dataset_json_names_no_path_of_this_machine(folder):
 def test_a_folder_without_data_set_has_no_card(tmp_path):
     with pytest.raises(DataError, match="no data set"):
         write_card(tmp_path)
+
+
+def test_the_command_ends_in_one_line(tmp_path, monkeypatch, capsys):
+    """Whether there is no data set, the system refuses something, or it is stopped."""
+
+    def ended():
+        with pytest.raises(SystemExit) as end:
+            main()
+        return end.value.code
+
+    def refused(folder):
+        raise PermissionError(13, "Permission denied", str(folder / "card.md"))
+
+    def stopped(folder):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("sys.argv", ["card", str(tmp_path)])
+    assert ended().startswith(f"error: data set ({tmp_path}): got no data set")
+    monkeypatch.setattr("data_gen.card.write_card", refused)
+    assert ended().startswith(
+        f"error: A file cannot be read or written ({tmp_path / 'card.md'}): got Permission denied"
+    )
+    monkeypatch.setattr("data_gen.card.write_card", stopped)
+    assert ended() == 130
+    assert capsys.readouterr().err == "stopped; the card is not whole, and the same command makes all of it anew\n"

@@ -13,7 +13,7 @@ from hybrid.effort import RectifyConfig
 from hybrid.geometry import MOST_MARGINS, whole_sheet
 from hybrid.pyramid import Pyramid
 from hybrid.records import SliceGrid
-from hybrid.rectify.clear_margins import ClearMarginsConfig, Longer, LongerSheet, with_margins
+from hybrid.rectify.clear_margins import ClearMarginsConfig, LongerSheet, lengthened, with_margins
 from hybrid.rectify.edge_paths import EdgesRead
 from hybrid.rectify.refine import Refinement
 from hybrid.stages import Clock
@@ -96,10 +96,20 @@ def test_an_end_that_nothing_bears_out_does_not_hide_the_other():
 
 
 def test_a_longer_map_goes_straight_on():
-    film = part((100, 160), (600, 540))
-    low, high = ends(Longer(1, 0.25, 0.5).applied(film))
+    film, (top, bottom, left, _) = part((100, 160), (600, 540)), SIDES
+    low, high = ends(lengthened(film, {top: 0.25, bottom: 0.5}))
     np.testing.assert_allclose(low, [100, 160 - 0.25 * 380])
     np.testing.assert_allclose(high, [600, 540 + 0.5 * 380])
+    low, high = ends(lengthened(film, {bottom: 0.5, left: 0.1}))
+    np.testing.assert_allclose(low, [100 - 0.1 * 500, 160])
+    np.testing.assert_allclose(high, [600, 540 + 0.5 * 380])
+
+
+def test_margins_on_all_sides_are_found_at_once():
+    """Of what the sheet gains at one end the sides show no edge until it is as wide as it is."""
+    film, *_ = found(part((170, 170), (530, 530)))
+    for at, true in zip(ends(film), (100, 600), strict=True):
+        np.testing.assert_allclose(at, true, atol=4)
 
 
 # ---------------------------------------------------------------- which of them are believed

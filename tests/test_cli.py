@@ -157,6 +157,27 @@ def test_results_of_earlier_runs_are_no_photos(photo: Path, tmp_path: Path, caps
 
 
 @pytest.mark.usefixtures("_stand_in")
+def test_results_that_alone_are_named_are_photos(
+    photo: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Nobody else can be meant; of a folder, or of ``*.jpg``, they are what an earlier run put beside the photos."""
+    assert cli.main(["rectify", str(photo), "-o", str(tmp_path)]) == 0
+    result = tmp_path / "film_rectified.jpg"
+    assert is_result(result)
+    capsys.readouterr()
+    assert cli.main(["rectify", str(result), "-o", str(tmp_path / "out")]) == 0
+    assert "left out" not in capsys.readouterr().out
+    assert {path.name for path in (tmp_path / "out").glob("*.json")} == {"film_rectified.json"}
+    assert cli.main(["rectify", str(photo), str(result), "-o", str(tmp_path / "two")]) == 0
+    assert "1 of these files is left out: it is a result of an earlier run" in capsys.readouterr().out
+    assert {path.name for path in (tmp_path / "two").glob("*.json")} == {"film.json"}
+    for path in tmp_path.glob("film_*.png"):
+        path.unlink()
+    assert cli.main(["rectify", str(tmp_path), "-o", str(tmp_path / "none")]) == 2
+    assert "2 of these files are left out" in capsys.readouterr().out
+
+
+@pytest.mark.usefixtures("_stand_in")
 def test_results_are_not_fused(photo: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["rectify", str(photo), "-o", str(tmp_path)]) == 0
     capsys.readouterr()
@@ -667,6 +688,42 @@ def test_help_and_version(capsys: pytest.CaptureFixture[str]) -> None:
 def test_unknown_command(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["flatten"]) == 2
     assert "unknown command 'flatten'; allowed: rectify, fuse, train, info" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        (["--width", "0"], "--width: got 0.0; allowed: > 0."),
+        (["--width", "0.5"], "--width: got 0.5; allowed: presets of the paper's networks."),
+        (["--preset", "silly"], "--preset: got silly; allowed: filmnet, "),
+        (["--seed", "99999999999999999999"], "--seed: got 99999999999999999999; allowed: <= "),
+        (["--minutes-per-save", "nan"], "--minutes-per-save: got nan; allowed: >= 0."),
+    ],
+)
+def test_a_training_that_cannot_be_is_a_wrong_command_line(
+    options: list[str], told: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(["train", "--data", "nothing", "--out", str(tmp_path / "out"), *options]) == 2
+    assert capsys.readouterr().err.startswith(f"hybrid train: {told}")
+
+
+@pytest.mark.parametrize(
+    ("command", "told"),
+    [
+        ("rectify", "stopped; what is finished is kept (a film whose JSON says UNFINISHED is not)"),
+        ("fuse", "stopped; the film is not finished (its JSON says UNFINISHED, if files of it are written)"),
+        ("train", "stopped; what is learnt is saved, and the same command goes on"),
+    ],
+)
+def test_ctrl_c_tells_what_is_kept(
+    command: str, told: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def stopped(_: list[str]) -> int:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(cli, f"_{command}", stopped)
+    assert cli.main([command]) == 130
+    assert capsys.readouterr().err == f"hybrid: {told}\n"
 
 
 def test_a_file_that_cannot_be_written_is_one_line(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):

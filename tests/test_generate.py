@@ -27,7 +27,7 @@ from data_gen.prints import PrintConfig
 from data_gen.rooms import Environment
 from data_gen.sample import SampleConfig
 from data_gen.sources import SourceConfig, draw_environment, draw_volume, loaded
-from data_gen.volumes import CtVolume
+from data_gen.volumes import CtVolume, load_volumes, with_left_out
 from data_gen.work import Workers, film_bytes, workers
 from hybrid.errors import ConfigError, DataError, HybridError
 from hybrid.learn.shards import open_dataset
@@ -349,7 +349,9 @@ def test_every_command_ends_in_one_line(module, tmp_path, monkeypatch, capsys):
     function, words = f"data_gen.{module}.{COMMANDS[module]}", ["--out", str(tmp_path / "d")]
     monkeypatch.setattr(function, stopped)
     assert ended(monkeypatch, module, *words) == 130
-    assert capsys.readouterr().err == "stopped; what is finished is kept, and the same command goes on\n"
+    kept = "no samples are written, and the same command begins anew"
+    told = kept if module == "own_photos" else "what is finished is kept, and the same command goes on"
+    assert capsys.readouterr().err == f"stopped; {told}\n"
     monkeypatch.setattr(function, full)
     told = f"error: A file cannot be read or written ({tmp_path / 'd'}): got No space left on device. Mend that"
     assert ended(monkeypatch, module, *words).startswith(told)
@@ -364,9 +366,9 @@ def test_an_out_that_is_a_file_is_said(module, tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("module", ["generate", "flat_prints", "lit_films"])
-def test_an_option_that_cannot_be_is_told_by_its_flag(module, tmp_path, monkeypatch):
-    words = ["--out", str(tmp_path), "--workers", "-1"]
-    assert ended(monkeypatch, module, *words) == "error: --workers: got -1; allowed: >= 0. Choose another."
+def test_an_option_that_cannot_be_is_told_by_its_flag(module, tmp_path, monkeypatch, capsys):
+    assert ended(monkeypatch, module, "--out", str(tmp_path), "--workers", "-1") == 2
+    assert capsys.readouterr().err == "error: --workers: got -1; allowed: >= 0. Choose another.\n"
 
 
 # ---------------------------------------------------------------- sources
@@ -387,6 +389,34 @@ def drawn(config):
     rng = np.random.default_rng(0)
     pairs = [(draw_volume(config, rng).name, draw_environment(config, rng).name) for _ in range(40)]
     return {name for pair in pairs for name in pair}
+
+
+@pytest.fixture
+def scan_and_stub(tmp_path):
+    """A folder with a scan, and with one of two slices, of which no film is printed."""
+    for name, slices in (("scan", 24), ("stub", 2)):
+        hu = np.zeros((slices, 8, 8), np.int16)
+        hu[:, 2:6, 2:6] = 1000
+        np.savez(tmp_path / f"{name}.npz", hu=hu, spacing_mm=np.array([5.0, 1.0, 1.0]))
+    loaded.cache_clear()
+    yield tmp_path
+    loaded.cache_clear()
+
+
+def test_what_is_left_out_of_a_folder_is_told(simple, scan_and_stub, tmp_path_factory, capsys):
+    out = tmp_path_factory.mktemp("data")
+    generate(simple_config(out, count=1, sources=SourceConfig(ct=scan_and_stub)))
+    told = f"1 of the CT sources in {scan_and_stub} is left out:\n  stub: fewer than 3 slices\n"
+    assert told in capsys.readouterr().err
+
+
+def test_what_workers_leave_out_is_told_by_them_once_asked(scan_and_stub, capfd):
+    with workers(1, None) as those:
+        volumes, told = next(those.in_order(with_left_out, [(load_volumes, scan_and_stub)]))
+        next(those.in_order(load_volumes, [(scan_and_stub,)]))
+    assert [volume.name for volume in volumes] == ["scan"]
+    assert told == [f"1 of the CT sources in {scan_and_stub} is left out:\n  stub: fewer than 3 slices"]
+    assert "left out" not in capfd.readouterr().err
 
 
 def test_what_is_held_out_is_what_the_others_are_not_made_from(sources):

@@ -109,6 +109,9 @@ def test_moves_that_cannot_be_are_refused(edit: GridEdit):
     for no_point in ((np.nan, 10.0), (1.0, 2.0, 3.0), np.zeros((2, 2))):
         with pytest.raises(ConfigError, match="Place of a corner"):
             edit.moved(1, 1, no_point)
+    for no_number in ((np.nan, 10.0), (10.0, np.inf)):
+        with pytest.raises(ConfigError, match=r"allowed: a photo point \(x, y\)\. Name two numbers"):
+            edit.moved(1, 1, no_number)
 
 
 def test_a_grid_can_be_given(result: RectifyResult):

@@ -45,6 +45,7 @@ from hybrid.learn.train import TrainConfig, train
 from hybrid.learn.upright import UprightNet, UprightNetConfig
 from hybrid.learn.views import film_from_view, film_view, output_points, square_view, view_image
 from hybrid.learn.weights import load_into, load_weights, parameter_count, save_weights
+from hybrid.pipeline import Rectifier
 from hybrid.pyramid import Pyramid
 from hybrid.records import CoarseMaps
 
@@ -447,6 +448,48 @@ def test_weights_come_back_and_are_strict(tmp_path):
         load_into(FilmNet(replace(TINY, widths=(4, 8, 8, 16))), path)
 
 
+@pytest.mark.parametrize("name", [name for name, chosen in PRESETS.items() if name != "borders"])
+def test_weights_of_every_kind_come_back_without_pytorchs_defaults_or_random_numbers(name, tmp_path):
+    """What is no weight, as DewarpNet's positions, is there as well."""
+    chosen = PRESETS[name].at_width(0.03) if hasattr(PRESETS[name].config, "width") else PRESETS[name]
+    network, path = chosen.network(), tmp_path / "w.safetensors"
+    save_weights(path, network, chosen.config, {})
+    load_into(network, path)  # rounded to half precision
+    random = torch.get_rng_state()
+    torch.set_default_dtype(torch.float64)
+    try:
+        back = load_weights(path, chosen.build, type(chosen.config))
+    finally:
+        torch.set_default_dtype(torch.float32)
+    assert torch.equal(torch.get_rng_state(), random)
+    for theirs, ours in ((network.state_dict(), back.state_dict()), *(
+        (dict(getattr(network, kind)()), dict(getattr(back, kind)())) for kind in ("named_parameters", "named_buffers")
+    )):  # fmt: skip
+        assert theirs.keys() == ours.keys()
+        for key, value in theirs.items():
+            assert (ours[key].dtype, ours[key].device) == (value.dtype, value.device)
+            assert ours[key].requires_grad == value.requires_grad
+            assert torch.equal(ours[key], value)
+
+
+def test_rectifying_neither_hears_of_pytorchs_defaults_nor_takes_its_random_numbers():
+    photo = Path(__file__).parents[1] / "hybrid" / "examples" / "film.jpg"
+    usual = Rectifier()(photo)
+    random = torch.get_rng_state()
+    torch.set_default_dtype(torch.float64)
+    torch.set_default_device("meta")
+    try:
+        other = Rectifier()(photo)
+    finally:
+        torch.set_default_device(None)
+        torch.set_default_dtype(torch.float32)
+    assert torch.equal(torch.get_rng_state(), random)
+    assert np.array_equal(other.film, usual.film)
+    assert np.array_equal(other.backward.nodes, usual.backward.nodes)
+    assert (other.orientation, other.upright_probability) == (usual.orientation, usual.upright_probability)
+    assert other.expected_error_px == usual.expected_error_px
+
+
 @pytest.fixture
 def tiny(monkeypatch):
     """The preset of FilmNet, of a size for tests."""
@@ -504,6 +547,8 @@ def test_training_resumes_exactly(dataset, tmp_path, monkeypatch):
         ({"width": float("nan"), "preset": "dewarpnet"}, "--width: got nan; allowed: > 0"),
         ({"weight_decay": -1.0}, "--weight-decay: got -1.0; allowed: >= 0"),
         ({"preset": "slices", "coarse_share": 0.5, "coarse_px": 32}, "--preset slices: got --coarse-share 0.5"),
+        ({"seed": 2**64}, "--seed: got 18446744073709551616; allowed: <= 18446744073709551615"),
+        ({"minutes_per_save": float("nan")}, "--minutes-per-save: got nan; allowed: >= 0"),
     ],
 )
 def test_options_that_cannot_be_are_refused_before_any_data_is_read(options, told, tmp_path):

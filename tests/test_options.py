@@ -2,23 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from functools import reduce
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from hybrid import cli
 from hybrid.effort import RectifyConfig
-from hybrid.errors import ConfigError, FittedWeights, require_numbers
+from hybrid.errors import ConfigError, FittedWeights, require_at_least, require_numbers
 from hybrid.learn.predict import PredictConfig
 from hybrid.learn.train import Plan, TrainConfig
 from hybrid.rectify.cells import CellsConfig
 from hybrid.rectify.congeal import CongealConfig
 from hybrid.rectify.course import RefineConfig
 from hybrid.rectify.deilluminate import DeilluminateConfig
+from hybrid.rectify.edge_paths import PathConfig
 from hybrid.rectify.film_size import FilmSizeConfig
 from hybrid.rectify.foreshortening import ForeshorteningConfig
 from hybrid.rectify.fuse import FuseConfig
@@ -26,6 +28,7 @@ from hybrid.rectify.grid import GridConfig
 from hybrid.rectify.invert import InvertConfig
 from hybrid.rectify.match import MatchConfig
 from hybrid.rectify.outline import OutlineConfig
+from hybrid.rectify.plane import PlaneConfig
 from hybrid.rectify.sheet import SheetConfig
 from hybrid.rectify.sightings import SplineConfig
 from hybrid.rectify.trust import TrustConfig
@@ -40,6 +43,7 @@ NAN = float("nan")
         (FilmSizeConfig, {"max_aspect": float("nan")}),
         (DeilluminateConfig, {"work_px": 8}),
         (PredictConfig, {"sides": ()}),
+        (CellsConfig, {"widths_px": ()}),
         (InvertConfig, {"nodes": (33, 1)}),
         (GridConfig, {"widths_px": (2, 0)}),
         (ForeshorteningConfig, {"steps": (0.0, 0.0)}),
@@ -117,6 +121,132 @@ def test_no_size_count_or_share_is_below_zero() -> None:
             with pytest.raises(ConfigError, match=f"{type(owner).__name__}.{names[-1]}: got "):
                 with_option(RectifyConfig(), names, less)
     assert signed > 40
+
+
+DIVIDES = """
+    PredictConfig.least_px InvertConfig.intervals InvertConfig.nodes InvertConfig.scale_floor
+    PathConfig.row_sigma BorderConfig.sharp BorderConfig.min_columns EdgeConfig.min_columns
+    SplineConfig.lattice SplineConfig.prior_px SplineConfig.stiffness
+    ForeshorteningConfig.steps ForeshorteningConfig.pitches ForeshorteningConfig.sigma ForeshorteningConfig.edge_sigma
+    ForeshorteningConfig.shared_sigma
+    OutlineConfig.profiles OutlineConfig.windows_px OutlineConfig.gap_windows_px OutlineConfig.sigma_px
+    OutlineConfig.rule_sigma_px OutlineConfig.covered_px OutlineConfig.noise_levels OutlineConfig.prior
+    OutlineConfig.read_prior OutlineConfig.held_prior
+    SheetConfig.intervals SheetConfig.every SheetConfig.focal SheetConfig.focal_sigma SheetConfig.focal_range
+    SheetConfig.beyond_sigma SheetConfig.distortion SheetConfig.stretched SheetConfig.bent SheetConfig.edge_px
+    SheetConfig.print_px SheetConfig.network_px SheetConfig.strain
+    GridConfig.widths_px GridConfig.strips GridConfig.stations GridConfig.min_levels GridConfig.sigma_px
+    GridConfig.centre_sigma GridConfig.pitch_sigma GridConfig.inset_sigma GridConfig.snug_sigma GridConfig.flush_sigma
+    MatchConfig.reach_px MatchConfig.fine_px MatchConfig.shrink MatchConfig.constant_sigma MatchConfig.pitch_sigma
+    CellsConfig.side_px CellsConfig.widths_px CellsConfig.detail_px CellsConfig.kept MarginsConfig.sigma
+    CongealConfig.blurs_px CongealConfig.light CongealConfig.steps CongealConfig.block_px CongealConfig.min_gain
+    CongealConfig.shared_sigma CongealConfig.min_blocks ClearMarginsConfig.least SurveyConfig.max_stretch
+    RefineConfig.working_px RefineConfig.rule_width RefineConfig.sheet_prior_px
+    FilmSizeConfig.max_side_px FilmSizeConfig.min_side_px FilmSizeConfig.max_aspect
+    CoverConfig.side_px DeilluminateConfig.work_px DeilluminateConfig.gain_blur UprightConfig.min_slice_px
+    FuseConfig.patch_px FuseConfig.intervals MergeConfig.outlier
+"""
+"""Options that are divided by, or of which there must be some: none may be 0, nor one of several."""
+
+SHARES = """
+    RectifyConfig.hopeless SurveyConfig.min_mask_share SurveyConfig.min_inlier_share SurveyConfig.min_coverage
+    SurveyConfig.min_overlap PredictConfig.margin EdgeConfig.doubtful EdgeConfig.surer EdgeConfig.sure
+    ClearMarginsConfig.noticed ClearMarginsConfig.least ClearMarginsConfig.likely
+    ForeshorteningConfig.least_slope ForeshorteningConfig.least_length
+    OutlineConfig.min_share OutlineConfig.clipped_share SheetConfig.firm
+    GridConfig.share GridConfig.lone_share GridConfig.believed_share GridConfig.sure_share GridConfig.coverage
+    RepeatConfig.octave_ratio MatchConfig.window_share MatchConfig.min_match CellsConfig.least_filled
+    CongealConfig.min_gain CongealConfig.min_correlation RefineConfig.counts
+    UprightConfig.turned UprightConfig.mirrored CoverConfig.least_chance
+    DeilluminateConfig.print_black DeilluminateConfig.print_white DeilluminateConfig.least_print
+    TrustConfig.least_chance TrustConfig.min_support TrustConfig.least_support TrustConfig.min_overlap
+    TrustConfig.min_in_step TrustConfig.min_alike
+"""
+"""Shares, probabilities and correlations, of which none is above 1. Further ones may be, as that says never: the
+benchmark leaves stages out with PathConfig.min_mass and RepeatConfig.min_correlation, and tests try it of
+ClearMarginsConfig.sure and least_support."""
+
+
+def named(names: tuple[str, ...]) -> str:
+    """The option as messages call it."""
+    return f"{type(reduce(getattr, names[:-1], RectifyConfig())).__name__}.{names[-1]}"
+
+
+def zeros(value: Any) -> list[Any]:
+    """The option at 0: of several, with each of them so in turn."""
+    if not isinstance(value, tuple):
+        return [type(value)(0)]
+    return [(*value[:k], type(each)(0), *value[k + 1 :]) for k, each in enumerate(value)]
+
+
+def test_what_divides_is_not_zero() -> None:
+    options, asked = set(DIVIDES.split()), set()
+    for names, value in every_number(RectifyConfig()):
+        if named(names) in options:
+            asked.add(named(names))
+            for zero in zeros(value):
+                with pytest.raises(ConfigError, match=rf"{named(names)}: got .*; allowed: >= "):
+                    with_option(RectifyConfig(), names, zero)
+    assert asked == options
+
+
+def test_no_share_is_above_one() -> None:
+    options, asked = set(SHARES.split()), set()
+    for names, value in every_number(RectifyConfig()):
+        if named(names) in options:
+            asked.add(named(names))
+            with pytest.raises(ConfigError, match=rf"{named(names)}: got 1\.5; allowed: <= "):
+                with_option(RectifyConfig(), names, type(value)(1.5))
+    assert asked == options
+
+
+@pytest.mark.parametrize(
+    "config",
+    [
+        lambda: PredictConfig(sides=(0, 9)),
+        lambda: PathConfig(floor=0.5),
+        lambda: PlaneConfig(min_parts=9),
+        lambda: DeilluminateConfig(print_black=1.5, print_white=1.6),
+    ],
+)
+def test_what_is_more_than_there_is_is_refused(config: Callable[[], Any]) -> None:
+    with pytest.raises(ConfigError, match=r"got .*; allowed: <= "):
+        config()
+
+
+@dataclass(frozen=True)
+class Anything:
+    """As the options of a stage, whose own types are checked in tests before they can look themselves."""
+
+    count: Any = 1
+    share: Any = 0.5
+    whether: Any = True
+    sides: Any = (0, 2)
+    bend: Any = (0.1, 3)
+
+    def __post_init__(self) -> None:
+        require_at_least(self, 0, "count", "share", "sides")
+
+
+@pytest.mark.parametrize(
+    ("options", "allowed"),
+    [
+        ({"count": "2"}, ">= 0"),
+        ({"count": None}, ">= 0"),
+        ({"count": 1.5}, "a whole number"),
+        ({"share": "a half"}, ">= 0"),
+        ({"whether": "no"}, "True or False"),
+        ({"sides": [0, 2]}, ">= 0"),
+        ({"sides": (0.5, 2.0)}, "a tuple of whole numbers"),
+        ({"bend": (0.1, 2.5)}, "a tuple of numbers"),
+        ({"bend": 3.0}, "a tuple of numbers"),
+    ],
+)
+def test_something_else_than_such_a_number_is_refused(options: dict, allowed: str) -> None:
+    require_numbers(Anything(np.int64(2), np.float32(0.25), False, (1, 2, 3), (1, 2)))
+    (name,) = options
+    with pytest.raises(ConfigError, match=rf"Anything\.{name}: got .*; allowed: {allowed}"):
+        require_numbers(Anything(**options))
 
 
 @dataclass(frozen=True)

@@ -26,6 +26,15 @@ def test_orientation_is_what_makes_the_seen_film_upright(index):
     np.testing.assert_allclose(back.nodes, seen_map().nodes)
 
 
+def test_there_are_eight_ways_and_no_others():
+    for index in (-1, 8, 9):
+        with pytest.raises(ValueError, match=rf"Index of an Orientation: got {index}; allowed: 0 to 7"):
+            Orientation.from_index(index)
+    for turns in (-1, 4, 5):
+        with pytest.raises(ValueError, match=rf"Orientation\.turns: got {turns}; allowed: 0 to 3"):
+            Orientation(turns, False)
+
+
 @pytest.mark.parametrize("index", range(8))
 def test_coordinates_agree_with_the_turned_map(index):
     way, seen = Orientation.from_index(index), seen_map()

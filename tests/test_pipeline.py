@@ -1,7 +1,13 @@
 """The whole way with the packaged network: what is promised of a result, and of photos that hold no film."""
 
+import copy
 import pickle
-from dataclasses import replace
+import re
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import fields, replace
+from itertools import combinations
 from pathlib import Path
 from typing import get_args
 
@@ -9,8 +15,10 @@ import cv2
 import numpy as np
 import pytest
 from test_plane import flat_photo, plane_map
+from threadpoolctl import threadpool_info
 
 import hybrid
+import hybrid.records
 from data_gen.sample import SampleConfig, film_samples
 from hybrid.backward import Orientation, end_point_error, film_as_seen
 from hybrid.errors import ConfigError, DataError, PhotoError
@@ -24,6 +32,7 @@ from hybrid.rectify.survey import Verdict
 from hybrid.rectify.trust import chance_right, floored
 from hybrid.stages import Clock
 
+ROOT = Path(__file__).parents[1]
 EXAMPLE = Path(hybrid.__file__).parent / "examples" / "film.jpg"
 
 
@@ -331,6 +340,89 @@ def test_what_rectifies_can_be_sent_to_other_processes(rectifier, photo, result)
     sent = pickle.loads(pickle.dumps(rectifier))
     np.testing.assert_array_equal(sent(photo).film, result.film)
     assert pickle.loads(pickle.dumps(hybrid.rectify)) is hybrid.rectify
+
+
+class OwnRectifier(Rectifier):
+    """One that somebody has made of it."""
+
+
+def test_copies_load_no_network_and_what_is_sent_stays_what_it_is(rectifier, monkeypatch):
+    own = OwnRectifier()
+    assert type(pickle.loads(pickle.dumps(own))) is OwnRectifier
+    monkeypatch.setattr("hybrid.pipeline.packaged_film_net", None)
+    for it in (rectifier, own):
+        assert copy.copy(it) is it
+        assert copy.deepcopy([it])[0] is it
+
+
+def test_threads_may_share_a_rectifier(rectifier, photo):
+    """Six calls in three threads are those of one, bit by bit, and leave the threads of all libraries as they were."""
+    photos = [cv2.resize(photo, None, fx=x, fy=x, interpolation=cv2.INTER_AREA) for x in (0.5, 0.4)]
+    alone = [rectifier(each) for each in photos]
+    before = [(pool["filepath"], pool["num_threads"]) for pool in threadpool_info()], cv2.getNumThreads()
+    with ThreadPoolExecutor(3) as pool:
+        together = list(pool.map(rectifier, 3 * photos))
+    for k, found in enumerate(together):
+        for name in ("film", "rectified", "confidence", "glare", "covered"):
+            np.testing.assert_array_equal(getattr(found, name), getattr(alone[k % 2], name))
+        np.testing.assert_array_equal(found.backward.nodes, alone[k % 2].backward.nodes)
+        assert found.expected_error_px == alone[k % 2].expected_error_px
+    assert before == ([(pool["filepath"], pool["num_threads"]) for pool in threadpool_info()], cv2.getNumThreads())
+
+
+def test_which_arrays_of_a_result_are_the_callers(photo):
+    """As docs/using.md says, also of a second result of the same rectifier."""
+    result = hybrid.rectify(cv2.resize(photo, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA))
+    whose = (result.film, result.rectified, result.glare, result.covered, result.confidence)
+    assert all(array.flags.writeable for array in (*whose, result.grid.vertices, result.grid.vertices_photo))
+    assert not result.backward.nodes.flags.writeable
+    assert not any(np.shares_memory(one, other) for one, other in combinations(whose, 2))
+    result.slices()[0][:] = 0.25
+    assert (result.film == 0.25).any()
+
+
+WRONG_TYPES = """
+import numpy as np
+import hybrid
+
+result = hybrid.RectifyResult(hybrid.Status(hybrid.StatusCode.NO_FILM))
+config = hybrid.RectifyConfig()
+for call in (
+    lambda: hybrid.RectifyConfig(tries="2"),
+    lambda: hybrid.RectifyConfig(tries=1.5),
+    lambda: hybrid.rectify(np.zeros((90, 90, 3), np.uint8), effort=config),
+    lambda: hybrid.rectify(np.zeros((90, 90, 3), np.uint8), effort=["fast"]),
+    lambda: hybrid.GridEdit.of("x.jpg"),
+    lambda: hybrid.Rectifier().edited("x.jpg", result),
+):
+    try:
+        call()
+    except hybrid.ConfigError as error:
+        print(error)
+"""
+
+
+def test_something_else_than_what_is_asked_for_is_refused_by_name():
+    """In a process of its own: here types are checked before the package can look itself."""
+    run = subprocess.run([sys.executable, "-c", WRONG_TYPES], capture_output=True, text=True, check=True, cwd=ROOT)
+    assert run.stdout.splitlines() == [
+        "RectifyConfig.tries: got '2'; allowed: a whole number. Choose another.",
+        "RectifyConfig.tries: got 1.5; allowed: a whole number. Choose another.",
+        "Effort: got a RectifyConfig; allowed: fast, default, thorough. For options of your own: "
+        "Rectifier(config)(photo).",
+        "Effort: got a list; allowed: fast, default, thorough. Name one of them.",
+        "Grid to edit: got a str; allowed: a RectifyResult. Rectify the photo first: GridEdit.of(Rectifier()(photo)).",
+        "Edited grid: got a RectifyResult; allowed: a GridEdit. Make one: GridEdit.of(result).",
+    ]
+
+
+def test_public_fields_have_public_types():
+    assert set(get_args(hybrid.Effort)) == {"fast", "default", "thorough"}
+    for record in (hybrid.RectifyResult, hybrid.SliceGrid, hybrid.StageReport, hybrid.Status, hybrid.GridEdit):
+        told = " ".join(str(one.type) for one in fields(record))
+        types = {name for name in re.findall(r"\b[A-Z]\w+", told) if hasattr(hybrid.records, name)}
+        own = {name for name in types if getattr(hybrid.records, name).__module__.startswith("hybrid.")}
+        assert own <= set(hybrid.__all__)
 
 
 def test_public_names_are_listed_before_they_are_used():

@@ -36,6 +36,19 @@ def test_python_blocks_run(block: str, monkeypatch: pytest.MonkeyPatch) -> None:
     assert names["film"] is not None, "the example photo gives a film"
 
 
+def test_options_set_from_python_count(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The example of docs/using.md, as it stands there."""
+    (block,) = re.findall(r"```python\n(.*?)```", (ROOT / "docs/using.md").read_text(), flags=re.DOTALL)
+    monkeypatch.chdir(ROOT)
+    names: dict[str, Any] = {}
+    exec(compile(block, "docs/using.md", "exec"), names)
+    config, result = names["config"], names["result"]
+    assert (config.tries, config.light.print_white, config.refine.sheet_rounds) == (1, 1.0, 2)
+    assert (config.refine.sheet.focal, config.refine.matched) == (1.0, False)  # named; as the effort has it
+    assert result.status.has_film
+    assert (result.film == 0).mean() > 0.01
+
+
 @pytest.mark.parametrize("page", PAGES)
 def test_commands_exist(page: str) -> None:
     text = (ROOT / page).read_text()

@@ -210,3 +210,12 @@ def test_photos_that_are_left_out_of_a_fused_film_are_no_part_of_it(result: Rect
     assert files[-1].name == "blank_fused.json"
     assert (record["photo"], record["further_photos"], record["left_out"]) == ("small.png", ["big.png"], ["blank.jpg"])
     assert (record["photo_sha256"], record["left_out_sha256"]) == (digest, [photo_digest(paths[0])])
+
+
+def test_a_tiff_that_is_larger_than_pillow_takes_says_how_it_was_compressed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    picture = np.random.default_rng(0).integers(0, 255, (64, 64, 3), np.uint8)
+    Image.fromarray(picture).save(tmp_path / "a.tif", compression="jpeg")
+    monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 100)  # of twice as many on Pillow refuses a picture
+    assert PhotoFile.of([tmp_path / "a.tif"], "0" * 64).method == JPEG

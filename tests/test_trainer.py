@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import os
+import re
 import signal
 import socket
 import subprocess
@@ -135,6 +136,28 @@ def test_checkpoints_of_earlier_versions_are_refused_in_a_line(dataset, tmp_path
     torch.save(stored, path)
     with pytest.raises(ConfigError, match=r"does not say its \w+, made by an earlier version.*another --out.*--start"):
         train(quick_run(dataset, tmp_path))
+
+
+@pytest.mark.usefixtures("tiny")
+def test_damaged_checkpoints_are_told_with_what_to_do(dataset, tmp_path):
+    """Cut off, overwritten, of something else, or of a network of another shape."""
+    train(quick_run(dataset, tmp_path))
+    path, curves = tmp_path / "checkpoint.pt", (tmp_path / "curves.csv").read_bytes()
+    whole, stored = path.read_bytes(), torch.load(path, weights_only=True)
+    rng = np.random.default_rng(0)
+    damaged = [whole[: int(share * len(whole))] for share in (0, 0.001, 0.5, 0.999)]
+    damaged += [b"no checkpoint", rng.bytes(5000), whole[:3000] + rng.bytes(3000) + whole[6000:]]
+    for other in (torch.zeros(3), {**stored, "network": {}}, {k: v for k, v in stored.items() if k != "optimiser"}):
+        torch.save(other, path)
+        damaged.append(path.read_bytes())
+    told = rf"{re.escape(str(path))}\): got no whole checkpoint \(.*Delete it, or choose another --out; .*--start"
+    for data in damaged:
+        path.write_bytes(data)
+        with pytest.raises(DataError, match=told):
+            train(quick_run(dataset, tmp_path, passes=20))
+        assert (tmp_path / "curves.csv").read_bytes() == curves
+    path.write_bytes(whole)
+    train(quick_run(dataset, tmp_path, passes=20))
 
 
 def test_the_digest_of_data_tells_numbered_files_apart(tmp_path):

@@ -2,6 +2,8 @@
 
 import json
 import os
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,6 +21,7 @@ from data_gen.volumes import (  # noqa: E402
     read_npz,
     reformatted,
     tissue_width_mm,
+    with_left_out,
     within_patient,
 )
 from hybrid.errors import DataError  # noqa: E402
@@ -201,6 +204,48 @@ def test_nifti_that_is_no_ct_is_refused_with_a_reason(tmp_path: Path):
             read_nifti(tmp_path / name)
     with pytest.raises(DataError, match="no volume"):
         load_volumes(tmp_path)
+
+
+def folder_with_odd_files(folder: Path, odd: int) -> Path:
+    """A scan, one of two slices, and so many files that are none."""
+    volume = cylinder(200.0)
+    for name, hu in (("scan", volume.hu), ("short", volume.hu[:2])):
+        save(folder / f"{name}.npz", hu=hu, spacing_mm=np.array(volume.spacing_mm))
+    for k in range(odd):
+        (folder / f"text_{k}.nii").write_bytes(b"text")
+    return folder
+
+
+def test_what_is_left_out_is_told_with_reasons_in_a_process_that_sets_nothing_up(tmp_path: Path):
+    folder = folder_with_odd_files(tmp_path, 2)
+    code = f"from data_gen.volumes import load_volumes; print(len(load_volumes({str(folder)!r})))"
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert run.stdout == "1\n"
+    first, *reasons = run.stderr.splitlines()
+    assert first == f"3 of the CT sources in {folder} are left out:"
+    assert [reason.split(":")[0] for reason in reasons] == [
+        f"  NIfTI file ({folder}/text_0.nii)",
+        f"  NIfTI file ({folder}/text_1.nii)",
+        "  short",
+    ]
+    assert reasons[-1] == "  short: fewer than 3 slices"
+
+
+def test_of_many_that_are_left_out_the_first_are_told(tmp_path: Path):
+    volumes, told = with_left_out(load_volumes, folder_with_odd_files(tmp_path, 7))
+    assert [volume.name for volume in volumes] == ["scan"]
+    (message,) = told
+    assert message.startswith("8 of the CT sources")
+    assert message.endswith("\n  and 3 more")
+    assert len(message.splitlines()) == 7
+    (tmp_path / "scan.npz").unlink()
+    with pytest.raises(DataError, match=r"(?s)no volume of 3 or more.*text_0.*and 3 more"):
+        load_volumes(tmp_path)
+
+
+def test_one_that_is_left_out_is_one(tmp_path: Path):
+    _, (message,) = with_left_out(load_volumes, folder_with_odd_files(tmp_path, 0))
+    assert message == f"1 of the CT sources in {tmp_path} is left out:\n  short: fewer than 3 slices"
 
 
 @pytest.mark.skipif(SHARED is None, reason="HYBRID_SHARED_DATA is not set: no real CT volumes")

@@ -6,7 +6,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from hybrid.learn.network import Residual
 from hybrid.learn.tensors import Network
+from hybrid.learn.upright import Mix
 
 
 class PackedConv(nn.Module):
@@ -26,6 +28,25 @@ class PackedConv(nn.Module):
     def forward(self, x: Float[Tensor, "b c H W"]) -> Float[Tensor, "b k h w"]:
         """The same as without, but for the last bits."""
         return torch.ops.mkldnn._convolution_pointwise(x, self.packed, self.bias, *self.shape, self.then, [], "")
+
+    def added_to(self, beside: Float[Tensor, "b k h w"], x: Float[Tensor, "b c H W"]) -> Float[Tensor, "b k h w"]:
+        """What the convolution makes of x, added to what lies beside it, and a ReLU: in one pass over the result."""
+        return torch.ops.mkldnn._convolution_pointwise.binary(
+            x, beside, self.packed, self.bias, *self.shape, "add", 1.0, "relu", [], ""
+        )
+
+
+class PackedResidual(nn.Module):
+    """Convolutions beside an identity (``Residual``, ``Mix``): the last of them adds it."""
+
+    def __init__(self, first: nn.Module, last: nn.Module) -> None:
+        super().__init__()
+        assert isinstance(last, PackedConv)
+        self.first, self.last = first, last
+
+    def forward(self, x: Float[Tensor, "b c h w"]) -> Float[Tensor, "b c h w"]:
+        """The same as without, but for the last bits."""
+        return self.last.added_to(x, self.first(x))
 
 
 def ready(network: Network) -> Network:
@@ -53,8 +74,14 @@ def _pack(network: nn.Module) -> None:
                 setattr(network, name, PackedConv(child))
             case nn.Sequential(), [nn.Conv2d() as conv, nn.ReLU()]:
                 setattr(network, name, PackedConv(conv, relu=True))
+            case Residual(), _:
+                _pack(child)
+                setattr(network, name, PackedResidual(child.first, child.second[0]))
+            case Mix(), _:
+                _pack(child)
+                setattr(network, name, PackedResidual(nn.Identity(), child.conv[0]))
             case _:
                 _pack(child)
 
 
-__all__ = ["PackedConv", "ready"]
+__all__ = ["PackedConv", "PackedResidual", "ready"]

@@ -58,8 +58,8 @@ class UprightConfig:
 
     def __post_init__(self) -> None:
         require_at_least(self, 1, "min_slice_px")
-        require_at_least(self, 0, "turned", "mirrored")
-        require_at_most(self, 1, "turned", "mirrored")
+        require_at_least(self, 0, "turned", "mirrored", "min_probability", "enough")
+        require_at_most(self, 1, "turned", "mirrored", "min_probability")
         if self.mirror and self.turn == "read":
             do = "Name the turn as well: 0, 90, 180 or 270."
             raise ConfigError(describe(what="UprightConfig.mirror", got="no turn beside it", do=do))
@@ -106,7 +106,8 @@ def _readings(
     """Logits of the eight ways by ever more of the film, and what that is: where there is a grid, the order of its
     slices; the patches that are most written on, which mostly are enough; what slices show; then the other patches, a
     few at a time."""
-    by_writing, by_cells, first_read = torch.zeros(8), torch.zeros(8), "writing"
+    by_writing = by_cells = torch.zeros(8, dtype=torch.float32, device="cpu")
+    first_read = "writing"
     if vertices is not None:
         by_cells, first_read = torch.from_numpy(order_chances(grey, vertices)).log().float(), "writing, order of slices"
     parts: Sequence[Tensor] = ()

@@ -37,6 +37,7 @@ class PredictConfig:
     def __post_init__(self) -> None:
         require_at_least(self, 1, "looks", "least_px")
         require_at_least(self, 0, "sides", "margin")
+        require_at_most(self, 7, "sides")
         require_at_most(self, 0.4, "margin")
 
 

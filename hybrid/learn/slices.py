@@ -136,7 +136,7 @@ def turn_logits(network: SliceNet, film: UInt8[np.ndarray, "h w"], vertices: Flo
     all cells are empty."""
     pictures = slice_pictures(film, vertices, network.config)
     if not len(pictures):
-        return torch.zeros(4)
+        return torch.zeros(4, dtype=torch.float32, device="cpu")
     with torch.inference_mode():
         chances = network(torch.from_numpy(pictures)[None]).films[0].softmax(dim=0)
     chances = (1 - UPSIDE_DOWN) * chances + UPSIDE_DOWN * chances.roll(2)

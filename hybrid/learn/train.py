@@ -28,6 +28,7 @@ from torch import Tensor, nn
 from torch.utils.data import DataLoader, Dataset
 from tqdm import tqdm
 
+from hybrid.command import flag_of
 from hybrid.errors import ConfigError, DataError, HybridError, describe
 from hybrid.image_io import write_bytes, write_rgb
 from hybrid.learn.dewarpnet import DewarpNet
@@ -83,6 +84,9 @@ class TrainConfig:
     device: Literal["cpu", "cuda"] = "cpu"
     """Where the network is trained."""
 
+    def __post_init__(self) -> None:
+        Plan.of(self)  # options that cannot be are refused before any data is read
+
 
 @dataclass(frozen=True)
 class Plan:
@@ -100,29 +104,8 @@ class Plan:
         Raises:
             ConfigError: no such preset, or an option that it does not have.
         """
+        _refuse_numbers(config)
         coarse_px = config.coarse_px if config.coarse_share else None
-        for name, value, least in (
-            ("passes", config.passes, 1),
-            ("held_out", config.held_out, 0),
-            ("loaders", config.loaders, 0),
-            ("batch", config.batch, 1),
-            ("input_px", config.input_px, 32),
-            ("coarse_px", coarse_px, 32),
-            ("seed", config.seed, 0),
-            ("steps_per_test", config.steps_per_test, 1),
-            ("weight_decay", config.weight_decay, 0),
-        ):
-            if value is not None and not least <= value < math.inf:
-                allowed, do = f">= {least}", "Choose another."
-                raise ConfigError(describe(what=_flag(name), got=value, allowed=allowed, do=do))
-        for name, number in (("learning_rate", config.learning_rate), ("width", config.width)):
-            if number is not None and not 0 < number < math.inf:
-                raise ConfigError(describe(what=_flag(name), got=number, allowed="> 0", do="Choose another."))
-        for name, share in (("ema", config.ema), ("coarse_share", config.coarse_share)):
-            if not 0 <= share < 1:
-                raise ConfigError(
-                    describe(what=_flag(name), got=share, allowed="from 0 to below 1", do="Choose another.")
-                )
         if config.device == "cuda" and not torch.cuda.is_available():
             do = "Train on the processor (--device cpu), or install a PyTorch that was built for CUDA."
             raise ConfigError(describe(what="--device", got="cuda, of which PyTorch finds none", do=do))
@@ -137,7 +120,7 @@ class Plan:
         for name, px in (("input_px", chosen.config.input_px), ("coarse_px", coarse_px)):
             if px is not None and px % chosen.px_multiple:
                 allowed, do = f"multiples of {chosen.px_multiple}", "Choose another."
-                raise ConfigError(describe(what=_flag(name), got=px, allowed=allowed, do=do))
+                raise ConfigError(describe(what=flag_of(name), got=px, allowed=allowed, do=do))
         return Plan(config, chosen, config.batch or chosen.batch, config.learning_rate or chosen.learning_rate)
 
     @property
@@ -157,9 +140,40 @@ class Plan:
         return 0.5 * self.learning_rate * (1 + math.cos(math.pi * (step - warm) / max(1, self.steps - warm)))
 
 
-def _flag(name: str) -> str:
-    """An option's name on the command line."""
-    return f"--{name.replace('_', '-')}"
+def _refuse_numbers(config: TrainConfig) -> None:
+    """Refuse numbers that no training can have, whatever its preset.
+
+    Raises:
+        ConfigError: one is.
+    """
+    coarse_px = config.coarse_px if config.coarse_share else None
+    for name, value, least in (
+        ("passes", config.passes, 1),
+        ("held_out", config.held_out, 0),
+        ("loaders", config.loaders, 0),
+        ("batch", config.batch, 1),
+        ("input_px", config.input_px, 32),
+        ("coarse_px", coarse_px, 32),
+        ("seed", config.seed, 0),
+        ("steps_per_test", config.steps_per_test, 1),
+        ("weight_decay", config.weight_decay, 0),
+    ):
+        if value is not None and not least <= value < math.inf:
+            allowed, do = f">= {least}", "Choose another."
+            raise ConfigError(describe(what=flag_of(name), got=value, allowed=allowed, do=do))
+    if config.seed > MOST_SEED:
+        raise ConfigError(describe(what="--seed", got=config.seed, allowed=f"<= {MOST_SEED}", do="Choose another."))
+    if not config.minutes_per_save >= 0:
+        got, do = config.minutes_per_save, "Choose another."
+        raise ConfigError(describe(what="--minutes-per-save", got=got, allowed=">= 0", do=do))
+    for name, number in (("learning_rate", config.learning_rate), ("width", config.width)):
+        if number is not None and not 0 < number < math.inf:
+            raise ConfigError(describe(what=flag_of(name), got=number, allowed="> 0", do="Choose another."))
+    for name, share in (("ema", config.ema), ("coarse_share", config.coarse_share)):
+        if not 0 <= share < 1:
+            raise ConfigError(
+                describe(what=flag_of(name), got=share, allowed="from 0 to below 1", do="Choose another.")
+            )
 
 
 @dataclass(frozen=True)
@@ -226,10 +240,10 @@ def train(config: TrainConfig) -> None:
     with _processes(config.device) as rank:
         if plan.batch % rank.count:
             got, allowed = f"{plan.batch} images", f"multiples of the {rank.count} processes"
-            raise ConfigError(describe(what="batch", got=got, allowed=allowed, do="Choose another --batch."))
+            raise ConfigError(describe(what="--batch", got=got, allowed=allowed, do="Choose another --batch."))
         if plan.batch < plan.preset.least_batch * rank.count:
             allowed = f">= {plan.preset.least_batch} for each of {rank.count} processes"
-            raise ConfigError(describe(what="batch", got=plan.batch, allowed=allowed, do="Choose another --batch."))
+            raise ConfigError(describe(what="--batch", got=plan.batch, allowed=allowed, do="Choose another --batch."))
         state = _State(plan, rank, len(places))
         loader = DataLoader(
             _Batches(plan, trained_on, rank),
@@ -374,8 +388,9 @@ class _State:
         part.replace(self.path)
 
     def _load(self) -> None:
-        stored = torch.load(self.path, map_location=self.plan.config.device, weights_only=True)
-        began = stored.get("began", {})
+        with self._told_if_damaged():
+            stored = torch.load(self.path, map_location=self.plan.config.device, weights_only=True)
+            began = stored.get("began", {})
         for name, now in self.began.items():
             if name not in began:
                 got = f"a checkpoint that does not say its {name}, made by an earlier version"
@@ -385,11 +400,25 @@ class _State:
                 got, allowed = f"{name} {now}", f"{began[name]}, as the run there began"
                 do = f"Go on with the {_AS_BEFORE.get(name, 'options')} it began with, or choose another --out."
                 raise ConfigError(describe(what="train", where=self.path.parent, got=got, allowed=allowed, do=do))
-        self.step = stored["step"]
+        with self._told_if_damaged():
+            self.step = stored["step"]
+            for name in ("network", "averaged", "optimiser"):
+                getattr(self, name).load_state_dict(stored[name])
         if self.rank.first:
             _cut_curves(self.curves, self.step * self.plan.batch)
-        for name in ("network", "averaged", "optimiser"):
-            getattr(self, name).load_state_dict(stored[name])
+
+    @contextmanager
+    def _told_if_damaged(self) -> Iterator[None]:
+        """What PyTorch makes of a file that is no checkpoint of this training, as an error with what to do."""
+        try:
+            yield
+        except (OSError, MemoryError, torch.OutOfMemoryError):
+            raise
+        except Exception as error:  # a damaged file makes it raise nearly anything
+            got = f"no whole checkpoint ({(str(error).splitlines() or [type(error).__name__])[0]})"
+            weights = f"the weights in {self.plan.config.preset}.safetensors beside it can be named by --start"
+            do = f"Delete it, or choose another --out; {weights}."
+            raise DataError(describe(what="train", where=self.path, got=got, do=do)) from error
 
     def _average(self) -> None:
         decay = min(self.plan.config.ema, (1 + self.step) / (10 + self.step))
@@ -442,6 +471,9 @@ _KEPT = (
     *("batch", "learning_rate", "weight_decay", "ema", "seed"),
 )
 """Options that a run keeps when it is resumed, besides its preset, data and precision."""
+
+MOST_SEED = 2**64 - 1
+"""The largest that PyTorch takes."""
 
 _AS_BEFORE = {"data": "data, in the order", "precision": "kind of processor"}
 """What to go on with, where it is no option."""

@@ -50,14 +50,19 @@ def save_weights(path: Path, network: nn.Module, config: Any, notes: dict[str, A
 def load_weights(path: Path, build: Callable[[Any], Network], config_type: type) -> Network:
     """Read a network in single precision, as ``build(config_type(...))`` with the configuration of the file.
 
+    It is built without weights and takes those of the file: neither does PyTorch's state of random numbers change, nor
+    do its defaults of type and device matter.
+
     Raises:
         DataError: no such file, not a weights file, of another kind or configuration, or made under other conventions.
     """
     metadata, tensors = _read(path, getattr(build, "__name__", str(build)))
     try:
         options: dict[str, Any] = json.loads(metadata["config"])
-        network = build(config_type(**{name: _frozen(value) for name, value in options.items()}))
-        network.load_state_dict(tensors, strict=True)
+        config = config_type(**{name: _frozen(value) for name, value in options.items()})
+        with torch.device("meta"):
+            network = build(config)
+        network.load_state_dict(tensors, strict=True, assign=True)
     except (KeyError, TypeError, ValueError, RuntimeError) as error:
         got = str(error).splitlines()[0]
         raise DataError(describe(what="weights", where=path, got=got, do="Train them again.")) from error

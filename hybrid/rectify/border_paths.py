@@ -14,6 +14,7 @@ from jaxtyping import Float
 from hybrid.backward import BackwardMap
 from hybrid.borders import GROUP, border_strips, inner_lines, strip_across
 from hybrid.coords import film_centres_1d
+from hybrid.errors import require_at_least
 from hybrid.pyramid import Photo, Pyramid
 from hybrid.records import SliceGrid
 from hybrid.rectify.edge_paths import PathConfig, read_paths
@@ -36,6 +37,10 @@ class BorderConfig:
     soft_rows: float = 0.7
     sharp: float = 1e-4
     min_columns: int = 12
+
+    def __post_init__(self) -> None:
+        require_at_least(self, 1e-6, "sharp")
+        require_at_least(self, 1, "min_columns")
 
 
 def read_borders(
@@ -145,18 +150,14 @@ def _read(
     reader: StripReader,
     config: BorderConfig,
 ) -> tuple[Float[np.ndarray, "k c"], Float[np.ndarray, "k c"], Float[np.ndarray, "k c"]]:
-    """Row, spread and mass (EdgePaths) of the likeliest path of each of k borders, group by group; the last group is
+    """Row, spread and mass (EdgePaths) of the likeliest path of each of k borders, all groups at once; the last is
     filled up with borders of which there are enough already."""
     count = len(lines)
     whole = -(-count // GROUP) * GROUP
     which = [k if k < count else (k - GROUP) % count for k in range(whole)]
     images, inside = border_strips(photo, film, axis, lines[which], strip)
-    groups = [slice(start, start + GROUP) for start in range(0, whole, GROUP)]
-    paths = [read_paths(reader.logs(images[group], inside[group]), config.paths) for group in groups]
-    row, spread, mass = (
-        np.concatenate([getattr(p, name) for p in paths])[:count] for name in ("row", "spread", "mass")
-    )
-    return row, spread, mass
+    paths = read_paths(reader.logs(images, inside)[:count], config.paths)
+    return paths.row, paths.spread, paths.mass
 
 
 __all__ = ["BorderConfig", "borders_shown", "held_to", "read_borders"]

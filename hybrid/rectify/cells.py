@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
-from hybrid.errors import FittedWeights, require_at_least
+from hybrid.errors import FittedWeights, require_at_least, require_at_most
 from hybrid.rectify.cell_phases import AxisPhases
 from hybrid.rectify.grid import MAX_CELLS, GridConfig, line_votes, narrowed
 from hybrid.rectify.repeat import Repeats, autocorrelation, detail, highest
@@ -99,7 +99,8 @@ class CellsConfig:
     def __post_init__(self) -> None:
         require_at_least(self, 64, "side_px")
         require_at_least(self, 0.1, "detail_px")
-        require_at_least(self, 1, "kept")
+        require_at_least(self, 1, "kept", "widths_px")
+        require_at_most(self, 1, "least_filled")
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,7 +17,7 @@ from jaxtyping import Float
 
 from hybrid.backward import BackwardMap
 from hybrid.coords import film_centres_1d, film_nodes, node_centres_1d
-from hybrid.errors import require_at_least
+from hybrid.errors import require_at_least, require_at_most
 from hybrid.pyramid import Pyramid
 from hybrid.rectify.edge_paths import (
     CORNER,
@@ -64,27 +64,13 @@ class ClearMarginsConfig:
 
     def __post_init__(self) -> None:
         require_at_least(self, 1e-3, "least")
-
-
-@dataclass(frozen=True)
-class Longer:
-    """By how much a film is longer than its map, beyond both ends along an axis (0: along u), in parts of the map."""
-
-    axis: int
-    before: float
-    after: float
-
-    def applied(self, film: BackwardMap) -> BackwardMap:
-        """The map made so much longer, straight on beyond its ends."""
-        uv = film_nodes(NODES).copy()
-        uv[..., self.axis] = (1.0 + self.before + self.after) * uv[..., self.axis] - self.before
-        return BackwardMap(film.photo_from_film(uv))
+        require_at_most(self, 1, "noticed", "least", "likely")
 
 
 @dataclass(frozen=True, eq=False)
 class LongerSheet:
     """A sheet with margins that were taken for the ground. read: its edges, across those of its map. gained: by how
-    much it is longer at which ends, both across one axis, in parts of the film before."""
+    much it is longer at which ends, in parts of the film before."""
 
     read: EdgesRead
     gained: Mapping[Side, float]
@@ -94,12 +80,17 @@ class LongerSheet:
         what both sides gain there, of the end where that is least."""
         return min(float(across.support[SIDES.index(end)]) * self._sides(across, end) for end in self.gained)
 
+    def only(self, end: Side) -> LongerSheet:
+        """The same as far as one end goes."""
+        return replace(self, gained={end: self.gained[end]})
+
     def _sides(self, across: EdgesRead, end: Side) -> float:
         """Mean probability of the edges on both sides of what the sheet gains at one of its ends, as far as the photo
         shows them; 0 where it hardly does."""
         chances = across.chances[[side.axis != end.axis for side in SIDES]]
         depth = -_outside(film_centres_1d(chances.shape[1]), end)  # inside of the new end
-        gained = chances[:, (depth < self.gained[end] / (1.0 + sum(self.gained.values()))) & (depth > CORNER)]
+        along = 1.0 + sum(length for side, length in self.gained.items() if side.axis == end.axis)
+        gained = chances[:, (depth < self.gained[end] / along) & (depth > CORNER)]
         shown = np.isfinite(gained)
         return float(gained[shown].mean()) if gained.size and shown.mean() >= SIDES_SHOWN else 0.0
 
@@ -113,28 +104,46 @@ def with_margins(
 ) -> Iterator[LongerSheet]:
     """The sheet with margins that were taken for the ground, its map put on its edges; mostly none."""
     noticed = _edges_beyond(pyramid, film, reader, edges, config)
-    for axis in (0, 1):
-        new = [end for end in noticed if end.axis == axis]
+    for new in _together(list(noticed)):
         while new:
-            longer = [noticed[side] if side in new else 0.0 for side in SIDES if side.axis == axis]
-            if (start := Longer(axis, *longer).applied(film)).folds((17, 17)):
+            start = lengthened(film, {end: noticed[end] for end in new})
+            if start.folds((17, 17)):
                 break
             on_edges = put_on_edges(start, read_edges(pyramid, start, reader, edges), edges)
             moved = {side: _gained(film, on_edges, side) for side in SIDES}
             if any(abs(moved[side]) >= config.least for side in SIDES if side not in new):
                 break  # another edge was read as that of a side that was right
             read = look_across(pyramid, on_edges, reader, edges)
+            longer = LongerSheet(read, {end: moved[end] for end in new})
             borne_out = [
                 end
                 for end in new
                 if moved[end] >= config.least
                 and _shown(on_edges, end, pyramid.size)
-                and LongerSheet(read, {end: moved[end]}).chance(read) >= config.likely
+                and longer.only(end).chance(read) >= config.likely
             ]
             if borne_out == new:
-                yield LongerSheet(read, {end: moved[end] for end in new})
+                yield longer
                 break
             new = borne_out
+
+
+def lengthened(film: BackwardMap, gained: Mapping[Side, float]) -> BackwardMap:
+    """The map made longer at some of its ends, in parts of it, straight on beyond them."""
+    added = np.zeros((2, 2))
+    for end, length in gained.items():
+        added[int(end.edge), end.axis] = length
+    before, after = added
+    return BackwardMap(film.photo_from_film((1.0 + before + after) * film_nodes(NODES) - before))
+
+
+def _together(noticed: list[Side]) -> Iterator[list[Side]]:
+    """Ends that are tried together: first all of them, as what a sheet gains at one end has an edge on its sides only
+    if it has been made as wide as it is; then those across each axis, as one that is none spoils the others."""
+    across = [[end for end in noticed if end.axis == axis] for axis in (0, 1)]
+    if all(across):
+        yield noticed
+    yield from across
 
 
 def _edges_beyond(
@@ -143,16 +152,18 @@ def _edges_beyond(
     """The film's ends beyond which something reads as the sheet's edge, and how far beyond."""
     photo, on_copy = strip_copy(pyramid, film, reader.strip)
     found: dict[Side, tuple[float, float]] = {}
-    for middle in config.beyond:
-        beyond = [(replace(side, edge=side.edge - side.inward * middle), on_copy) for side in SIDES]
-        paths = read_paths(reader.logs(*strips_across(photo, beyond, reader.strip)), edges.paths)
-        off = middle - reader.strip.depth_of(paths.row)
-        core = off_corners(off.shape[1])
-        for k, side in enumerate(SIDES):
-            counts = core & (off[k] > config.least)
-            mass = float((paths.mass[k] * counts).sum() / core.sum())
-            if mass > max(config.noticed, found.get(side, (0.0, 0.0))[0]):
-                found[side] = mass, float(np.median(off[k, counts]))
+    beyond = [(side, middle) for middle in config.beyond for side in SIDES]
+    if not beyond:
+        return {}
+    lines = [(replace(side, edge=side.edge - side.inward * middle), on_copy) for side, middle in beyond]
+    paths = read_paths(reader.logs(*strips_across(photo, lines, reader.strip)), edges.paths)
+    depth, core = reader.strip.depth_of(paths.row), off_corners(paths.row.shape[1])
+    for k, (side, middle) in enumerate(beyond):
+        off = middle - depth[k]
+        counts = core & (off > config.least)
+        mass = float((paths.mass[k] * counts).sum() / core.sum())
+        if mass > max(config.noticed, found.get(side, (0.0, 0.0))[0]):
+            found[side] = mass, float(np.median(off[counts]))
     return {side: off for side, (_, off) in found.items()}
 
 
@@ -180,4 +191,4 @@ def _outside(at: Float[np.ndarray, " n"], end: Side) -> Float[np.ndarray, " n"]:
     return end.inward * (end.edge - at)
 
 
-__all__ = ["ClearMarginsConfig", "Longer", "LongerSheet", "with_margins"]
+__all__ = ["ClearMarginsConfig", "LongerSheet", "lengthened", "with_margins"]

@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from hybrid.coords import centres_1d
-from hybrid.errors import require_at_least
+from hybrid.errors import require_at_least, require_at_most
 from hybrid.film_view import FilmView
 from hybrid.rectify.repeat import Repeats, cell_corners, detail, shrunk
 from hybrid.rectify.sightings import Sightings
@@ -66,7 +66,9 @@ class CongealConfig:
     def __post_init__(self) -> None:
         require_at_least(self, 0.001, "block_px", "min_gain")
         require_at_least(self, 0.1, "blurs_px", "light")
-        require_at_least(self, 1, "steps")
+        require_at_least(self, 1e-6, "shared_sigma")
+        require_at_least(self, 1, "steps", "min_blocks")
+        require_at_most(self, 1, "min_gain", "min_correlation")
 
     def shrunk(self, factor: int) -> CongealConfig:
         """The same options in pixels of a view that is reduced by ``factor``."""

@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Float
 
 from hybrid.backward import BackwardMap, mean_move
-from hybrid.errors import require_at_least
+from hybrid.errors import require_at_least, require_at_most
 from hybrid.film_view import FilmView
 from hybrid.rectify.border_paths import BorderConfig, held_to, read_borders
 from hybrid.rectify.cell_phases import AxisPhases
@@ -105,6 +105,8 @@ class RefineConfig:
     def __post_init__(self) -> None:
         require_at_least(self, 64, "working_px")
         require_at_least(self, 1e-3, "sheet_prior_px")
+        require_at_least(self, 1e-6, "rule_width")
+        require_at_most(self, 1, "counts")
 
     @property
     def outline_again(self) -> OutlineConfig:

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 
 from hybrid.backward import BackwardMap
 from hybrid.coords import photo_from_opencv, sample_bilinear
-from hybrid.errors import require_at_least
+from hybrid.errors import require_at_least, require_at_most
 from hybrid.records import CoarseMaps
 from hybrid.rectify.resample import index_in_grid
 
@@ -26,6 +26,7 @@ class CoverConfig:
 
     def __post_init__(self) -> None:
         require_at_least(self, 4, "side_px")
+        require_at_most(self, 1, "least_chance")
 
 
 def covered_parts(

@@ -13,26 +13,23 @@ def best_paths(score: Float[np.ndarray, "b d p"], max_step: int = 2, cost: float
     each row stepped."""
     b, d, p = score.shape
     columns = np.ascontiguousarray(np.moveaxis(score, 2, 0))
-    steps = np.arange(-max_step, max_step + 1)
+    price = cost * np.abs(np.arange(-max_step, max_step + 1))[:, None]
     # Best sum of a path from the first column to each place; rows beyond the image are never worth a step.
     sums = np.full((p, b, d + 2 * max_step), -np.inf)
-    sums[0, :, max_step : max_step + d] = columns[0]
-    stepped = np.empty((b, d))
+    inner = sums[:, :, max_step : max_step + d]
+    inner[0] = columns[0]
+    came = np.lib.stride_tricks.sliding_window_view(sums, d, axis=2)  # the sums before, for each step
+    worth = np.empty((p, b, 2 * max_step + 1, d))
     for column in range(1, p):
-        before, total = sums[column - 1], sums[column, :, max_step : max_step + d]
-        total[:] = before[:, max_step : max_step + d]
-        for step in range(1, max_step + 1):
-            np.maximum(before[:, max_step - step :][:, :d], before[:, max_step + step :][:, :d], out=stepped)
-            np.subtract(stepped, cost * step, out=stepped)
-            np.maximum(total, stepped, out=total)
-        np.add(total, columns[column], out=total)
-    path = np.empty((b, p), dtype=np.intp)
-    path[:, -1] = np.argmax(sums[-1, :, max_step : max_step + d], axis=1)
-    rows = np.arange(b)[:, None]
+        np.subtract(came[column - 1], price, out=worth[column])
+        np.maximum.reduce(worth[column], axis=1, out=inner[column])
+        inner[column] += columns[column]
+    path = np.empty((p, b), dtype=np.intp)
+    path[-1] = inner[-1].argmax(axis=1)
+    image = np.arange(b)
     for column in range(p - 1, 0, -1):
-        near = sums[column - 1, rows, path[:, column, None] + max_step + steps] - cost * np.abs(steps)
-        path[:, column - 1] = path[:, column] + steps[np.argmax(near, axis=1)]
-    return path
+        path[column - 1] = path[column] + worth[column, image, :, path[column]].argmax(axis=1) - max_step
+    return np.ascontiguousarray(path.T)
 
 
 def parabola_peak(values: Float[np.ndarray, "d p"]) -> Float[np.ndarray, " p"]:

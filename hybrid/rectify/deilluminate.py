@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Bool, Float32, UInt8
 
 from hybrid.coords import srgb_from_linear
-from hybrid.errors import require_at_least
+from hybrid.errors import require_at_least, require_at_most
 from hybrid.levels import CLIPPED, LEAST_CONTRAST, LevelReader, Levels, grey_table
 from hybrid.rectify.survey import survey_light
 from hybrid.threads import in_strips
@@ -52,6 +52,8 @@ class DeilluminateConfig:
     def __post_init__(self) -> None:
         require_at_least(self, 16, "work_px")
         require_at_least(self, 1e-3, "gain_blur")
+        require_at_least(self, 0, "print_black")
+        require_at_most(self, 1, "print_black", "print_white", "least_print")
         require_at_least(self, self.print_black + 0.05, "print_white")
 
 

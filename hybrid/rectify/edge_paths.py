@@ -15,6 +15,7 @@ from jaxtyping import Bool, Float, Int
 
 from hybrid.backward import BackwardMap
 from hybrid.coords import film_centres_1d
+from hybrid.errors import require_at_least, require_at_most
 from hybrid.pyramid import Pyramid
 from hybrid.rectify.curves import best_paths
 from hybrid.rectify.outline import edge_sightings
@@ -46,6 +47,10 @@ class PathConfig:
     min_mass: float = 0.35
     row_sigma: float = 0.5
 
+    def __post_init__(self) -> None:
+        require_at_least(self, 1e-3, "row_sigma")
+        require_at_most(self, 0, "floor")
+
 
 @dataclass(frozen=True)
 class EdgeConfig:
@@ -67,20 +72,24 @@ class EdgeConfig:
     sure: float = 0.95
     spline: SplineConfig = field(default_factory=SplineConfig)
 
+    def __post_init__(self) -> None:
+        require_at_least(self, 1, "min_columns")
+        require_at_most(self, 1, "doubtful", "surer", "sure")
+
 
 @dataclass(frozen=True, eq=False)
 class EdgePaths:
-    """The likeliest edges in four strips. row: to a fraction, for each column. spread: in rows. mass: probability that
+    """The likeliest edges in some strips. row: to a fraction, for each column. spread: in rows. mass: probability that
     the edge crosses the column there."""
 
-    row: Float[np.ndarray, "4 c"]
-    spread: Float[np.ndarray, "4 c"]
-    mass: Float[np.ndarray, "4 c"]
+    row: Float[np.ndarray, "k c"]
+    spread: Float[np.ndarray, "k c"]
+    mass: Float[np.ndarray, "k c"]
 
 
-def read_paths(logs: Float[np.ndarray, "4 r1 c"], config: PathConfig) -> EdgePaths:
-    """The likeliest path of each side, and how likely it is where."""
-    path: Int[np.ndarray, "4 c"] = best_paths(np.maximum(logs[:, :-1], config.floor), config.max_step, config.step_cost)
+def read_paths(logs: Float[np.ndarray, "k r1 c"], config: PathConfig) -> EdgePaths:
+    """The likeliest path through each strip, and how likely it is where."""
+    path: Int[np.ndarray, "k c"] = best_paths(np.maximum(logs[:, :-1], config.floor), config.max_step, config.step_cost)
     near = config.near
     chances = np.pad(np.exp(logs[:, :-1]), ((0, 0), (near, near), (0, 0)))
     offset = np.arange(-near, near + 1)[None, :, None]

@@ -205,8 +205,10 @@ def _rows(widths: tuple[float, ...]) -> Int[np.ndarray, " n"]:
 
 def _unexplained(bases: Float[np.ndarray, "*models k n"], local: Float[np.ndarray, "n p 3"]) -> np.ndarray:
     """(*models, p) logarithm of the share of each profile's variance that each model leaves unexplained."""
-    coefficients = bases.reshape(-1, len(local)) @ local.reshape(len(local), -1)
-    explained = np.square(coefficients).reshape(*bases.shape[:-1], -1, 3).sum(axis=(-3, -1))
+    squares = bases.reshape(-1, len(local)) @ local.reshape(len(local), -1)
+    np.square(squares, out=squares)
+    colours = squares.reshape(*bases.shape[:-1], -1).sum(axis=-2)
+    explained = colours[..., 0::3] + colours[..., 1::3] + colours[..., 2::3]  # NumPy sums slowly along so short an axis
     total, variance = (np.square(y).sum(axis=(0, 2)) for y in (local, local - local.mean(axis=0)))
     return np.log(np.maximum(total - explained, 0.0) / np.maximum(variance, 1e-5) + UNEXPLAINED)
 

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from jaxtyping import Float
 
 from hybrid.backward import BackwardMap
 from hybrid.errors import require_at_least
@@ -18,6 +19,10 @@ FORMATS_CM = ((35, 43), (28, 35), (25, 30), (20, 25))
 
 FOCALS = 60
 """Focal lengths that are tried, each 3 % longer than the one before."""
+
+MAIN_FOCAL, MAIN_SIGMA = 0.75, 0.1
+"""Focal length of phones' main lenses (24 to 28 mm for 35 mm film), in sides of the photo, and its logarithm's standard
+deviation."""
 
 SIGMAS, LOOSEST = 3.0, 0.1
 """How many standard deviations beside a ratio that the photo leaves open known ones are looked for, and how far at
@@ -76,12 +81,21 @@ def known_by_plane(
     across, down = (unseen * homography[:, k] for k in (0, 1))
     squares = inner(across, across), inner(down, down)
     cosine = inner(across, down) / np.sqrt(squares[0] * squares[1])
-    unusual = np.log(focal / config.focal) / config.focal_sigma[1]
-    cost = (cosine / RIGHT_ANGLE) ** 2 + unusual**2
+    cost = (cosine / RIGHT_ANGLE) ** 2 - 2.0 * np.log(_likelihood(np.log(focal), config))
     aspects, best = 0.5 * np.log(squares[1] / squares[0]), int(np.argmin(cost))
     weight = np.exp(-0.5 * (cost - cost[best]))
     variance = float(weight @ np.square(aspects - aspects[best]) / weight.sum())
     return float(np.exp(aspects[best])), float(np.sqrt(variance))
+
+
+def _likelihood(log_focal: Float[np.ndarray, " n"], config: SheetConfig) -> Float[np.ndarray, " n"]:
+    """How likely photos with such logarithms of the focal length are: by a main lens, or by any."""
+
+    def normal(middle: float, sigma: float) -> Float[np.ndarray, " n"]:
+        return np.exp(-0.5 * np.square((log_focal - np.log(middle)) / sigma)) / sigma
+
+    main, any_lens = normal(MAIN_FOCAL, MAIN_SIGMA), normal(config.focal, config.focal_sigma[1])
+    return config.main_lens * main + (1.0 - config.main_lens) * any_lens + 1e-12
 
 
 def snap_aspect(

@@ -18,7 +18,7 @@ from jaxtyping import Complex, Float
 
 from hybrid.backward import BackwardMap
 from hybrid.coords import node_centres_1d
-from hybrid.errors import require_at_least
+from hybrid.errors import require_at_least, require_at_most
 from hybrid.rectify.cell_phases import MIDDLES, AxisPhases, CellPhases
 from hybrid.rectify.sightings import Sightings, SplineConfig, carried, fit_displacement
 
@@ -53,8 +53,10 @@ class ForeshorteningConfig:
     spline: SplineConfig = field(default_factory=SplineConfig)
 
     def __post_init__(self) -> None:
+        require_at_least(self, 0, "most")
         require_at_least(self, 1e-3, "steps", "pitches")
         require_at_least(self, 1e-6, "sigma", "edge_sigma", "shared_sigma")
+        require_at_most(self, 1, "least_slope", "least_length")
 
 
 @dataclass(frozen=True)

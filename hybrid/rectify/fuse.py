@@ -18,7 +18,7 @@ from jaxtyping import Bool, Float, Float32, UInt8
 
 from hybrid.backward import BackwardMap, Orientation
 from hybrid.coords import centres_1d, film_from_pixel, film_nodes, pixel_from_film, sample_bilinear
-from hybrid.errors import FusionError, describe, require_at_least
+from hybrid.errors import FusionError, describe, require_at_least, require_at_most
 from hybrid.levels import LevelReader
 from hybrid.records import LeftOut, RectifyResult, SliceGrid, StageReport
 from hybrid.rectify import bspline
@@ -66,8 +66,10 @@ class FuseConfig:
     merge: MergeConfig = field(default_factory=MergeConfig)
 
     def __post_init__(self) -> None:
-        require_at_least(self, 8, "patch_px")
+        require_at_least(self, 8, "patch_px", "sides_px")
         require_at_least(self, 1, "intervals")
+        require_at_least(self, 0, "smoothing", "least_contrast", "same")
+        require_at_most(self, 1, "same")
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from hybrid.coords import film_centres_1d
-from hybrid.errors import require_at_least
+from hybrid.errors import require_at_least, require_at_most
 from hybrid.rectify.sightings import Sightings
 
 Lines = TypeVar("Lines", bound="GridLines")
@@ -85,8 +85,11 @@ class GridConfig:
     """The same of one that ends in rules along the film's edges."""
 
     def __post_init__(self) -> None:
-        require_at_least(self, 1, "widths_px", "reach_px")
+        require_at_least(self, 1, "widths_px", "reach_px", "stations")
         require_at_least(self, 3, "strips")
+        require_at_least(self, 1e-3, "min_levels", "sigma_px")
+        require_at_least(self, 1e-6, "centre_sigma", "pitch_sigma", "inset_sigma", "snug_sigma", "flush_sigma")
+        require_at_most(self, 1, "share", "lone_share", "believed_share", "sure_share", "coverage")
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from hybrid.rectify.sightings import Sightings, SplineConfig, fit_displacement
+from hybrid.rectify.sightings import Sightings, SplineConfig, fit_displacement, lattice_rows
 
 MOST_RESIDUAL = 20.0
 """What a sighting that is further off counts as, in stated deviations."""
@@ -20,14 +20,16 @@ def held_out_residuals(sightings: Sequence[Sightings], config: SplineConfig, fol
     that a list shares are taken from the sightings that the spline did see.
     """
     before, after, count = 0.0, 0.0, 0
+    rows = lattice_rows(sightings, config)
     for fold in range(folds):
         out = [np.arange(len(s)) // 8 % folds == fold for s in sightings]
-        fit = fit_displacement([s.subset(~o) for s, o in zip(sightings, out, strict=True)], config)
-        for s, o, constants in zip(sightings, out, fit.constants, strict=True):
+        seen = [s.subset(~o) for s, o in zip(sightings, out, strict=True)]
+        fit = fit_displacement(seen, config, [r[~o] for r, o in zip(rows, out, strict=True)])
+        for s, r, o, constants in zip(sightings, rows, out, fit.constants, strict=True):
             held = s.subset(o)
             if not len(held):
                 continue
-            predicted = fit.displacement(held.places())[:, held.axis] - held.places()[:, held.axis]
+            predicted = r[o] @ fit.displacement.values[:, held.axis]
             offsets = held.offsets() - held.shared @ constants
             before += np.minimum(np.abs(_without_shared(held)) / held.sigma, MOST_RESIDUAL).sum()
             after += np.minimum(np.abs(offsets - predicted) / held.sigma, MOST_RESIDUAL).sum()

@@ -55,6 +55,7 @@ class InvertConfig:
         require_at_least(self, 1, "intervals", "min_pixels")
         require_at_least(self, MIN_NODES, "nodes")
         require_at_least(self, 0, "smoothing", "smoothing_per_variance")
+        require_at_least(self, 1e-6, "scale_floor")
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
+from hybrid.errors import require_at_least
 from hybrid.rectify.grid import Borders, Comb, GridConfig, GridLines
 from hybrid.rectify.layout import Evidence, Source
 from hybrid.rectify.outline import as_seen
@@ -40,6 +41,9 @@ class MarginsConfig:
     sigma: float = 1e-4
     loose: float = 0.012
     loose_gain: float = 0.03
+
+    def __post_init__(self) -> None:
+        require_at_least(self, 1e-6, "sigma")
 
     def in_the_middle(self, source: Source, off: float) -> bool:
         """Whether lines or borders whose middle lies so far from the film's may lie in its middle."""

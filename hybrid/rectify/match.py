@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from hybrid.coords import opencv_from_photo
-from hybrid.errors import require_at_least
+from hybrid.errors import require_at_least, require_at_most
 from hybrid.film_view import FilmView
 from hybrid.rectify.repeat import Repeats, cell_moments, detail, shrunk
 from hybrid.rectify.sightings import Sightings
@@ -53,6 +53,8 @@ class MatchConfig:
     def __post_init__(self) -> None:
         require_at_least(self, 1, "reach_px", "shrink")
         require_at_least(self, 0.1, "fine_px")
+        require_at_least(self, 1e-6, "constant_sigma", "pitch_sigma")
+        require_at_most(self, 1, "window_share", "min_match")
 
 
 def match_cells(view: FilmView, columns: Repeats, rows: Repeats, config: MatchConfig) -> tuple[Sightings, ...]:

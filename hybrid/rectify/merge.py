@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float32
 
+from hybrid.errors import require_at_least
 from hybrid.threads import in_strips
 
 Film = Float32[np.ndarray, "h w"]
@@ -27,6 +28,9 @@ class MergeConfig:
     """Display grey by which a photo may differ from the others, detail apart, before it is left out."""
     sharpness_px: int = 1024
     """Longer side of the copies on which films are compared by the detail they hold."""
+
+    def __post_init__(self) -> None:
+        require_at_least(self, 1e-6, "outlier")
 
 
 @dataclass(frozen=True, eq=False)

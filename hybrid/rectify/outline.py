@@ -20,7 +20,7 @@ from scipy.ndimage import uniform_filter1d
 
 from hybrid.backward import BackwardMap
 from hybrid.coords import film_centres_1d
-from hybrid.errors import require_at_least
+from hybrid.errors import require_at_least, require_at_most
 from hybrid.rectify.curves import best_paths, smooth_curve_weights
 from hybrid.rectify.edge_profile import EndOfSheet, end_of_sheet, profiles_along
 from hybrid.rectify.sightings import Sightings
@@ -71,7 +71,9 @@ class OutlineConfig:
     def __post_init__(self) -> None:
         require_at_least(self, 4, "profiles")
         require_at_least(self, 1, "windows_px", "gap_windows_px")
-        require_at_least(self, 1e-3, "sigma_px", "rule_sigma_px")
+        require_at_least(self, 1e-3, "sigma_px", "rule_sigma_px", "covered_px", "noise_levels")
+        require_at_least(self, 1e-6, "prior", "read_prior", "held_prior")
+        require_at_most(self, 1, "min_share", "clipped_share")
 
     @property
     def held(self) -> OutlineConfig:

@@ -11,6 +11,7 @@ from jaxtyping import Float, UInt8
 
 from hybrid.backward import BackwardMap
 from hybrid.coords import film_nodes
+from hybrid.errors import require_at_most
 from hybrid.records import StageReport
 from hybrid.rectify.cell_phases import CellPhases
 from hybrid.rectify.glance import glance
@@ -41,6 +42,9 @@ class PlaneConfig:
     """Largest distance of a corner by the edges from the corner by the network's map."""
     min_parts: int = 6
     """Of the eight parts of each edge, so many must be seen."""
+
+    def __post_init__(self) -> None:
+        require_at_most(self, PARTS, "min_parts")
 
 
 @dataclass(frozen=True, eq=False)

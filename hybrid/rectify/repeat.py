@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float, Int
 
+from hybrid.errors import require_at_most
 from hybrid.film_view import FilmView
 from hybrid.rectify.grid import MAX_CELLS
 
@@ -32,6 +33,9 @@ class RepeatConfig:
     """Of the pitches that correlate at least this well relative to the best, the smallest counts."""
     snug: float = 0.992
     """A grid that fills more than this fraction of the film is taken to have no margins."""
+
+    def __post_init__(self) -> None:
+        require_at_most(self, 1, "octave_ratio")
 
 
 @dataclass(frozen=True)

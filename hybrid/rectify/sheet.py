@@ -61,11 +61,13 @@ class SheetConfig:
     """That is the same sheet again where no coefficient lies this far, in film heights, from where it was."""
     reversed_gain: float = 0.75
     """It counts if the cost is less than this part then."""
-    focal: float = 0.85
-    """Usual focal length of a phone, in sides of the photo: 0.7 to 0.8 of most main lenses, others are longer."""
+    focal: float = 1.1
+    """Usual focal length of a phone, in sides of the photo: between that of main lenses and longer ones."""
     focal_sigma: tuple[float, float] = (0.1, 0.5)
     """Standard deviation of its logarithm: while nothing but the network's map is known, and with what is seen."""
-    focal_range: tuple[float, float] = (0.4, 3.5)
+    main_lens: float = 0.6
+    """Share of photos of flat films that are taken by a main lens (film_size.py); 0 where the focal length is told."""
+    focal_range: tuple[float, float] = (0.65, 3.5)
     """Shortest and longest of a phone."""
     beyond_sigma: float = 0.1
     """The standard deviation beyond these."""
@@ -79,8 +81,8 @@ class SheetConfig:
         require_at_least(self, 1e-3, "focal_sigma", "beyond_sigma", "distortion", "stretched", "bent")
         require_at_least(self, 1e-3, "edge_px", "print_px", "network_px")
         require_at_least(self, 1e-6, "strain")
-        require_at_least(self, 0, "firm", "steps")
-        require_at_most(self, 1, "firm")
+        require_at_least(self, 0, "firm", "steps", "main_lens")
+        require_at_most(self, 1, "firm", "main_lens")
         require_at_least(self, 1, "every", "intervals")
 
     @property

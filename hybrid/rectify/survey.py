@@ -14,6 +14,7 @@ from jaxtyping import Bool, Float, UInt8
 
 from hybrid.backward import BackwardMap
 from hybrid.coords import film_nodes, inside_outline, photo_from_opencv
+from hybrid.errors import require_at_least, require_at_most
 from hybrid.pyramid import Pyramid
 from hybrid.records import CoarseMaps, StatusCode
 from hybrid.rectify.invert import Inversion, NotInverted, apply_homography, fit_homography
@@ -48,6 +49,10 @@ class SurveyConfig:
     truth), a sheet of paper bright with dark type (-3.5 to -1.1 on photographed invoices)."""
     max_stretch: float = 60.0
     """Largest ratio of the areas that equal pieces of the film cover in the photo."""
+
+    def __post_init__(self) -> None:
+        require_at_least(self, 1, "max_stretch")
+        require_at_most(self, 1, "min_mask_share", "min_inlier_share", "min_coverage", "min_overlap")
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ import numpy as np
 
 from hybrid.backward import BackwardMap
 from hybrid.coords import film_centres_1d
-from hybrid.errors import FittedWeights, require_at_least
+from hybrid.errors import FittedWeights, require_at_least, require_at_most
 from hybrid.film_view import view_film
 from hybrid.pyramid import Pyramid
 from hybrid.records import CoarseMaps, Signs, SliceGrid, StatusCode
@@ -126,6 +126,9 @@ class TrustConfig:
 
     def __post_init__(self) -> None:
         require_at_least(self, 0, "limit_px")
+        require_at_most(
+            self, 1, "least_chance", "min_support", "least_support", "min_overlap", "min_in_step", "min_alike"
+        )
 
 
 def signs_of(

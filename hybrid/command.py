@@ -1,0 +1,133 @@
+"""The shell of every command: what a user can mend is a line that names options as the command line does, and Ctrl-C no
+stack trace."""
+
+from __future__ import annotations
+
+import os
+import re
+import sys
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, fields, is_dataclass
+from typing import Any, TypeVar, get_args, get_type_hints
+
+from hybrid.errors import ConfigError, DataError, HybridError
+
+Options = TypeVar("Options")
+
+FAILED, NOT_UNDERSTOOD, INTERRUPTED = 1, 2, 130
+"""Exit codes: of what went wrong, of a command line that is not understood, and of Ctrl-C."""
+
+
+@dataclass(frozen=True)
+class Ending:
+    """How a command ended. code: its exit code. told: a line on what went wrong; nothing else is to be said."""
+
+    code: int
+    told: str = ""
+
+
+class CommandLineError(HybridError):
+    """Options that cannot be, named as on the command line."""
+
+
+def ended(command: Callable[[], int], stopped: str) -> Ending:
+    """Run a command, which gives its exit code. stopped: what is true of its work after Ctrl-C, in words."""
+    try:
+        return Ending(command())
+    except BrokenPipeError:  # who reads this has gone, as ``head`` does
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return Ending(FAILED)
+    except CommandLineError as error:
+        return Ending(NOT_UNDERSTOOD, str(error))
+    except (HybridError, OSError, MemoryError) as error:
+        from hybrid.outputs import told
+
+        return Ending(FAILED, told(error))
+    except KeyboardInterrupt:
+        return Ending(INTERRUPTED, f"stopped; {stopped}")
+
+
+def run_options(
+    options: type[Options], run: Callable[[Options], int], words: Sequence[str] | None, prog: str, stopped: str
+) -> Ending:
+    """Run a command whose options are a dataclass, with these words, those of the command line if None.
+
+    run: gives the exit code. Its errors name options as the command line does, and where things are written (the
+    option ``out``, if there is one) if the system says of no file what it refuses.
+    """
+
+    def command() -> int:
+        given: Any = parsed(options, words, prog)
+        try:
+            return run(given)
+        except BrokenPipeError:
+            raise
+        except OSError as error:
+            from hybrid.outputs import told
+
+            raise DataError(told(error, getattr(given, "out", None))) from error
+        except HybridError as error:
+            raise type(error)(with_flags(str(error), options)) from error
+
+    return ended(command, stopped)
+
+
+def parsed(options: type[Options], words: Sequence[str] | None, prog: str) -> Options:
+    """The options that the words give; tyro ends the command where it does not understand them.
+
+    Raises:
+        CommandLineError: options that cannot be.
+    """
+    import tyro
+
+    try:
+        return tyro.cli(options, args=words, prog=prog)
+    except ConfigError as error:
+        message, flags = with_flags(str(error), options), _flags(options)
+        first, told = message.partition(": ")[::2]  # an option may be called by its bare name
+        flag = flags.get(f"{options.__name__}.{first}")
+        raise CommandLineError(message if flag is None else f"{flag}: {told}") from error
+
+
+def with_flags(message: str, options: type) -> str:
+    """A message about options (``GenerateConfig.map_size``) that calls them what the command line does."""
+    flags = _flags(options)
+    return re.sub(r"\b[A-Z]\w*\.\w+", lambda found: flags.get(found[0], found[0]), message)
+
+
+def _flags(options: type) -> dict[str, str]:
+    """``Kind.name`` and flag of each option of a dataclass and of those within it, but for kinds that come twice."""
+    every = list(_all_flags(options))
+    times = Counter(name for name, _ in every)
+    return {name: flag for name, flag in every if times[name] == 1}
+
+
+def _all_flags(options: type, before: str = "") -> Iterator[tuple[str, str]]:
+    """The same one by one, as tyro makes them."""
+    import tyro
+
+    conf = tyro.conf
+    positional, bare, hidden = (
+        get_args(mark[int])[1] for mark in (conf.Positional, conf.OmitArgPrefixes, conf.Suppress)
+    )
+    hints = get_type_hints(options, include_extras=True)
+    for one in fields(options):
+        hint = hints[one.name]
+        kind, *marks = get_args(hint) if hasattr(hint, "__metadata__") else (hint,)
+        if positional in marks or hidden in marks:
+            continue
+        named = [mark.name for mark in marks if getattr(mark, "name", None) is not None]
+        name = before + (named[0] if named else one.name)
+        if isinstance(kind, type) and is_dataclass(kind):
+            yield from _all_flags(kind, "" if bare in marks or not name else f"{name}.")
+        else:
+            yield f"{options.__name__}.{one.name}", flag_of(name)
+
+
+def flag_of(name: str) -> str:
+    """An option's name on the command line."""
+    return f"--{name}".replace("_", "-")
+
+
+__all__ = ["Ending", "ended", "flag_of", "parsed", "run_options", "with_flags"]
