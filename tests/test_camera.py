@@ -11,10 +11,10 @@ from PIL import Image
 from PIL.ExifTags import IFD, Base
 
 from hybrid.backward import BackwardMap
-from hybrid.camera import TOLD_SIGMA, told_focal
-from hybrid.pipeline import rectify
+from hybrid.camera import told_focal
+from hybrid.effort import RectifyConfig
+from hybrid.pipeline import _with_lens, rectify
 from hybrid.rectify.film_size import FilmSizeConfig, known_by_plane, snap_aspect
-from hybrid.rectify.sheet import SheetConfig
 
 SIZE = 400, 300
 """Width and height of the photos."""
@@ -70,7 +70,7 @@ def seen(turned: tuple[float, float, float], focal: float, aspect: float = 43 / 
 @pytest.mark.parametrize("focal", [0.4, 0.75, 1.5])
 def test_the_ratio_of_a_sheet_that_leans_is_open_but_for_the_lens(focal: float):
     """Its upper and lower side are parallel in the photo, whatever the lens."""
-    known = SheetConfig(focal=focal, focal_sigma=(TOLD_SIGMA, TOLD_SIGMA), main_lens=0.0)
+    known = _with_lens(RectifyConfig(), focal).refine.sheet
     ratio, sigma = known_by_plane(seen(LEANING, focal), (768, 1024), known)
     assert ratio == pytest.approx(43 / 35, rel=0.01)
     assert sigma < 0.03

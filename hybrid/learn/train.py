@@ -106,9 +106,6 @@ class Plan:
         """
         _refuse_numbers(config)
         coarse_px = config.coarse_px if config.coarse_share else None
-        if config.device == "cuda" and not torch.cuda.is_available():
-            do = "Train on the processor (--device cpu), or install a PyTorch that was built for CUDA."
-            raise ConfigError(describe(what="--device", got="cuda, of which PyTorch finds none", do=do))
         chosen = preset(config.preset)
         if config.width is not None:
             chosen = chosen.at_width(config.width)
@@ -227,10 +224,14 @@ def train(config: TrainConfig) -> None:
     A run that is resumed with more passes goes on along the longer schedule.
 
     Raises:
-        ConfigError: an option that cannot be, or that is not the one that a run to resume began with, or other data;
-        fewer samples than are held out. DataError: data that cannot be read, or of which the loss is no number.
+        ConfigError: an option that cannot be, or not on this machine, or that is not the one that a run to resume began
+        with, or other data; fewer samples than are held out. DataError: data that cannot be read, or of which the loss
+        is no number.
     """
     plan = Plan.of(config)
+    if config.device == "cuda" and not torch.cuda.is_available():
+        do = "Train on the processor (--device cpu), or install a PyTorch that was built for CUDA."
+        raise ConfigError(describe(what="--device", got="cuda, of which PyTorch finds none", do=do))
     places = plan.preset.feed.open(config.data)
     held_out, trained_on = plan.preset.feed.split(places, config.held_out)
     if not trained_on:
