@@ -323,10 +323,10 @@ def _photo_of(source: str | Path | np.ndarray, clock: Clock) -> tuple[Photo, flo
 
 
 def _with_lens(config: RectifyConfig, focal: float | None) -> RectifyConfig:
-    """The options for a photo whose focal length, in its longer sides, is told."""
-    if focal is None:
-        return config
+    """The options for a photo whose focal length, in its longer sides, is told; one that was asked for stays."""
     usual = config.refine.sheet
+    if focal is None or usual.focal != SheetConfig().focal:
+        return config
     limits = min(usual.focal_range[0], focal), max(usual.focal_range[1], focal)
     sheet = replace(usual, focal=focal, focal_sigma=(TOLD_SIGMA, TOLD_SIGMA), focal_range=limits, main_lens=0.0)
     return replace(config, refine=replace(config.refine, sheet=sheet))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -61,6 +62,14 @@ def test_what_is_no_lens_of_a_phone_is_none(tmp_path: Path):
 def test_the_lens_is_told_with_the_photo(tmp_path: Path):
     result = rectify(photo_with(tmp_path / "a.jpg", FocalLengthIn35mmFilm=26))
     assert result.stages[0].reason == "400 x 300 pixels, by a lens of 0.75 times its longer side"
+
+
+def test_a_lens_that_was_asked_for_counts_for_more():
+    asked, usual = RectifyConfig(), RectifyConfig()
+    asked = replace(asked, refine=replace(asked.refine, sheet=replace(asked.refine.sheet, focal=2.0)))
+    assert _with_lens(asked, 0.75) is asked
+    assert _with_lens(usual, 0.75).refine.sheet.focal == 0.75
+    assert _with_lens(usual, None) is usual
 
 
 def seen(turned: tuple[float, float, float], focal: float, aspect: float = 43 / 35) -> BackwardMap:
