@@ -13,7 +13,7 @@ from hybrid.effort import RectifyConfig
 from hybrid.geometry import MOST_MARGINS, whole_sheet
 from hybrid.pyramid import Pyramid
 from hybrid.records import SliceGrid
-from hybrid.rectify.clear_margins import ClearMarginsConfig, LongerSheet, lengthened, with_margins
+from hybrid.rectify.clear_margins import ClearMarginsConfig, LongerSheet, _together, lengthened, with_margins
 from hybrid.rectify.edge_paths import EdgesRead
 from hybrid.rectify.refine import Refinement
 from hybrid.stages import Clock
@@ -103,6 +103,16 @@ def test_a_longer_map_goes_straight_on():
     low, high = ends(lengthened(film, {bottom: 0.5, left: 0.1}))
     np.testing.assert_allclose(low, [100 - 0.1 * 500, 160])
     np.testing.assert_allclose(high, [600, 540 + 0.5 * 380])
+
+
+def test_an_end_that_shows_nothing_may_lie_as_far_as_the_one_opposite():
+    """Beyond the lower end nothing is read through the map, as the sheet is wider than it."""
+    top, bottom, left, right = SIDES
+    tried = [{side.name: off for side, off in one.items()} for one in _together({top: 0.2, left: 0.1, right: 0.15})]
+    assert tried[0] == {"top": 0.2, "bottom": 0.2, "left": 0.1, "right": 0.15}
+    assert tried[1:] == [{"top": 0.2, "left": 0.1, "right": 0.15}, {"left": 0.1, "right": 0.15}, {"top": 0.2}]
+    assert [list(one) for one in _together({left: 0.1, right: 0.2})] == [[left, right], []]
+    assert [len(one) for one in _together(dict.fromkeys((top, bottom, left, right), 0.1))] == [4, 2, 2]
 
 
 def test_margins_on_all_sides_are_found_at_once():

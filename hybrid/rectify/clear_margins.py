@@ -103,10 +103,10 @@ def with_margins(
     pyramid: Pyramid, film: BackwardMap, reader: StripReader, edges: EdgeConfig, config: ClearMarginsConfig
 ) -> Iterator[LongerSheet]:
     """The sheet with margins that were taken for the ground, its map put on its edges; mostly none."""
-    noticed = _edges_beyond(pyramid, film, reader, edges, config)
-    for new in _together(list(noticed)):
+    for ahead in _together(_edges_beyond(pyramid, film, reader, edges, config)):
+        new = list(ahead)
         while new:
-            start = lengthened(film, {end: noticed[end] for end in new})
+            start = lengthened(film, {end: ahead[end] for end in new})
             if start.folds((17, 17)):
                 break
             on_edges = put_on_edges(start, read_edges(pyramid, start, reader, edges), edges)
@@ -137,11 +137,18 @@ def lengthened(film: BackwardMap, gained: Mapping[Side, float]) -> BackwardMap:
     return BackwardMap(film.photo_from_film((1.0 + before + after) * film_nodes(NODES) - before))
 
 
-def _together(noticed: list[Side]) -> Iterator[list[Side]]:
-    """Ends that are tried together: first all of them, as what a sheet gains at one end has an edge on its sides only
-    if it has been made as wide as it is; then those across each axis, as one that is none spoils the others."""
-    across = [[end for end in noticed if end.axis == axis] for axis in (0, 1)]
+def _together(noticed: Mapping[Side, float]) -> Iterator[Mapping[Side, float]]:
+    """Ends that are tried together, and how far beyond the map each may lie.
+
+    First all of them, as what a sheet gains at one end has an edge on its sides only if it has been made as wide as it
+    is; before that with the ends opposite, as margins mostly are alike. Then those across each axis, as one that is
+    none spoils the others.
+    """
+    across = [{end: off for end, off in noticed.items() if end.axis == axis} for axis in (0, 1)]
     if all(across):
+        opposite = {side: off for side in SIDES for end, off in noticed.items() if side.axis == end.axis}
+        if len(opposite) > len(noticed):
+            yield {**opposite, **noticed}
         yield noticed
     yield from across
 
