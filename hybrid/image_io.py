@@ -115,9 +115,14 @@ def photo_size(path: str | os.PathLike[str]) -> tuple[int, int]:
 @contextmanager
 def opened(path: str | os.PathLike[str]) -> Iterator[Image.Image]:
     """The picture in a file that was read before, for what its header tells; no pixel is decoded."""
-    _hear_of_heif()
-    with _pillow_limits(), Image.open(path) as image:
-        yield image
+    with _pillow_limits():
+        try:
+            image = Image.open(path)
+        except UnidentifiedImageError:  # HEIC; of a JPEG its reader need not be loaded
+            _hear_of_heif()
+            image = Image.open(path)
+        with image:
+            yield image
 
 
 def tiff_compression(data: bytes) -> int | None:

@@ -12,7 +12,7 @@ from bent_sheets import bent_sheet, flat_sheet_seen, maps_of, smooth_noise
 from hybrid.backward import BackwardMap
 from hybrid.coords import film_nodes, pixel_centres
 from hybrid.records import CoarseMaps, SliceGrid, StatusCode
-from hybrid.rectify.film_size import FilmSizeConfig, film_size, plane_aspect, snap_aspect
+from hybrid.rectify.film_size import FilmSizeConfig, film_size, known_by_plane, snap_aspect
 from hybrid.rectify.invert import apply_homography, fit_backward
 from hybrid.rectify.survey import mask_overlap, survey_light, survey_maps, survey_photo, survey_plane, survey_print
 
@@ -121,9 +121,9 @@ def test_the_ratio_of_a_flat_sheets_sides_comes_from_perspective_and_not_from_it
     flat = BackwardMap.from_function(flat_sheet_seen(aspect, focal, (0.6, 0.5, 0.2), size))
     down, across = flat.mean_film_pixels()
     assert abs(down / across / aspect - 1) > 0.1  # its view tells another
-    assert plane_aspect(flat, size) == pytest.approx(aspect, rel=0.01)
+    assert known_by_plane(flat, size)[0] == pytest.approx(aspect, rel=0.01)
     larger = flat.cropped((0.0, 0.0), (3.0, 3.0))
-    assert plane_aspect(larger, (3 * 768, 3 * 1024)) == pytest.approx(plane_aspect(flat, size))
+    assert known_by_plane(larger, (3 * 768, 3 * 1024))[0] == pytest.approx(known_by_plane(flat, size)[0])
 
 
 def test_the_ratio_of_a_flat_sheets_sides_from_the_front_needs_no_focal_length():
@@ -131,14 +131,14 @@ def test_the_ratio_of_a_flat_sheets_sides_from_the_front_needs_no_focal_length()
     size = (1024, 768)
     for focal in (0.7, 3.0):
         flat = BackwardMap.from_function(flat_sheet_seen(1.37, focal, (0.0, 0.0, 0.4), size))
-        assert plane_aspect(flat, size) == pytest.approx(1.37, rel=1e-4)
+        assert known_by_plane(flat, size)[0] == pytest.approx(1.37, rel=1e-4)
         height, width = film_size(flat, size, None)
         assert height / width == pytest.approx(1.37, rel=2e-3)  # it is flat: exact, and no format
 
 
 def test_the_ratio_of_a_bent_sheets_sides_is_nearly_that_of_the_nearest_plane():
     photo = bent_sheet(0.5, aspect=1.25, tilt=0.4)
-    assert plane_aspect(BackwardMap.from_function(photo), (1024, 1024)) == pytest.approx(1.25, rel=0.06)
+    assert known_by_plane(BackwardMap.from_function(photo), (1024, 1024))[0] == pytest.approx(1.25, rel=0.06)
 
 
 def test_aspect_snaps_to_square_cells_before_formats():

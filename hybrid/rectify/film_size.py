@@ -57,19 +57,12 @@ class FilmSizeConfig:
         require_at_least(self, 0.0, "snap", "snap_grid", "snap_exact", "flat")
 
 
-def plane_aspect(backward: BackwardMap, size: tuple[int, int], config: SheetConfig | None = None) -> float:
-    """Height over width of the sheet, taken for flat, before a camera that looks at the photo's centre.
-
-    size: (height, width) of the photo.
-    """
-    return known_by_plane(backward, size, config)[0]
-
-
 def known_by_plane(
     backward: BackwardMap, size: tuple[int, int], config: SheetConfig | None = None
 ) -> tuple[float, float]:
     """Height over width of the sheet, taken for flat, and the standard deviation of its logarithm.
 
+    size: (height, width) of the photo, whose centre the camera looks at.
     The homography nearest to the map tells both sides' lengths once the focal length is known; which one it is, beside
     what is usual of phones, the right angle between the sides tells (Zhang and He 2007, "Whiteboard scanning and image
     enhancement"). Where the sheet only leans that angle is right for every focal length, and the ratio is left open.

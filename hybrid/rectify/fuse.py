@@ -283,35 +283,26 @@ def _seen_slices(film: Film, grid: SliceGrid, samples: int) -> Float32[np.ndarra
 class Member:
     """A photo that the fused film is made of.
 
-    index: among those that were given. way: how its film has to be moved to lie as the base's does. turned: its map,
-    moved so. shift: (gh, gw, 2) film units by which points of its film lie beside those of the base, and later of the
-    common film, on film nodes.
+    index: among those that were given. at: where it shows the film of the base, and later the common one.
     """
 
     index: int
     photo: UInt8[np.ndarray, "_ _ 3"]
     result: RectifyResult
-    way: Orientation
-    turned: BackwardMap
-    shift: Float[np.ndarray, "gh gw 2"]
-
-    @property
-    def backward(self) -> BackwardMap:
-        """From the common film's uv to the photo."""
-        return read_beside(self.turned, self.shift)
+    at: Registration
 
     @property
     def side_px(self) -> float:
         """The longer side of its film in its photo."""
-        return max(self.turned.mean_film_pixels())
+        return max(self.at.turned.mean_film_pixels())
 
     def cover_on(self, size: tuple[int, int]) -> Bool[np.ndarray, "h w"]:
         """Where something lies before the film, on the common film of ``size``."""
         covered = self.result.covered
         if covered is None or not covered.any():
             return np.zeros(size, dtype=bool)
-        own = np.ascontiguousarray(self.way.moved(covered)).astype(np.float32)
-        return _moved_by(cv2.resize(own, size[::-1], interpolation=cv2.INTER_LINEAR), self.shift) >= 0.5
+        own = np.ascontiguousarray(self.at.way.moved(covered)).astype(np.float32)
+        return _moved_by(cv2.resize(own, size[::-1], interpolation=cv2.INTER_LINEAR), self.at.shift) >= 0.5
 
 
 def fuse(
@@ -342,8 +333,8 @@ def fuse(
     at = next((index for index in showing if results[index].status.ok), showing[0])
     members, left_out, notes = _members(photos, results, at, config, names)
     counts = [one.result.status.ok or not results[at].status.ok for one in members]
-    common = to_common([one.shift for one in members], counts)
-    members = [replace(one, shift=shift) for one, shift in zip(members, common, strict=True)]
+    common = to_common([one.at.shift for one in members], counts)
+    members = [replace(one, at=replace(one.at, shift=shift)) for one, shift in zip(members, common, strict=True)]
     base = next(one for one in members if one.index == at)
     asked = [one for one, counted in zip(members, counts, strict=True) if counted]
     merged = _merged(members, base, reader, config.merge, light or DeilluminateConfig(), resample)
@@ -362,7 +353,7 @@ def fuse(
         expected_error_px=_expected_px(asked, base),
         film=merged.film,
         rectified=merged.rectified,
-        backward=base.backward,
+        backward=base.at.backward,
         grid=_surest_grid(asked, base),
         glare=merged.glare,
         covered=merged.covered,
@@ -391,9 +382,8 @@ def _members(
     members, left_out, notes = [], [], []
     for index, result in enumerate(results):
         if index == at:
-            members.append(
-                Member(at, photos[at], base, Orientation(0, False), base.backward, np.zeros((NODES, NODES, 2)))
-            )
+            itself = Registration(base.backward, np.zeros((NODES, NODES, 2)), Orientation(0, False), 1.0)
+            members.append(Member(at, photos[at], base, itself))
         elif not result.status.has_film:
             left_out.append(LeftOut(index, "no film was found in it"))
         else:
@@ -404,7 +394,7 @@ def _members(
                     raise
                 left_out.append(LeftOut(index, f"itself unsure, it is not like {names[at]}"))
                 continue
-            members.append(Member(index, photos[index], result, found.way, found.turned, found.shift))
+            members.append(Member(index, photos[index], result, found))
             unsure = "" if result.status.ok else ", itself unsure"
             notes.append(f"{names[index]} moved by up to {found.largest:.1%} of the film{unsure}")
     return members, left_out, notes
@@ -433,7 +423,7 @@ def _merged(
 ) -> Merged:
     """The photos read through their maps, each without its light, and merged."""
     size = _largest_size(members, base)
-    flats = [rectify_photo(one.photo, one.backward, size, resample) for one in members]
+    flats = [rectify_photo(one.photo, one.at.backward, size, resample) for one in members]
     covers = [one.cover_on(size) for one in members]
     print_seen = [flat.valid & ~cover for flat, cover in zip(flats, covers, strict=True)]
     reads = [read_light(flat.image, seen, reader, light) for flat, seen in zip(flats, print_seen, strict=True)]
@@ -463,14 +453,14 @@ def _largest_size(members: Sequence[Member], base: Member) -> tuple[int, int]:
 
 def _surest_grid(members: Sequence[Member], base: Member) -> SliceGrid | None:
     """The grid of the greatest confidence, where the print lies on the common film; None without any."""
-    seen = [(one.result.grid.turned(one.way), one.shift) for one in members if one.result.grid is not None]
+    seen = [(one.result.grid.turned(one.at.way), one.at.shift) for one in members if one.result.grid is not None]
     if not seen:
         return None
     grid, shift = max(seen, key=lambda one: one[0].confidence)
     beside, vertices = BackwardMap(shift), grid.vertices
     for _ in range(3):  # the common film's point that lies there once it is shifted
         vertices = grid.vertices - beside.photo_from_film(vertices)
-    return replace(grid, vertices=vertices, vertices_photo=base.backward.photo_from_film(vertices))
+    return replace(grid, vertices=vertices, vertices_photo=base.at.backward.photo_from_film(vertices))
 
 
 def _expected_px(members: Sequence[Member], base: Member) -> float | None:
