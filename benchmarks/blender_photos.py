@@ -31,8 +31,8 @@ from data_gen.prints import FilmPrint, make_print
 from data_gen.sources import SourceConfig, draw_volume, loaded
 from data_gen.work import source_names
 from hybrid.errors import ConfigError, DataError, describe, require_at_least
+from hybrid.files import make_folder
 from hybrid.image_io import write_rgb
-from hybrid.outputs import make_folder
 
 SCENE = Path(__file__).with_name("blender_scene.py")
 

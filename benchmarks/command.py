@@ -14,8 +14,8 @@ from jaxtyping import UInt8
 from benchmarks.machine import describe_run
 from hybrid.command import FAILED, NOT_UNDERSTOOD, run_options
 from hybrid.errors import ConfigError, describe
-from hybrid.image_io import write_bytes, write_rgb
-from hybrid.outputs import make_folder
+from hybrid.files import make_folder, write_bytes
+from hybrid.image_io import write_rgb
 
 Options = TypeVar("Options")
 Found = TypeVar("Found")

@@ -31,6 +31,7 @@ from hybrid.backward import BackwardMap
 from hybrid.coords import pixel_from_film, sample_bilinear
 from hybrid.draw import contact_sheet, fitted, rgb_from_film, side_by_side
 from hybrid.errors import ConfigError, describe, require_at_least
+from hybrid.files import make_folder
 from hybrid.image_io import write_rgb
 from hybrid.learn.inference import ready
 from hybrid.learn.light import level_reader
@@ -38,7 +39,6 @@ from hybrid.learn.samples import Place, film_of, open_places, photo_of
 from hybrid.learn.weights import packaged_light_net
 from hybrid.levels import LevelReader
 from hybrid.metrics import ssim
-from hybrid.outputs import make_folder
 from hybrid.pipeline import Rectifier
 from hybrid.records import RectifyResult
 from hybrid.rectify.deilluminate import Deillumination, deilluminate

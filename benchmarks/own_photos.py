@@ -7,7 +7,7 @@ from pathlib import Path
 from data_gen.generate import GenerateConfig, generate
 from data_gen.sample import SampleConfig
 from data_gen.sources import PHANTOMS, SourceConfig
-from hybrid.image_io import write_bytes
+from hybrid.files import write_bytes
 
 PHOTO_PX, MAP_PX = 1080, 256
 SHARD = 8

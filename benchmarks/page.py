@@ -20,8 +20,7 @@ from benchmarks.schema import Record, read_record
 from benchmarks.stress_records import SoakReport, StabilityReport
 from benchmarks.summary import FLOOR, rows_of, split_rows
 from benchmarks.surroundings_records import SurroundingsReport
-from hybrid.image_io import write_bytes
-from hybrid.outputs import make_folder
+from hybrid.files import make_folder, write_bytes
 
 BEGIN, END = "<!-- figures: begin -->", "<!-- figures: end -->"
 PICTURES, GALLERY = ("time_error.png", "bend.png", "stages.png"), "gallery.jpg"

@@ -17,8 +17,8 @@ from benchmarks.summary import FLOOR, rows_of
 from hybrid.backward import end_point_error
 from hybrid.coords import film_nodes
 from hybrid.draw import annotated, contact_sheet, fitted, rgb_from_film, side_by_side
+from hybrid.files import make_folder
 from hybrid.image_io import write_rgb
-from hybrid.outputs import make_folder
 from hybrid.pipeline import Rectifier, RectifyConfig
 from hybrid.records import RectifyResult
 

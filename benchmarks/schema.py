@@ -10,8 +10,7 @@ from pathlib import Path
 from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from hybrid.errors import ConfigError, DataError, describe
-from hybrid.image_io import write_bytes
-from hybrid.outputs import make_folder
+from hybrid.files import make_folder, write_bytes
 
 Record = TypeVar("Record")
 

@@ -33,7 +33,7 @@ from benchmarks.schema import keep_settings, kept, write_record
 from benchmarks.stress_records import DamagedPhoto, Part, StabilityReport, StressSettings
 from hybrid.backward import BackwardMap
 from hybrid.errors import ConfigError, PhotoError, describe, require_at_least
-from hybrid.image_io import write_bytes
+from hybrid.files import write_bytes
 from hybrid.pipeline import Rectifier, RectifyConfig
 from hybrid.records import RectifyResult, StatusCode
 from hybrid.rectify.survey import SurveyConfig

@@ -32,8 +32,8 @@ from hybrid.backward import BackwardMap, end_point_error
 from hybrid.draw import annotated, contact_sheet, fitted
 from hybrid.effort import Effort, RectifyConfig
 from hybrid.errors import ConfigError, DataError, HybridError, describe, require_at_least
+from hybrid.files import make_folder
 from hybrid.image_io import write_rgb
-from hybrid.outputs import make_folder
 from hybrid.pipeline import Rectifier
 from hybrid.workers import shared_out
 

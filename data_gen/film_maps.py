@@ -19,7 +19,7 @@ from data_gen.work import run_command, start_worker, workers
 from hybrid.backward import end_point_error, film_as_seen
 from hybrid.effort import RectifyConfig
 from hybrid.errors import require_at_least
-from hybrid.image_io import write_bytes
+from hybrid.files import write_bytes
 from hybrid.learn.edge_data import FILM_MAPS
 from hybrid.learn.inference import ready
 from hybrid.learn.network import FilmNet

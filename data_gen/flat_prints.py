@@ -16,7 +16,7 @@ from data_gen.prints import FilmPrint, make_print
 from data_gen.sources import SourceConfig, draw_volume
 from data_gen.work import run_command, source_names, start_worker, write_missing
 from hybrid.errors import require_at_least
-from hybrid.image_io import write_bytes
+from hybrid.files import write_bytes
 
 
 @dataclass(frozen=True)

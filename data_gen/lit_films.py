@@ -28,7 +28,7 @@ from data_gen.sources import SourceConfig, draw_environment, draw_volume
 from data_gen.work import check_open3d, run_command, source_names, start_worker, write_missing
 from hybrid.coords import linear_from_srgb, rgb_from_bgr, srgb_from_linear
 from hybrid.errors import require_at_least
-from hybrid.image_io import write_bytes
+from hybrid.files import write_bytes
 from hybrid.learn.light_data import LitFilm
 from hybrid.levels import CHANNEL_SHARES
 from hybrid.mesh.recipes import bend

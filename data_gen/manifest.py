@@ -86,7 +86,7 @@ def write_shard(path: Path, first: int, samples: Iterable[bytes]) -> ShardEntry:
 
 
 def write_file(path: Path, content: bytes) -> None:
-    """Replace a file as a whole, and wait until it is on the disk, as ``image_io.write_bytes`` does not."""
+    """Replace a file as a whole, and wait until it is on the disk, as ``files.write_bytes`` does not."""
     part = path.with_name(path.name + PART)
     try:
         with part.open("wb") as file:

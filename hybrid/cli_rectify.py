@@ -14,8 +14,8 @@ from tqdm import tqdm
 
 from hybrid.cli_options import PhotoOptions, made_by, parse, photos_among
 from hybrid.errors import ConfigError, describe
-from hybrid.outputs import Rectify, rectify_files
 from hybrid.pipeline import Rectifier, RectifyConfig
+from hybrid.rectify_files import Rectify, rectify_files
 
 Point = tuple[float, float]
 

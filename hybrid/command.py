@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from typing import Any, TypeVar, get_args, get_type_hints
 
-from hybrid.errors import ConfigError, DataError, HybridError
+from hybrid.errors import ConfigError, DataError, HybridError, told
 
 Options = TypeVar("Options")
 
@@ -41,8 +41,6 @@ def ended(command: Callable[[], int], stopped: str) -> Ending:
     except CommandLineError as error:
         return Ending(NOT_UNDERSTOOD, str(error))
     except (HybridError, OSError, MemoryError) as error:
-        from hybrid.outputs import told
-
         return Ending(FAILED, told(error))
     except KeyboardInterrupt:
         return Ending(INTERRUPTED, f"stopped; {stopped}")
@@ -64,8 +62,6 @@ def run_options(
         except BrokenPipeError:
             raise
         except OSError as error:
-            from hybrid.outputs import told
-
             raise DataError(told(error, getattr(given, "out", None))) from error
         except HybridError as error:
             raise type(error)(with_flags(str(error), options)) from error

@@ -46,6 +46,15 @@ def describe(*, what: str, where: object = None, got: object = None, allowed: ob
     return f"{head}: {facts}. {do}" if facts else f"{head}. {do}"
 
 
+def told(error: Exception, where: object = None) -> str:
+    """An error in a sentence; the system's own say no more than why, and not always ``where``."""
+    if not isinstance(error, OSError) or error.strerror is None:
+        return str(error) or type(error).__name__
+    do = "Mend that (free space, permissions, names) and run the same command again."
+    file = error.filename2 or error.filename or where
+    return describe(what="A file cannot be read or written", where=file, got=error.strerror, do=do)
+
+
 def install_extra(extra: str) -> str:
     """What to do where a package is missing that only an installation with an extra has."""
     return f"Install the package with its extra for that: pip install '.[{extra}]' in the project's folder."
@@ -65,12 +74,12 @@ def require_at_most(config: Any, most: int | float, *names: str) -> None:
     _require(config, lambda each: each <= most, f"<= {most:g}", names)
 
 
-def _require(config: Any, allowed: Callable[[Any], bool], told: str, names: Sequence[str]) -> None:
+def _require(config: Any, fits: Callable[[Any], bool], allowed: str, names: Sequence[str]) -> None:
     for name in names:
         value = getattr(config, name)
         values = value if isinstance(value, tuple) else (value,)
-        if not values or not all(isinstance(each, Real) and allowed(each) for each in values):
-            _refuse(config, name, value, told)
+        if not values or not all(isinstance(each, Real) and fits(each) for each in values):
+            _refuse(config, name, value, allowed)
 
 
 def _refuse(config: Any, name: str, value: Any, allowed: str) -> NoReturn:

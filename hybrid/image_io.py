@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import os
 import threading
-import uuid
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -20,6 +19,7 @@ from PIL import Image, ImageOps, UnidentifiedImageError
 
 from hybrid.coords import rgb_from_bgr
 from hybrid.errors import PhotoError, describe
+from hybrid.files import write_bytes
 
 MAX_PIXELS = 400_000_000
 """Larger pictures are refused: no phone makes them, and decoding one takes gigabytes."""
@@ -362,17 +362,6 @@ def write_grey(path: str | os.PathLike[str], shares: Float[np.ndarray, "h w"]) -
     write_bytes(path, _encoded(".png", np.rint(np.clip(shares, 0.0, 1.0) * 255).astype(np.uint8)))
 
 
-def write_bytes(path: str | os.PathLike[str], data: bytes) -> None:
-    """Write a file whole or not at all: a file of that name stays as it was until the new one is complete."""
-    path = Path(path)
-    unfinished = path.with_name(f".{uuid.uuid4().hex[:12]}.part")  # no longer than any name that may be asked for
-    try:
-        unfinished.write_bytes(data)
-        os.replace(unfinished, path)
-    finally:
-        unfinished.unlink(missing_ok=True)
-
-
 def _encoded(suffix: str, image: np.ndarray, options: Sequence[int] = ()) -> bytes:
     """The picture as a file, with OpenCV's own options if none are given."""
     done, buffer = cv2.imencode(suffix, image, options)
@@ -392,7 +381,6 @@ __all__ = [
     "pictures_in",
     "read_photo",
     "tiff_compression",
-    "write_bytes",
     "write_film",
     "write_grey",
     "write_rgb",

@@ -23,8 +23,9 @@ from hybrid.cli_options import made_by
 from hybrid.coords import film_nodes
 from hybrid.errors import ConfigError
 from hybrid.image_io import read_photo, write_rgb
-from hybrid.outputs import is_result, rectify_files, result_record, warnings_of, write_result
+from hybrid.outputs import is_result, result_record, write_result
 from hybrid.records import LeftOut, RectifyResult, SliceGrid, StageReport, Status, StatusCode
+from hybrid.rectify_files import rectify_files, warnings_of
 
 Effort = Literal["fast", "default"]
 ROWS = {"fast": 1, "default": 2}

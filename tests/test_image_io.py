@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 
 from hybrid.errors import PhotoError
-from hybrid.image_io import MAX_PIXELS, as_photo, jpeg_extent, read_photo, write_bytes, write_film, write_rgb
+from hybrid.image_io import MAX_PIXELS, as_photo, jpeg_extent, read_photo, write_film, write_rgb
 
 LOSSLESS = 0.0
 JPEG_GREY_LEVELS = 2.0  # mean error of a smooth picture at quality 95, and of another decoder's rounding
@@ -404,22 +404,6 @@ def test_rgb_round_trip(tmp_path: Path, picture: np.ndarray) -> None:
         write_rgb(tmp_path / "a.gif", picture)
 
 
-def test_failed_write_keeps_the_old_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path = tmp_path / "a.bin"
-    write_bytes(path, b"old")
-
-    def full_disk(self: Path, data: bytes) -> int:
-        with self.open("wb") as file:
-            file.write(data[:1])
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(Path, "write_bytes", full_disk)
-    with pytest.raises(OSError, match="No space left"):
-        write_bytes(path, b"new")
-    assert path.read_bytes() == b"old"
-    assert [p.name for p in tmp_path.iterdir()] == ["a.bin"]
-
-
 def test_arrays_with_gaps_are_packed_and_left_as_they_are():
     source = np.random.default_rng(0).integers(0, 256, (80, 90, 4), np.uint8)
     before = source.copy()
@@ -427,23 +411,3 @@ def test_arrays_with_gaps_are_packed_and_left_as_they_are():
     assert photo.flags.c_contiguous
     np.testing.assert_array_equal(photo, before[..., :3])
     np.testing.assert_array_equal(source, before)
-
-
-def test_the_longest_name_that_may_be_given_can_be_written(tmp_path: Path) -> None:
-    path = tmp_path / ("\u0444" * 125 + ".json")  # 255 bytes
-    write_bytes(path, b"all")
-    assert path.read_bytes() == b"all"
-
-
-def test_a_file_stays_as_it_was_until_the_new_one_is_complete(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path = tmp_path / "a.json"
-    write_bytes(path, b"old")
-
-    def breaks(*_: object) -> None:
-        raise OSError("no more room")
-
-    monkeypatch.setattr("hybrid.image_io.os.replace", breaks)
-    with pytest.raises(OSError, match="no more room"):
-        write_bytes(path, b"new")
-    assert path.read_bytes() == b"old"
-    assert list(tmp_path.iterdir()) == [path]

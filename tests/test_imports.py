@@ -54,7 +54,7 @@ def test_rooms_import_neither_each_other_nor_outwards(module: str) -> None:
     assert not wrong, f"{module} imports {sorted(wrong)}"
 
 
-CORE = ("records", "coords", "errors", "backward", "image_io", "metrics", "draw", "pyramid")
+CORE = ("records", "coords", "errors", "backward", "files", "image_io", "metrics", "draw", "pyramid")
 
 
 @pytest.mark.parametrize("module", CORE)

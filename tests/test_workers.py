@@ -11,8 +11,8 @@ import pytest
 
 from hybrid.errors import DataError, HybridError
 from hybrid.image_io import write_rgb
-from hybrid.outputs import rectify_files
 from hybrid.records import RectifyResult, Status, StatusCode
+from hybrid.rectify_files import rectify_files
 from hybrid.workers import shared_out
 
 

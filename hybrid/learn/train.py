@@ -30,12 +30,12 @@ from tqdm import tqdm
 
 from hybrid.command import flag_of
 from hybrid.errors import ConfigError, DataError, HybridError, describe
-from hybrid.image_io import write_bytes, write_rgb
+from hybrid.files import make_folder, write_bytes
+from hybrid.image_io import write_rgb
 from hybrid.learn.dewarpnet import DewarpNet
 from hybrid.learn.presets import Preset, preset, weighted_sum
 from hybrid.learn.shards import data_digest
 from hybrid.learn.weights import load_into, save_weights
-from hybrid.outputs import make_folder
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from torch import Tensor, nn
 
 from hybrid.coords import CONVENTIONS_VERSION
 from hybrid.errors import DataError, describe
-from hybrid.image_io import write_bytes
+from hybrid.files import write_bytes
 from hybrid.learn.edges import EdgeNet, EdgeNetConfig
 from hybrid.learn.light import LightNet, LightNetConfig
 from hybrid.learn.network import FilmNet, FilmNetConfig
