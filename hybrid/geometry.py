@@ -257,7 +257,7 @@ def judged(
         across = refinement.across or look_across(pyramid, refinement.backward, readers.edges, config.edges)
         film, grid = refinement.backward, refinement.grid
         shown = 0.0 if grid is None else borders_shown(pyramid, film, grid, readers.borders, config.refine.borders)
-        signs = signs_of(pyramid, seen.maps, coarse, refinement, look_again, across, shown, flat)
+        signs = signs_of(pyramid, seen.maps, coarse, refinement, look_again, across, shown, flat, seen.near)
         verdict = film_verdict(signs, config.trust)
         report.reason = verdict.reason
     stages = (*refinement.stages, clock.reports[-1])

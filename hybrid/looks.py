@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,7 +11,7 @@ from hybrid.backward import BackwardMap
 from hybrid.effort import RectifyConfig
 from hybrid.learn.network import FilmNet
 from hybrid.learn.predict import look, look_from_sides
-from hybrid.learn.views import film_view, plane_of, whole_view
+from hybrid.learn.views import film_view, near_views, plane_of, whole_view
 from hybrid.pyramid import Photo, Pyramid
 from hybrid.records import CoarseMaps, StatusCode
 from hybrid.rectify.corners import put_on_corners
@@ -19,8 +20,8 @@ from hybrid.rectify.survey import SurveyConfig, Verdict, expected_error, film_sh
 from hybrid.rectify.trust import seen_beside
 from hybrid.stages import Clock
 
-WIDER = 1.25
-"""How many times as wide as the photo the first look is that is tried if none shows a film."""
+WIDER, NEARER = 1.25, 0.7
+"""How many times as wide as the photo the first looks are that are tried if none shows a film, one after the other."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,7 +29,8 @@ class LastLook:
     """What the network saw in its last look: the maps, the film's map that follows, and the view of the film, if any.
 
     All but ``inversion`` and ``maps`` are of ``photo``, the copy of the photo, ``factor`` times smaller, that it saw.
-    filled: share of the photo that showed film in the first look.
+    filled: share of the photo that showed film in the first look. near: whether that look was at a part of the photo
+    alone, the whole showing no film.
     """
 
     maps: CoarseMaps
@@ -37,17 +39,23 @@ class LastLook:
     photo: Photo
     factor: int
     filled: float = 0.0
+    near: bool = False
 
 
-def see(network: FilmNet, pyramid: Pyramid, config: RectifyConfig, clock: Clock, wider: float = 1.0) -> LastLook:
+def see(
+    network: FilmNet, pyramid: Pyramid, config: RectifyConfig, clock: Clock, first: BackwardMap | None = None
+) -> LastLook:
     """The network's looks at the photo: at the whole, then at the film, flattened by the plane seen last.
 
-    wider: the first look is at a square so many times as wide as the photo.
+    first: what the first look is at, if not at the whole.
     """
     predict = config.predict
     with clock.stage("network") as report:
         photo, factor = pyramid.reduced(max(pyramid.size) / predict.least_px)
-        (maps,) = look(network, photo, [whole_view((photo.shape[0], photo.shape[1]), wider)])
+        whole = whole_view((photo.shape[0], photo.shape[1]))
+        (maps,) = look(
+            network, photo, [whole if first is None else first.cropped((0.0, 0.0), (1 / factor, 1 / factor))]
+        )
         filled = film_share(maps, photo.shape)
         inversion, looks, moved = fit_backward(maps, config.invert), 1, np.inf
         view: BackwardMap | None = None
@@ -101,20 +109,38 @@ def check(pyramid: Pyramid, seen: LastLook, config: SurveyConfig) -> Verdict:
 def checked(
     network: FilmNet, pyramid: Pyramid, seen: LastLook, config: RectifyConfig, clock: Clock
 ) -> tuple[LastLook, Verdict]:
-    """What the network saw, and whether it is a film; if not, what it sees from a first look that is wider.
+    """What the network saw, and whether it is a film; if not, what it sees from a first look that is wider, or at parts
+    of the photo.
 
-    With little room beside it a film may look as if it went on beyond the photo. That counts only if the whole sheet
-    lies in the photo then: of one that does leave it the seen part would be taken for all.
+    With little room beside it a film may look as if it went on beyond the photo; of several films, or of one that is
+    small, the whole may show none. What is seen then counts only if the whole sheet lies in the photo: of one that does
+    leave it the seen part would be taken for all.
     """
     with clock.stage("check") as report:
         verdict = check(pyramid, seen, config.survey)
         if verdict.code in (StatusCode.NO_FILM, StatusCode.CUT_OFF, StatusCode.PAPER):
-            other = see(network, pyramid, config, Clock(), WIDER)
-            second = check(pyramid, other, config.survey)
-            if second.ok and _lies_within(other.inversion, pyramid.size):
-                seen, verdict = other, Verdict(second.code, f"from a wider look: {second.reason}")
+            if found := _found(network, pyramid, [whole_view(pyramid.size, WIDER)], config):
+                seen, verdict = found[0], Verdict(found[1].code, f"from a wider look: {found[1].reason}")
+            elif verdict.code is StatusCode.NO_FILM and (
+                found := _found(network, pyramid, near_views(pyramid.size, NEARER), config)
+            ):
+                seen = replace(found[0], filled=0.0, near=True)
+                verdict = Verdict(found[1].code, f"from a nearer look: {found[1].reason}")
         report.reason = verdict.reason
     return seen, verdict
+
+
+def _found(
+    network: FilmNet, pyramid: Pyramid, first: Sequence[BackwardMap], config: RectifyConfig
+) -> tuple[LastLook, Verdict] | None:
+    """What is seen from the first looks that lead to a film which lies in the photo as a whole: the surest, if any."""
+    looks = [see(network, pyramid, config, Clock(), one) for one in first]
+    films = [
+        (seen, verdict)
+        for seen in looks
+        if (verdict := check(pyramid, seen, config.survey)).ok and _lies_within(seen.inversion, pyramid.size)
+    ]
+    return min(films, key=lambda film: expected_error(film[0].maps), default=None)
 
 
 def _lies_within(inversion: Inversion | NotInverted, size: tuple[int, int]) -> bool:

@@ -204,6 +204,7 @@ class Signs:
     doubted: whether it was in doubt at first, so that this is the surest of several refinements.
     weakest: the edge with the least support, as the film lies in the photo: top, bottom, left or right.
     outside: edges, named likewise, that lie outside the photo for the most part.
+    near: whether the film shows in a look at a part of the photo alone.
     """
 
     overlap_before: float
@@ -228,6 +229,7 @@ class Signs:
     doubted: bool = False
     weakest: str = "weakest"
     outside: tuple[str, ...] = ()
+    near: bool = False
 
 
 @dataclass(frozen=True, eq=False)

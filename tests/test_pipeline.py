@@ -20,7 +20,7 @@ from threadpoolctl import threadpool_info
 import hybrid
 import hybrid.records
 from data_gen.sample import SampleConfig, film_samples
-from hybrid.backward import Orientation, end_point_error, film_as_seen
+from hybrid.backward import Orientation, end_point_error, film_as_seen, mean_move
 from hybrid.errors import ConfigError, DataError, PhotoError
 from hybrid.geometry import Judged, beyond_doubt, judged, shape_of
 from hybrid.looks import checked, see
@@ -423,6 +423,15 @@ def test_public_fields_have_public_types():
         types = {name for name in re.findall(r"\b[A-Z]\w+", told) if hasattr(hybrid.records, name)}
         own = {name for name in types if getattr(hybrid.records, name).__module__.startswith("hybrid.")}
         assert own <= set(hybrid.__all__)
+
+
+def test_of_two_films_side_by_side_one_is_found_by_a_nearer_look(rectifier, photo, result):
+    both = rectifier(np.concatenate([photo, photo], axis=1))
+    assert both.status.ok
+    assert any("nearer look" in stage.reason for stage in both.stages if stage.name == "check")
+    x = both.backward.photo_from_film(np.array([0.5, 0.5]))[0]
+    alone = both.backward.cropped((photo.shape[1] * float(x > photo.shape[1]), 0.0), (1.0, 1.0))
+    assert mean_move(alone, result.backward) < 0.002
 
 
 def test_public_names_are_listed_before_they_are_used():

@@ -41,6 +41,14 @@ def test_what_was_in_doubt_at_first_is_trusted_less() -> None:
     assert expected_error_px(replace(SURE, doubted=True)) == expected_error_px(SURE)
 
 
+def test_without_a_grid_what_shows_in_a_nearer_look_alone_is_no_film() -> None:
+    """Of parts of rooms and of papers some look like a sheet once the rest is left out."""
+    bare = replace(SURE, grid=False, in_step=0.0, alike=0.0)
+    assert film_verdict(bare).code is StatusCode.UNSURE
+    assert film_verdict(replace(bare, near=True)).code is StatusCode.NO_FILM
+    assert film_verdict(replace(SURE, near=True)).ok
+
+
 @pytest.mark.parametrize("k", range(4))
 def test_the_side_with_the_least_support_is_named(k: int) -> None:
     chances = np.full((4, 64), 0.9)

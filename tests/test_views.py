@@ -8,6 +8,7 @@ from hybrid.coords import film_centres, film_nodes, pixel_centres
 from hybrid.learn.views import (
     film_from_view,
     film_view,
+    near_views,
     output_points,
     plane_of,
     square_view,
@@ -36,6 +37,23 @@ def test_the_whole_view_covers_the_photo_and_no_more():
     np.testing.assert_allclose(
         view.photo_from_film(np.array([[0.0, 0.0], [1.0, 1.0]])), [[0, -35], [160, 125]], atol=1e-9
     )
+
+
+@pytest.mark.parametrize(
+    ("size", "middles"),
+    [
+        ((1000, 1000), [(350, 350), (650, 350), (350, 650), (650, 650)]),
+        ((1000, 2000), [(700, 500), (1300, 500)]),  # as wide as high, or wider: in the middle
+        ((2000, 1500), [(700, 700), (800, 700), (700, 1300), (800, 1300)]),
+    ],
+)
+def test_near_views_lie_at_both_ends_and_show_all(size, middles):
+    views = near_views(size, 0.7)
+    centres = [view.photo_from_film(np.array([0.5, 0.5])) for view in views]
+    np.testing.assert_allclose(centres, middles, atol=1e-9)
+    corners = np.array([view.photo_from_film(np.array([[0.0, 0.0], [1.0, 1.0]])) for view in views])
+    assert (corners.min(axis=(0, 1)) <= 1e-9).all()
+    assert (corners.max(axis=(0, 1)) >= np.array(size[::-1]) - 1e-9).all()
 
 
 def test_a_turned_window_keeps_its_centre_and_side():

@@ -32,6 +32,16 @@ def whole_view(size: tuple[int, int], wider: float = 1.0) -> BackwardMap:
     return square_view((size[1] / 2, size[0] / 2), wider * max(size))
 
 
+def near_views(size: tuple[int, int], nearer: float) -> list[BackwardMap]:
+    """Squares so many times as wide as a photo of ``size`` (height, width), which together show all of it.
+
+    nearer: at least a half, at most 1. Along each axis there is one at either end, or one in the middle if that is all.
+    """
+    side = nearer * max(size)
+    down, across = ((side / 2, length - side / 2) if side < length else (length / 2,) for length in size)
+    return [square_view((x, y), side) for y in down for x in across]
+
+
 def film_view(film: BackwardMap, margin: float) -> BackwardMap:
     """The film as its map flattens it, with ``margin`` (part of the view's side) around it."""
     return BackwardMap(film.photo_from_film(film_from_view(film_nodes(VIEW_NODES), margin)))

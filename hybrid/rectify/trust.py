@@ -140,12 +140,14 @@ def signs_of(
     across: EdgesRead,
     shown: float,
     flat: bool = False,
+    near: bool = False,
 ) -> Signs:
     """What speaks for a refined map.
 
     seen, coarse: what the network saw last before refinement, and the map made of it. again: what it sees of the film
     as the refined map flattens it (as a plane sheet). across: the edges as they are read across the refined map's.
-    shown: how probable it is that borders between cells show where its grid has them (``borders_shown``).
+    shown: how probable it is that borders between cells show where its grid has them (``borders_shown``). near: whether
+    the network saw the film in a look at a part of the photo alone.
     """
     backward, grid = refinement.backward, refinement.grid
     film_px = _film_px(backward)
@@ -171,6 +173,7 @@ def signs_of(
         off_frame=(refinement.expected_px or 0.0) / film_px if flat else 0.0,
         weakest=across.weakest,
         outside=sides_outside(backward, pyramid.size),
+        near=near,
     )
 
 
@@ -274,7 +277,8 @@ def film_verdict(signs: Signs, config: TrustConfig | None = None) -> Verdict:
         f"sheet's, cells are alike to {signs.alike:.0%} and agree with what the network sees to {signs.in_step:.0%}"
     )
     if doubts:
-        nothing = not signs.grid and not signs.corrected and signs.support < config.least_support
+        bare = not signs.corrected and signs.support < config.least_support
+        nothing = not signs.grid and (bare or signs.near)
         code = StatusCode.NO_FILM if nothing else StatusCode.UNSURE
         return Verdict(code, f"{', '.join(doubts)}: {evidence}", tuple(doubts))
     return Verdict(StatusCode.OK, evidence)
