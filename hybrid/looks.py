@@ -53,9 +53,8 @@ def see(
     with clock.stage("network") as report:
         photo, factor = pyramid.reduced(max(pyramid.size) / predict.least_px)
         whole = whole_view((photo.shape[0], photo.shape[1]))
-        (maps,) = look(
-            network, photo, [whole if first is None else first.cropped((0.0, 0.0), (1 / factor, 1 / factor))]
-        )
+        shown = whole if first is None else first.cropped((0.0, 0.0), (1 / factor, 1 / factor))
+        (maps,) = look(network, photo, [shown])
         filled = film_share(maps, photo.shape)
         inversion, looks, moved = fit_backward(maps, config.invert), 1, np.inf
         view: BackwardMap | None = None
@@ -112,9 +111,9 @@ def checked(
     """What the network saw, and whether it is a film; if not, what it sees from a first look that is wider, or at parts
     of the photo.
 
-    With little room beside it a film may look as if it went on beyond the photo; of several films, or of one that is
-    small, the whole may show none. What is seen then counts only if the whole sheet lies in the photo: of one that does
-    leave it the seen part would be taken for all.
+    With little room beside it a film may look as if it went on beyond the photo; of several side by side the whole may
+    show none. What is seen then counts only if the whole sheet lies in the photo: of one that does leave it the seen
+    part would be taken for all.
     """
     with clock.stage("check") as report:
         verdict = check(pyramid, seen, config.survey)
