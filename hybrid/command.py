@@ -81,9 +81,9 @@ def parsed(options: type[Options], words: Sequence[str] | None, prog: str) -> Op
         return tyro.cli(options, args=words, prog=prog)
     except ConfigError as error:
         message, flags = with_flags(str(error), options), _flags(options)
-        first, told = message.partition(": ")[::2]  # an option may be called by its bare name
+        first, rest = message.partition(": ")[::2]  # an option may be called by its bare name
         flag = flags.get(f"{options.__name__}.{first}")
-        raise CommandLineError(message if flag is None else f"{flag}: {told}") from error
+        raise CommandLineError(message if flag is None else f"{flag}: {rest}") from error
 
 
 def with_flags(message: str, options: type) -> str:
