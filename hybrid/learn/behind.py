@@ -29,8 +29,12 @@ Outline = Float[np.ndarray, "n 2"]
 SHARE = 0.45
 """Of the photos that may get something behind their film, those that do."""
 
-KINDS = {"shadow": 0.25, "sheet": 0.3, "films": 0.25, "pattern": 0.2}
+KINDS = {"shadow": 0.2, "sheet": 0.25, "films": 0.4, "pattern": 0.15}
 """Of these the shares of what it is."""
+
+IN_ROW, APART = 0.65, (0.96, 1.13)
+"""Of the photos with further films, those on which they hang in a row with this one; and how far, in its sides, the
+middles are then: as light boxes have them, a gap between parallel edges, across which one film looks like the other."""
 
 MORE_SHARE = 0.25
 """Of these, those with two such things, one upon the other."""
@@ -158,11 +162,11 @@ def with_films(
     pictures: of these films.
     """
     corners, size = _corners(nodes), _size(nodes)
-    in_row = rng.random() < 0.5
+    in_row = rng.random() < IN_ROW
     for picture in pictures:
         if in_row:
             sides = corners[[1, 2]] - corners[[0, 1]]  # along u and along v
-            shift = sides[rng.integers(2)] * rng.choice([-1, 1]) * rng.uniform(0.95, 1.15)
+            shift = sides[rng.integers(2)] * rng.choice([-1, 1]) * rng.uniform(*APART)
             placed = _moved(corners, rng.normal(0, 0.03), rng.uniform(0.95, 1.05), shift)
         else:
             to = rng.uniform(0, 2 * np.pi)

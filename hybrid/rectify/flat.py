@@ -32,8 +32,8 @@ BESIDE_FRAME, SURER = 0.005, 1.2
 unless cells are more alike in the photo as it is by this factor: then these are no edges."""
 
 EDGES_SEEN, LIKELY = 2, 0.8
-"""A sheet's edges are seen if all four are, or so many, and all are as likely as this to lie where they were read: of a
-scan's white border along a white margin no edge shows. Of 45 flat films that holds of two."""
+"""A sheet's edges are seen if all four are; or so many, and all lie inside the photo and are as likely as this to lie
+where they were read: of a scan's white border along a white margin no edge shows."""
 
 AS_ALIKE, AS_ALIKE_UNMOVED = 0.95, 0.85
 """Cells are as alike in the photo as it is where they are so by this part of how alike they are through maps refined
@@ -103,9 +103,19 @@ def is_frame(told: BackwardMap, size: tuple[int, int]) -> bool:
 
 def _has_edges_inside(refined: Refinement, frame: BackwardMap) -> bool:
     """Whether the edges of a sheet are seen, and not on the frame."""
+    if not refined.believed or _off(refined.backward, frame) <= BESIDE_FRAME:
+        return False
+    if refined.edges == len(SIDES):
+        return True
     likely = refined.across is not None and float(refined.across.support.min()) >= LIKELY
-    seen = refined.edges == len(SIDES) or (likely and refined.edges >= EDGES_SEEN)
-    return refined.believed and seen and _off(refined.backward, frame) > BESIDE_FRAME
+    return likely and refined.edges >= EDGES_SEEN and _nearest_side(refined.backward, frame) > BESIDE_FRAME
+
+
+def _nearest_side(backward: BackwardMap, frame: BackwardMap) -> float:
+    """How far inside a photo's frame a map's four sides lie at least, each at its mean, in parts of its diagonal."""
+    off = backward.lattice((33, 33)) - frame.nodes
+    inside = min(off[0, :, 1].mean(), -off[-1, :, 1].mean(), off[:, 0, 0].mean(), -off[:, -1, 0].mean())
+    return float(inside / np.linalg.norm(frame.nodes[-1, -1]))
 
 
 def _explained(pyramid: Pyramid, backward: BackwardMap, grid: SliceGrid, most: int) -> float:
