@@ -17,7 +17,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from hybrid.coords import linear_from_srgb_tensor, srgb_from_linear_tensor
-from hybrid.learn.network import ConvNorm, Residual, view_coordinates
+from hybrid.learn.network import Attention, ConvNorm, Residual, silent
 from hybrid.learn.tensors import Tensors, image_batch
 from hybrid.levels import (
     CHANNEL_SHARES,
@@ -50,26 +50,9 @@ class LightNetOutput:
     root_share: Float[Tensor, " b"]
 
 
-class Attention(nn.Module):
-    """Each place looks at all others (Vaswani et al. 2017), beside an identity: what recurs from slice to slice is
-    print. Before any training it changes nothing."""
-
-    def __init__(self, channels: int, heads: int) -> None:
-        super().__init__()
-        self.heads = heads
-        self.asked = nn.Conv2d(channels + 2, 3 * channels, 1)
-        self.said = _silent(nn.Conv2d(channels, channels, 1))
-
-    def forward(self, x: Float[Tensor, "b c h w"]) -> Float[Tensor, "b c h w"]:
-        size = x.shape[2:]
-        asked = self.asked(torch.cat([x, view_coordinates(x)], dim=1)).flatten(2).unflatten(1, (3, self.heads, -1))
-        query, key, value = asked.transpose(3, 4).unbind(dim=1)
-        found = functional.scaled_dot_product_attention(query, key, value)
-        return x + self.said(found.transpose(2, 3).flatten(1, 2).unflatten(2, size))
-
-
 class LightNet(nn.Module):
-    """An encoder to 1/16 of the film, and a decoder to its half; each field is a sum of three, from coarse to fine.
+    """An encoder to 1/16 of the film, and a decoder to its half; each field is a sum of three, from coarse to fine. At
+    1/8 and 1/16 each place looks at all others, as what recurs from slice to slice is print.
 
     It sees light in units of the film's mean, so a brighter photo is read alike.
     """
@@ -88,7 +71,7 @@ class LightNet(nn.Module):
         self.deep = Residual(w16)
         self.lateral8, self.lateral4, self.lateral2 = nn.Conv2d(w16, w8, 1), nn.Conv2d(w8, w4, 1), nn.Conv2d(w4, w2, 1)
         self.up8, self.up4, self.up2 = Residual(w8), Residual(w4), Residual(w2)
-        self.tone = _silent(nn.Conv2d(w16, 1, 1))
+        self.tone = silent(nn.Conv2d(w16, 1, 1))
         self.head16, self.head4, self.head2 = (nn.Conv2d(width, 2, 3, 1, 1) for width in (w16, w4, w2))
 
     def forward(self, films: Float[Tensor, "b 4 n n"]) -> LightNetOutput:
@@ -110,13 +93,6 @@ class LightNet(nn.Module):
         black, gain = functional.softplus(fields[:, 0] - 2), torch.exp(fields[:, 1].clamp(-5, 4))
         tone = self.tone(x16.mean(dim=(2, 3), keepdim=True)).float().flatten()
         return LightNetOutput(unit * black, unit * gain, (USUAL_ROOT_SHARE + tone).clamp(0, MOST_ROOT_SHARE))
-
-
-def _silent(conv: nn.Conv2d) -> nn.Conv2d:
-    """The convolution, which says nothing until it has learnt."""
-    for values in conv.parameters():
-        nn.init.zeros_(values)
-    return conv
 
 
 def _halved(inputs: int, outputs: int, blocks: int) -> nn.Sequential:

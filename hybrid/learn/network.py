@@ -18,10 +18,12 @@ STRIDE = 4
 @dataclass(frozen=True)
 class FilmNetConfig:
     """Widths and depths. widths: channels at 1/4 (stem), 1/8, 1/16 and 1/32 of the input. blocks: residual blocks at
-    1/8, 1/16 and 1/32 on the way down. input_px: side of the square input that the network was trained for."""
+    1/8, 1/16 and 1/32 on the way down. heads: of the attention at 1/16 and 1/8 on the way up. input_px: side of the
+    square input that the network was trained for."""
 
     widths: tuple[int, int, int, int] = (32, 80, 160, 320)
     blocks: tuple[int, int, int] = (1, 2, 3)
+    heads: int = 4
     input_px: int = 192
 
 
@@ -77,12 +79,38 @@ class Residual(nn.Module):
         return functional.relu(x + self.second(self.first(x)))
 
 
+class Attention(nn.Module):
+    """Each place looks at all others (Vaswani et al. 2017), beside an identity. Before any training it changes
+    nothing."""
+
+    def __init__(self, channels: int, heads: int) -> None:
+        super().__init__()
+        self.heads = heads
+        self.asked = nn.Conv2d(channels + 2, 3 * channels, 1)
+        self.said = silent(nn.Conv2d(channels, channels, 1))
+
+    def forward(self, x: Float[Tensor, "b c h w"]) -> Float[Tensor, "b c h w"]:
+        size = x.shape[2:]
+        asked = self.asked(torch.cat([x, view_coordinates(x)], dim=1)).flatten(2).unflatten(1, (3, self.heads, -1))
+        query, key, value = asked.transpose(3, 4).unbind(dim=1)
+        found = functional.scaled_dot_product_attention(query, key, value)
+        return x + self.said(found.transpose(2, 3).flatten(1, 2).unflatten(2, size))
+
+
+def silent(conv: nn.Conv2d) -> nn.Conv2d:
+    """The convolution, which says nothing until it has learnt."""
+    for values in conv.parameters():
+        nn.init.zeros_(values)
+    return conv
+
+
 class FilmNet(nn.Module):
     """An encoder to 1/32 of the input and a decoder back to 1/8, whose head writes 2 x 2 output pixels each.
 
-    Most of the work is done at 1/8 and below, where the whole film is within reach of a few convolutions. Each pixel
-    is told where it is in the view (Liu et al. 2018, CoordConv), and uv is predicted as a difference from that. Beside
-    the colours it sees their local contrast, in which a dark film on dark ground looks like any other.
+    Most of the work is done at 1/8 and below, where the whole film is within reach of a few convolutions; on the way up
+    each place looks at all others besides, as its place on the sheet is told by edges far off. Each pixel is told where
+    it is in the view (Liu et al. 2018, CoordConv), and uv is predicted as a difference from that. Beside the colours it
+    sees their local contrast, in which a dark film on dark ground looks like any other.
     """
 
     def __init__(self, config: FilmNetConfig) -> None:
@@ -94,8 +122,10 @@ class FilmNet(nn.Module):
         self.down16 = nn.Sequential(ConvNorm(w8, w16, 3, 2), *(Residual(w16) for _ in range(config.blocks[1])))
         self.down32 = nn.Sequential(ConvNorm(w16, w32, 3, 2), *(Residual(w32) for _ in range(config.blocks[2])))
         self.lateral16 = nn.Conv2d(w32, w16, 1)
+        self.among16 = Attention(w16, config.heads)
         self.up16 = Residual(w16)
         self.lateral8 = nn.Conv2d(w16, w8, 1)
+        self.among8 = Attention(w8, config.heads)
         self.up8 = Residual(w8)
         self.head = nn.Conv2d(w8 + 2, 4 * _CHANNELS, 3, 1, 1)
         self.training_head = nn.Conv2d(w8, 4 * _TRAINING_CHANNELS, 1)
@@ -107,8 +137,8 @@ class FilmNet(nn.Module):
         x8 = self.down8(x4)
         x16 = self.down16(x8)
         x32 = self.down32(x16)
-        y16 = self.up16(x16 + functional.interpolate(self.lateral16(x32), scale_factor=2, mode="nearest"))
-        y8 = self.up8(x8 + functional.interpolate(self.lateral8(y16), scale_factor=2, mode="nearest"))
+        y16 = self.up16(self.among16(x16 + _doubled(self.lateral16(x32))))
+        y8 = self.up8(self.among8(x8 + _doubled(self.lateral8(y16))))
         maps = functional.pixel_shuffle(self.head(torch.cat([y8, view_coordinates(y8)], dim=1)), 2)
         maps = maps.float()  # bfloat16 would tell uv to a 256th of the film
         return FilmNetOutput(
@@ -123,6 +153,10 @@ class FilmNet(nn.Module):
             orientation=self.orientation_head(x32.mean(dim=(2, 3))).float(),
             normal=functional.pixel_shuffle(self.training_head(y8), 2).float() if self.training else None,
         )
+
+
+def _doubled(x: Tensor) -> Tensor:
+    return functional.interpolate(x, scale_factor=2, mode="nearest")
 
 
 def view_coordinates(maps: Float[Tensor, "b c h w"]) -> Float[Tensor, "b 2 h w"]:
