@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -13,6 +14,7 @@ from data_gen.prints import FilmPrint
 from hybrid.backward import BackwardMap
 from hybrid.pyramid import Pyramid
 from hybrid.records import CoarseMaps, SliceGrid
+from hybrid.rectify.edge_paths import EdgesRead
 from hybrid.rectify.flat import NEAR_FRAME, NOTHING_ELSE, already_flat, frame_of
 from hybrid.rectify.refine import Refinement
 from hybrid.rectify.survey import film_share
@@ -57,6 +59,24 @@ def test_only_a_film_that_fills_the_photo_can_be_flat_already() -> None:
         found, reason = already_flat(Pyramid(photo), coarse, NOTHING_ELSE - 0.01, refined, unmoved)
         assert found is None
         assert reason == "the film does not fill the photo"
+
+
+@pytest.mark.parametrize(
+    ("right", "edges", "flat"), [(0.96, 2, False), (1.0, 2, True), (1.0, 4, False), (0.96, 1, True)]
+)
+def test_a_sheet_is_seen_inside_the_photo_by_all_edges_or_by_some_if_all_lie_there(
+    right: float, edges: int, flat: bool
+) -> None:
+    """Of a scan no side shows beyond the frame: there nothing speaks against an edge, nor for one."""
+    shown = picture()
+    size = shown.shape[:2]
+    left_top, right_bottom = np.array([0.04, 0.04]), np.array([right, 0.96])
+    film = BackwardMap(frame_of(size).nodes * (right_bottom - left_top) + left_top * np.array(size[::-1]))
+    across = EdgesRead(film, (), 0.0, np.ones((4, 64), np.float32))
+    refined = replace(with_grid(film), expected_px=1.0, edges=edges, across=across)
+    found, reason = already_flat(Pyramid(shown), film, NOTHING_ELSE - 0.01, refined, unmoved)
+    assert (found is not None) is flat
+    assert flat or reason == "the sheet's edges are seen inside the photo"
 
 
 @pytest.mark.parametrize("seen", [True, False])

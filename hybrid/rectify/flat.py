@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import numpy as np
+from jaxtyping import Float
 
 from hybrid.backward import BackwardMap
 from hybrid.coords import film_nodes
@@ -113,9 +114,8 @@ def _has_edges_inside(refined: Refinement, frame: BackwardMap) -> bool:
 
 def _nearest_side(backward: BackwardMap, frame: BackwardMap) -> float:
     """How far inside a photo's frame a map's four sides lie at least, each at its mean, in parts of its diagonal."""
-    off = backward.lattice((33, 33)) - frame.nodes
-    inside = min(off[0, :, 1].mean(), -off[-1, :, 1].mean(), off[:, 0, 0].mean(), -off[:, -1, 0].mean())
-    return float(inside / np.linalg.norm(frame.nodes[-1, -1]))
+    off = _beside(backward, frame)
+    return float(min(off[0, :, 1].mean(), -off[-1, :, 1].mean(), off[:, 0, 0].mean(), -off[:, -1, 0].mean()))
 
 
 def _explained(pyramid: Pyramid, backward: BackwardMap, grid: SliceGrid, most: int) -> float:
@@ -138,8 +138,12 @@ def _on_film(grid: SliceGrid, backward: BackwardMap) -> SliceGrid:
 
 def _off(backward: BackwardMap, frame: BackwardMap) -> float:
     """The largest distance of a map from a photo's frame, in parts of its diagonal."""
-    off = backward.lattice((33, 33)) - frame.nodes
-    return float(np.linalg.norm(off, axis=-1).max() / np.linalg.norm(frame.nodes[-1, -1]))
+    return float(np.linalg.norm(_beside(backward, frame), axis=-1).max())
+
+
+def _beside(backward: BackwardMap, frame: BackwardMap) -> Float[np.ndarray, "33 33 2"]:
+    """How far a map's lattice lies beside a photo's frame, in parts of its diagonal."""
+    return (backward.lattice((33, 33)) - frame.nodes) / np.linalg.norm(frame.nodes[-1, -1])
 
 
 __all__ = ["already_flat", "frame_of", "is_frame"]
