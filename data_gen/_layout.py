@@ -40,6 +40,8 @@ class PrintConfig:
     placing_weights: chances of PLACINGS.
     margin_share, text_share, header_share, empty_share: chances of margins, of texts, of a header strip, and of empty
         cells at the end.
+    footer_share, label_share: chances that a header strip stands below the cells, and that it is bright and its writing
+        dark, as on a label.
     clear_share, frame_share: chances, where there are margins, that these are bare film, bright as the print's white
         (DICOM calls them borders of white density), and that a line is drawn through them all around the grid.
     bright_gap_share: chance that gutters are bright.
@@ -53,7 +55,9 @@ class PrintConfig:
     placing_weights: tuple[float, float, float] = (0.45, 0.33, 0.22)
     margin_share: float = 0.35
     text_share: float = 0.94
-    header_share: float = 0.1
+    header_share: float = 0.15
+    footer_share: float = 0.25
+    label_share: float = 0.3
     empty_share: float = 0.12
     scout_share: float = 0.1
     windows_share: float = 0.15
@@ -79,7 +83,8 @@ class Layout:
     """The frame of a print in pixels.
 
     pitch_px: (down, across) from cell to cell. gap_px: even, between neighbouring cells, half of it outside the
-    outermost. margins_px: (top, right, bottom, left) outside the grid, the header in the top one.
+    outermost. margins_px: (top, right, bottom, left) outside the grid. header_px: height of a strip in the top margin;
+    footer: in the bottom one.
     rule_px: thickness of rules or boxes. boxes: a rule around each cell instead of between them.
     outer_rules: rules also along the grid's border. frame_px: thickness of a line around the grid, in the margins; 0
     for none. frame_at: its place, in parts of the way from the sheet's edges to the grid. film: name of its format, or
@@ -92,6 +97,7 @@ class Layout:
     gap_px: int
     margins_px: tuple[int, ...]
     header_px: int
+    footer: bool
     style: str
     rule_px: int
     boxes: bool
@@ -147,7 +153,8 @@ def random_layout(rng: np.random.Generator, config: PrintConfig) -> Layout:
     target = config.longer_px * rng.uniform(1 - config.longer_spread, 1 + config.longer_spread)
     header = float(rng.uniform(0.02, 0.05)) if rng.random() < config.header_share else 0.0
     margins = _random_margins(rng, config.margin_share)
-    margins[0] += header
+    footer = bool(header and rng.random() < config.footer_share)
+    margins[2 if footer else 0] += header
     placing = PLACINGS[rng.choice(3, p=np.array(config.placing_weights) / sum(config.placing_weights))]
     film, (long_mm, short_mm) = _random_format(rng)
     if placing == "free":
@@ -166,8 +173,9 @@ def random_layout(rng: np.random.Generator, config: PrintConfig) -> Layout:
     rule = int(rng.integers(1, 5)) if style == "rules" else 0
     frame, framed = int(rng.integers(1, 5)), rng.random() < config.frame_share and margins.min() > 0
     layout = Layout(
-        rows, cols, pitch_px, gap, tuple(int(m * target) for m in margins), int(header * target), style, rule,
-        bool(boxes), bool(rng.random() < 0.5), frame if framed else 0, float(rng.uniform(0.1, 0.9)), film, (0.0, 0.0),
+        rows, cols, pitch_px, gap, tuple(int(m * target) for m in margins), int(header * target), footer, style,
+        rule, bool(boxes), bool(rng.random() < 0.5), frame if framed else 0, float(rng.uniform(0.1, 0.9)), film,
+        (0.0, 0.0),
     )  # fmt: skip
     mm_per_px = long_mm / max(layout.shape)
     return replace(layout, size_mm=(layout.shape[0] * mm_per_px, layout.shape[1] * mm_per_px))

@@ -16,7 +16,7 @@ from data_gen.lamps import lamp_seen
 from data_gen.lighting import room_from_film
 from data_gen.rooms import FilteredEnvironment, sample_environment
 from data_gen.scene import Scene
-from data_gen.shade import light_box_lamp
+from data_gen.shade import box_offset_mm, light_box_lamp
 from hybrid.coords import film_centres
 from hybrid.mesh.camera import Camera
 from hybrid.mesh.film import FilmMesh
@@ -112,14 +112,16 @@ def _panel(
         raise ValueError("background: a panel is seen without a light box; allowed: backdrop 'panel' with light.box")
     rng = np.random.default_rng(scene.backdrop.seed)
     lamp, _ = light_box_lamp(box, film, camera.centre_world)
-    ground = Ground(np.array(lamp.centre_mm), np.array(lamp.across), np.array([0, 1.0, 0]), np.array(lamp.axis))
+    across, down, middle = np.array(lamp.across), np.array([0, 1.0, 0]), np.array(box_offset_mm(box, film))
+    behind_film = np.array(lamp.centre_mm) - middle[0] * across - middle[1] * down
+    ground = Ground(behind_film, across, down, np.array(lamp.axis))
     half = np.array(lamp.half_mm)
     centre = film_centres((COARSE, COARSE))
     around, _ = ground_material(ground, camera, scene.backdrop)
     received = ground_light(ground, camera, scene, room, (COARSE, COARSE))
     rim = rng.uniform(6, 35)
-    panel = outline_share(ground, camera, -half, half)
-    frame = outline_share(ground, camera, -half - rim, half + rim)
+    panel = outline_share(ground, camera, middle - half, middle + half)
+    frame = outline_share(ground, camera, middle - half - rim, middle + half + rim)
     plastic = 10 ** rng.uniform(-1.9, -0.2)
     around += (np.float32(plastic) - around) * frame[..., None]
     light, gloss = (
@@ -128,7 +130,7 @@ def _panel(
     spill = cv2.resize(frame, (64, 64), interpolation=cv2.INTER_AREA)
     spill = cv2.resize(cv2.GaussianBlur(spill, (0, 0), 5.0), camera.size[::-1], interpolation=cv2.INTER_LINEAR)
     light += spill[..., None] * np.array(box.radiance, np.float32) * np.float32(0.05)
-    bright = box.brightness(np.clip((1 + ground.coordinates(camera, centre) / half) / 2, 0, 1))
+    bright = box.brightness(np.clip((1 + (ground.coordinates(camera, centre) - middle) / half) / 2, 0, 1))
     bright = cv2.resize(bright, camera.size[::-1], interpolation=cv2.INTER_LINEAR)
     shone = np.ones_like(around)
     place_things(shone, ground, camera, scene.backdrop, rng, (film.size_mm[1] / 2, film.size_mm[0] / 2))

@@ -60,7 +60,8 @@ class LightBox:
 
     radiance: linear RGB where it is brightest. falloff: share lost far from ``centre``, over ``spread`` of its sides.
     tubes: waves of brightness across it (0: none), along its height where ``upright``. size: of its sides, relative
-    to the film's. gap_mm: between it and the film.
+    to the film's. gap_mm: between it and the film. offset: of its middle from the film's, to the right and down as
+    seen, relative to the film's sides; where it is large, the film hangs over.
     """
 
     radiance: Vector
@@ -71,6 +72,7 @@ class LightBox:
     upright: bool
     size: tuple[float, float]
     gap_mm: float
+    offset: tuple[float, float] = (0.0, 0.0)
 
     def brightness(self, uv: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n"]:
         """Relative brightness at points of the panel, (0, 0) to (1, 1) from corner to corner."""
@@ -277,6 +279,7 @@ def smallest_rotation(start: Vector3, stop: Vector3) -> Float[np.ndarray, "3 3"]
 
 def _light_box(rng: np.random.Generator) -> LightBox:
     colour = planckian(float(rng.uniform(4000, 10200)))
+    size = float(rng.uniform(0.85, 2.2)), float(rng.uniform(0.85, 1.5))
     return LightBox(
         radiance=_vector(colour * rng.uniform(1.5, 7.0)),
         falloff=float(rng.uniform(0.0, 0.7)),
@@ -284,9 +287,16 @@ def _light_box(rng: np.random.Generator) -> LightBox:
         spread=float(rng.uniform(0.3, 1.0)),
         tubes=float(rng.uniform(2, 6)) if rng.random() < 0.3 else 0.0,
         upright=bool(rng.random() < 0.5),
-        size=(float(rng.uniform(0.9, 2.2)), float(rng.uniform(0.95, 1.5))),
+        size=size,
         gap_mm=float(rng.uniform(1, 20)),
+        offset=(_box_offset(rng, size[0]), _box_offset(rng, size[1])),
     )
+
+
+def _box_offset(rng: np.random.Generator, size: float) -> float:
+    """Of a light box's middle from the film's, along one side: the film lies anywhere on it, or hangs over a little."""
+    beyond = min(abs(rng.normal(0, 0.08)), 0.25)
+    return float(rng.uniform(-1, 1) * (max(size - 1, 0.0) / 2 + beyond))
 
 
 def _ceiling_lamp(rng: np.random.Generator, up: Float[np.ndarray, "3"]) -> Lamp:

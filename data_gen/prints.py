@@ -69,7 +69,7 @@ def make_print(volume: CtVolume, rng: np.random.Generator, config: PrintConfig =
         for k, (position, number) in enumerate(zip(deal.positions.tolist(), deal.windows, strict=True)):
             numbers = labels.numbers(k, position * volume.spacing_mm[0], look.windows[number])
             draw_labels(image, layout.cell(k + look.scout), labels, numbers)
-    header = _draw_header(rng, image, layout, look) if layout.header_px else ""
+    header = _draw_header(rng, image, layout, look, config.label_share) if layout.header_px else ""
     vertices = film_from_pixel(layout.vertices_px(), (image.shape[0], image.shape[1]))
     parameters = {"volume": volume.label, "plane": volume.plane, "px_per_mm": px_per_mm, "header": header}
     parameters |= _layout_parameters(layout) | _look_parameters(look, deal, labels)
@@ -173,20 +173,21 @@ def _draw_bars(
         region += share[:, None] * (np.float32(grey) - region)
 
 
-def _draw_header(rng: np.random.Generator, image: Float[np.ndarray, "h w"], layout: Layout, look: Look) -> str:
-    """A strip above the grid with a line of text that names nobody; the text."""
-    strip, on_bare_film = image[: layout.header_px], look.clear and rng.random() < 0.6
-    strip[:] = look.margin_grey if on_bare_film else look.base + rng.uniform(0.0, 0.3)
+def _draw_header(
+    rng: np.random.Generator, image: Float[np.ndarray, "h w"], layout: Layout, look: Look, label_share: float
+) -> str:
+    """A strip above or below the grid with a line of text that names nobody; the text."""
+    strip = image[-layout.header_px :] if layout.footer else image[: layout.header_px]
+    on_bare_film, label = look.clear and rng.random() < 0.6, rng.random() < label_share
+    if on_bare_film:
+        strip[:] = look.margin_grey
+    else:
+        strip[:] = rng.uniform(0.5, 1.0) if label else look.base + rng.uniform(0.0, 0.3)
     letters = "".join(rng.choice(list("ABCDEFGHIKLMNOPRSTUVXZ0123456789   "), int(rng.integers(12, 60))))
     height = max(6, round(0.4 * layout.header_px))
     sprite = text_sprite(letters, Font(str(rng.choice(FAMILIES)), height))
-    stamp(
-        image,
-        sprite,
-        int(rng.uniform(0.01, 0.5) * image.shape[1]),
-        (layout.header_px - height) // 2,
-        look.base if on_bare_film else 0.9,
-    )
+    at = int(rng.uniform(0.01, 0.5) * image.shape[1]), (layout.header_px - height) // 2
+    stamp(strip, sprite, *at, look.base if on_bare_film or label else 0.9)
     return letters
 
 

@@ -213,8 +213,14 @@ def light_box_lamp(box: LightBox, film: FilmMesh, camera_mm: Float[np.ndarray, "
     centre, away = points.mean(axis=0), 1.0 if points[:, 2].mean() > camera_mm[2] else -1.0
     depth = (points[:, 2] * away).max() + box.gap_mm
     half = (box.size[0] * film.size_mm[1] / 2, box.size[1] * film.size_mm[0] / 2)
-    at = (float(centre[0]), float(centre[1]), float(away * depth))
+    right, down = box_offset_mm(box, film)
+    at = (float(centre[0] + away * right), float(centre[1] + down), float(away * depth))
     return Lamp("rectangle", at, (0.0, 0.0, -away), (away, 0.0, 0.0), half, box.radiance), box
+
+
+def box_offset_mm(box: LightBox, film: FilmMesh) -> tuple[float, float]:
+    """Of a light box's middle from the film's, to the right and down as seen."""
+    return box.offset[0] * film.size_mm[1], box.offset[1] * film.size_mm[0]
 
 
 def _panel_uv(lamp: Lamp, points: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 2"]:

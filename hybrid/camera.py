@@ -6,12 +6,14 @@ Where a sheet only leans, the photo leaves open how long the lens is, and so how
 from __future__ import annotations
 
 import math
-import os
+from contextlib import nullcontext
 from typing import Any
 
+import numpy as np
+from PIL import Image
 from PIL.ExifTags import IFD, Base
 
-from hybrid.image_io import opened
+from hybrid.image_io import PhotoSource, opened
 
 FILM_35_DIAGONAL_MM = math.hypot(36.0, 24.0)
 """Of the frame that focal lengths are stated for as equivalent ones (CIPA DCG-001: by the diagonal)."""
@@ -26,17 +28,17 @@ SAME_SHAPE = 0.01
 """Relative difference of the ratio of sides from what the camera wrote, from which on a photo was cropped."""
 
 
-def told_focal(source: Any) -> float | None:
-    """The focal length that a photo's file tells, in longer sides of the photo; None for an array, where it is not
+def told_focal(source: PhotoSource) -> float | None:
+    """The focal length that a photo's EXIF tells, in longer sides of the photo; None for an array, where it is not
     told, or where the photo was cropped since.
 
     By EXIF's equivalent for 35 mm film (FocalLengthIn35mmFilm), which is exact to half a millimetre, and which phones
     lengthen where they zoom by cropping.
     """
-    if not isinstance(source, (str, os.PathLike)):
+    if isinstance(source, np.ndarray):
         return None
     try:
-        with opened(source) as image:
+        with nullcontext(source) if isinstance(source, Image.Image) else opened(source) as image:
             return _focal_of(image.getexif().get_ifd(IFD.Exif), image.size)
     except Exception:  # the photo itself is read elsewhere: of damaged EXIF Pillow raises nearly anything
         return None

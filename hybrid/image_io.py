@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, NoReturn, TypeAlias
 
 import cv2
 import numpy as np
@@ -48,14 +48,21 @@ _BOMB_LOCK = threading.Lock()
 # ---------------------------------------------------------------- photos in
 
 
-def as_photo(source: Any) -> UInt8[np.ndarray, "h w 3"]:
-    """The photo as (H, W, 3) uint8 RGB, upright: from a path, or from an array that is checked and never modified.
+PhotoSource: TypeAlias = str | os.PathLike[str] | np.ndarray | Image.Image
+"""What a photo is given as: a path; (H, W, 3) uint8 RGB; (H, W) uint8 grey; or a picture of Pillow's."""
 
-    source: a path; or (H, W, 3) uint8 RGB; or (H, W) uint8 grey, which is repeated for the three channels.
-    Raises PhotoError, which says what to do, for anything else.
+
+def as_photo(source: Any) -> UInt8[np.ndarray, "h w 3"]:
+    """The photo as (H, W, 3) uint8 RGB, upright: from a path, or from pixels that are checked and never modified.
+
+    source: as in ``PhotoSource``. Grey is repeated for the three channels. A picture of Pillow's is turned after its
+    EXIF orientation, as files are (``read_photo``). Raises PhotoError, which says what to do, for anything else.
     """
     if isinstance(source, (str, os.PathLike)):
         return read_photo(source)
+    if isinstance(source, Image.Image):
+        with _damage_told("Pillow image"):
+            return _pixels(source, "Pillow image")
     if not isinstance(source, np.ndarray):
         _refuse_array(f"a {type(source).__name__}", "Pass a path or a numpy array; np.asarray(photo) makes one.")
     got = f"{source.dtype} of shape {source.shape}"
@@ -223,26 +230,38 @@ def _decode_with_pillow(path: Path) -> UInt8[np.ndarray, "h w 3"]:
     _hear_of_heif()
     try:
         # Opened by name, Pillow maps uncompressed TIFFs into memory, and reads them askew where they lie on their side.
-        with _pillow_limits(), path.open("rb") as file, Image.open(file) as image:
-            _check_size(image.height, image.width, path)
-            tags = getattr(image, "tag_v2", {})
-            if (tags.get(PLANES), tags.get(COMPRESSION)) == (2, 1) and 16 in tags.get(BITS, ())[1:]:
-                do = "Save it with the colours of each pixel together, or with 8 bits."
-                raise PhotoError(describe(what="The TIFF has 16 bits and a plane for each colour", where=path, do=do))
-            image.load()
-            return _rgb_from_pillow(image, path)
+        with _damage_told(path), _pillow_limits(), path.open("rb") as file, Image.open(file) as image:
+            return _pixels(image, path)
     except UnidentifiedImageError as error:
         what = "The file is not a picture that can be read"
         raise PhotoError(
             describe(what=what, where=path, got=_kind_of(path), allowed=READABLE, do=_TAKE_AGAIN)
         ) from error
-    except (PhotoError, MemoryError):
+
+
+@contextmanager
+def _damage_told(where: object) -> Iterator[None]:
+    """Whatever Pillow raises of a picture that is damaged becomes a PhotoError, but for what it takes for none."""
+    try:
+        yield
+    except (PhotoError, MemoryError, UnidentifiedImageError):
         raise
     except Exception as error:  # a damaged file makes Pillow's many readers raise nearly anything
-        raise PhotoError(describe(what=_DAMAGED, where=path, got=f"'{error}'", do=_TAKE_AGAIN)) from error
+        raise PhotoError(describe(what=_DAMAGED, where=where, got=f"'{error}'", do=_TAKE_AGAIN)) from error
 
 
-def _rgb_from_pillow(picture: Image.Image, path: Path) -> UInt8[np.ndarray, "h w 3"]:
+def _pixels(image: Image.Image, where: object) -> UInt8[np.ndarray, "h w 3"]:
+    """The pixels of a picture that Pillow has opened, upright."""
+    _check_size(image.height, image.width, where)
+    tags = getattr(image, "tag_v2", {})
+    if (tags.get(PLANES), tags.get(COMPRESSION)) == (2, 1) and 16 in tags.get(BITS, ())[1:]:
+        do = "Save it with the colours of each pixel together, or with 8 bits."
+        raise PhotoError(describe(what="The TIFF has 16 bits and a plane for each colour", where=where, do=do))
+    image.load()
+    return _rgb_from_pillow(image, where)
+
+
+def _rgb_from_pillow(picture: Image.Image, where: object) -> UInt8[np.ndarray, "h w 3"]:
     try:
         image = ImageOps.exif_transpose(picture)
     except Exception:  # damaged EXIF, of which Pillow raises nearly anything, tells nothing of the picture
@@ -256,7 +275,7 @@ def _rgb_from_pillow(picture: Image.Image, path: Path) -> UInt8[np.ndarray, "h w
         return np.repeat(grey[:, :, None], 3, axis=2)
     if image.mode in ("I", "F"):
         do = "Save it with 8 or 16 bits per channel, whole range used."
-        raise PhotoError(describe(what="The picture has 32 bits per channel", where=path, got=image.mode, do=do))
+        raise PhotoError(describe(what="The picture has 32 bits per channel", where=where, got=image.mode, do=do))
     if image.mode in ("RGBA", "LA", "PA", "La", "RGBa") or "transparency" in image.info:
         clear = image.convert("RGBA")
         black = Image.new("RGBA", clear.size, (0, 0, 0, 255))
@@ -287,7 +306,7 @@ def _refuse_file(what: str, path: Path, do: str) -> NoReturn:
 
 
 def _refuse_array(got: str, do: str) -> NoReturn:
-    allowed = "a path, or a uint8 array of shape (H, W, 3) in RGB or (H, W)"
+    allowed = "a path, or a uint8 array of shape (H, W, 3) in RGB or (H, W), or a picture of Pillow's"
     raise PhotoError(describe(what="The photo cannot be used", got=got, allowed=allowed, do=do))
 
 
@@ -373,6 +392,7 @@ def _encoded(suffix: str, image: np.ndarray, options: Sequence[int] = ()) -> byt
 __all__ = [
     "MAX_PIXELS",
     "MIN_SIDE",
+    "PhotoSource",
     "as_photo",
     "jpeg_extent",
     "levels_16",

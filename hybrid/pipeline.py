@@ -17,7 +17,7 @@ from hybrid.effort import Effort, RectifyConfig
 from hybrid.errors import ConfigError, FusionError, describe
 from hybrid.geometry import Readers, beyond_doubt, flat_itself, judged, shape_of, whole_sheet
 from hybrid.grid_edit import GridEdit
-from hybrid.image_io import as_photo
+from hybrid.image_io import PhotoSource, as_photo
 from hybrid.learn.edges import strip_reader
 from hybrid.learn.inference import ready
 from hybrid.learn.light import level_reader
@@ -82,11 +82,11 @@ class Rectifier:
     def __deepcopy__(self, memo: dict[int, Any]) -> Rectifier:
         return self
 
-    def __call__(self, source: str | Path | np.ndarray, corners: Corners | None = None) -> RectifyResult:
+    def __call__(self, source: PhotoSource, corners: Corners | None = None) -> RectifyResult:
         """The flat film of a photo.
 
         Args:
-            source: a path, (H, W, 3) uint8 RGB, or (H, W) uint8.
+            source: a path, (H, W, 3) uint8 RGB, (H, W) uint8, or a picture of Pillow's.
             corners: of the sheet, where a person knows them better than the network: four photo points (x, y), in any
                 order, exact to about a hundredth of the film. Then a film is given whatever the network sees.
 
@@ -98,7 +98,7 @@ class Rectifier:
         with one_thread():
             return self._rectified(*_photo_of(source, clock), corners, clock)
 
-    def fuse(self, sources: Iterable[str | Path | np.ndarray], names: Sequence[str] | None = None) -> RectifyResult:
+    def fuse(self, sources: Iterable[PhotoSource], names: Sequence[str] | None = None) -> RectifyResult:
         """One film of several photos of it, between which phone or lamps moved, so that glare vanishes.
 
         names: of the photos, for messages; else they are numbered.
@@ -134,7 +134,7 @@ class Rectifier:
             options = self.config.fuse, self.config.light, self.config.resample
             return replace(fuse(photos, results, self._levels, *options, names), photos=len(photos))
 
-    def edited(self, source: str | Path | np.ndarray, edit: GridEdit) -> RectifyResult:
+    def edited(self, source: PhotoSource, edit: GridEdit) -> RectifyResult:
         """The film of a photo anew, through the map and grid that a person has edited, of its size and way up.
 
         The result that was edited itself where nothing is changed. Else what speaks for the map is not known: it is
@@ -185,7 +185,7 @@ class Rectifier:
             left_out=(),
         )
 
-    def network_map(self, source: str | Path | np.ndarray) -> BackwardMap | None:
+    def network_map(self, source: PhotoSource) -> BackwardMap | None:
         """What the network alone makes of a photo, before refinement: the map of the film as it lies in the photo.
 
         None where it sees no film. For comparing networks, which refinement would make alike.
@@ -313,7 +313,7 @@ class Rectifier:
         return way, float(chances[way.index])
 
 
-def _photo_of(source: str | Path | np.ndarray, clock: Clock) -> tuple[Photo, float | None]:
+def _photo_of(source: PhotoSource, clock: Clock) -> tuple[Photo, float | None]:
     """The photo, as a stage, and the focal length in its longer sides if its file tells it."""
     with clock.stage("read") as report:
         photo, focal = as_photo(source), told_focal(source)
@@ -337,9 +337,7 @@ def _rectifier(config: RectifyConfig) -> Rectifier:
     return Rectifier(config)
 
 
-def rectify(
-    photo: str | Path | np.ndarray, effort: Effort | str = "default", corners: Corners | None = None
-) -> RectifyResult:
+def rectify(photo: PhotoSource, effort: Effort | str = "default", corners: Corners | None = None) -> RectifyResult:
     """Rectify one photo with the packaged network and an effort's options; see Rectifier.
 
     Raises:

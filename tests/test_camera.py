@@ -40,6 +40,8 @@ def test_a_lens_of_26_mm_is_three_quarters_of_the_longer_side(tmp_path: Path, su
     path = photo_with(tmp_path / f"a.{suffix}", orientation, FocalLengthIn35mmFilm=26)
     assert told_focal(path) == pytest.approx(26 / 43.27 * 5 / 4, rel=1e-3)
     assert told_focal(str(path)) == told_focal(path)
+    with Image.open(path) as opened:
+        assert told_focal(opened) == told_focal(path)
 
 
 def test_a_photo_that_was_cropped_tells_none(tmp_path: Path):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import struct
 from pathlib import Path
@@ -10,6 +11,7 @@ import cv2
 import numpy as np
 import pytest
 from PIL import Image
+from PIL.ExifTags import Base
 
 from hybrid.errors import PhotoError
 from hybrid.image_io import MAX_PIXELS, as_photo, jpeg_extent, read_photo, write_film, write_rgb
@@ -348,6 +350,26 @@ def test_array_passes_unchanged(picture: np.ndarray) -> None:
 def test_path_as_text(tmp_path: Path, picture: np.ndarray) -> None:
     Image.fromarray(picture).save(tmp_path / "a.png")
     assert np.array_equal(as_photo(str(tmp_path / "a.png")), picture)
+
+
+def test_a_picture_of_pillows_is_read_as_its_file_would_be(tmp_path: Path, picture: np.ndarray) -> None:
+    exif = Image.Exif()
+    exif[Base.Orientation] = 6
+    Image.fromarray(picture).save(tmp_path / "a.png", exif=exif)
+    with Image.open(tmp_path / "a.png") as opened:
+        assert np.array_equal(as_photo(opened), read_photo(tmp_path / "a.png"))
+        assert opened.size == picture.shape[1::-1]  # not modified
+    grey = Image.fromarray(picture[..., 0])
+    assert np.array_equal(as_photo(grey), as_photo(picture[..., 0]))
+
+
+def test_a_damaged_picture_of_pillows_is_refused(tmp_path: Path, picture: np.ndarray) -> None:
+    Image.fromarray(picture).save(tmp_path / "a.png")
+    data = (tmp_path / "a.png").read_bytes()
+    with pytest.raises(PhotoError, match=r"damaged or cut off \(Pillow image\): got"):
+        as_photo(Image.open(io.BytesIO(data[: len(data) // 2])))
+    with pytest.raises(PhotoError, match=r"too small \(Pillow image\)"):
+        as_photo(Image.new("RGB", (1, 1)))
 
 
 @pytest.mark.parametrize(

@@ -165,6 +165,25 @@ def test_a_frame_runs_through_the_margins_around_the_grid(empty: CtVolume, seed:
     assert cols[-1] >= width - right - 1
 
 
+@pytest.mark.parametrize("footer", [False, True])
+def test_headers_stand_above_the_cells_or_below_them_bright_as_labels_or_dark(empty: CtVolume, footer: bool):
+    greys = {}
+    for label in (False, True):
+        options = {**BARE, "header_share": 1.0, "footer_share": float(footer), "label_share": float(label)}
+        film = make(empty, 3, longer_px=800, margin_share=0.0, placing_weights=(1.0, 0.0, 0.0), **options)
+        tall = film.parameters["header_px"]
+        strip = film.image[-tall:] if footer else film.image[:tall]
+        assert len(film.parameters["header"].strip()) > 1
+        assert np.isclose(film.vertices[-1, 0, 1], 1.0, atol=1 / 800) != footer
+        assert np.isclose(film.vertices[0, 0, 1], 0.0, atol=1 / 800) == footer
+        greys[label] = float(np.median(strip))
+        writing = strip[np.abs(strip - greys[label]) > 0.2]
+        assert len(writing) > 20
+        assert np.all((writing < greys[label]) == label)
+    assert greys[False] < 0.45
+    assert greys[True] >= 0.5
+
+
 def test_bright_gutters_are_as_bright_as_bare_film(empty: CtVolume):
     film = make(empty, 2, style_weights=(0.0, 0.0, 1.0), bright_gap_share=1.0, **BARE)
     x, y = (round(t) for t in pixel_from_film(film.vertices, film.image.shape)[0, 1])

@@ -48,12 +48,17 @@ def test_a_film_of_air_shows_the_background(kind, room):
         assert np.abs(light.gain - expected).mean() < 0.02 * expected.mean()
 
 
-def test_a_film_of_air_shows_the_light_box_as_the_panel_beside_it(room):
-    taken = scene("panel", 1, Light(front=0.05, turn_deg=0.0, lying=False, box=BOX), blur=0.3, things=0)
+@pytest.mark.parametrize("offset", [(0.0, 0.0), (0.9, -0.2), (-0.9, 0.5)])
+def test_a_film_of_air_shows_the_light_box_as_the_panel_beside_it(room, offset: tuple[float, float]):
+    box = replace(BOX, offset=offset)
+    taken = scene("panel", 1, Light(front=0.05, turn_deg=0.0, lying=False, box=box), blur=0.3, things=0)
     taken = replace(taken, material=AIR)
     picture, lit = background(taken, FILM, room, BASE), lit_film(FILM, taken)
     gain = light_through(lit, room_behind(lit, room)).gain
-    assert np.median(np.abs(gain / shown(picture, lit) - 1)) < 0.02
+    on_panel = gain.mean(axis=-1) > 1.0
+    assert np.median(np.abs(gain / shown(picture, lit) - 1)[on_panel]) < 0.02
+    assert np.mean((shown(picture, lit).mean(axis=-1) > 1.0) == on_panel) > 0.97
+    assert on_panel.all() == (offset == (0.0, 0.0))
 
 
 def test_a_film_of_air_shows_what_lies_on_the_light_box(room, monkeypatch):
