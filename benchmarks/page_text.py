@@ -131,6 +131,8 @@ def _how(report: Report) -> str:
         "sees the same photos in memory and ends with the flat film in memory; the methods take turns on each photo. "
         "Those that give a map have the photo read through it as `hybrid` reads it, to a film of the size that the "
         "photo resolves. The floor is one bilinear `cv2.remap` to that film, through a map that is there already. "
+        "Networks of `hybrid` compute in bfloat16 where the processor has instructions for it, the others in single "
+        "precision, as published. "
         f"Timed calls on each photo: {settings.repeats}, after one "
         "at each size that does not count; networks of full width once each on two photos. Seconds: median over all "
         "calls, quartiles in brackets; processor seconds are those of all threads, which other work on the machine "

@@ -3,6 +3,7 @@
 import pickle
 import re
 import signal
+from collections.abc import Callable
 from dataclasses import asdict, replace
 from pathlib import Path
 
@@ -22,7 +23,7 @@ from hybrid.errors import ConfigError, DataError
 from hybrid.learn import behind
 from hybrid.learn import train as train_module
 from hybrid.learn.data import AugmentConfig, grid_along, random_view, training_view
-from hybrid.learn.inference import PackedConv, ready
+from hybrid.learn.inference import PackedConv, fast_bfloat16, ready
 from hybrid.learn.losses import (
     LossWeights,
     Targets,
@@ -44,7 +45,14 @@ from hybrid.learn.samples import film_of, open_places, photo_of, truth_at
 from hybrid.learn.train import TrainConfig, train
 from hybrid.learn.upright import UprightNet, UprightNetConfig
 from hybrid.learn.views import film_from_view, film_view, output_points, square_view, view_image
-from hybrid.learn.weights import load_into, load_weights, parameter_count, save_weights
+from hybrid.learn.weights import (
+    load_into,
+    load_weights,
+    packaged_slice_net,
+    packaged_upright_net,
+    parameter_count,
+    save_weights,
+)
 from hybrid.pipeline import Rectifier
 from hybrid.pyramid import Pyramid
 from hybrid.records import CoarseMaps
@@ -99,8 +107,8 @@ def test_maps_are_a_quarter_of_the_input(px):
     assert output.xyz.shape == (2, 3, px // STRIDE, px // STRIDE)
 
 
-@pytest.mark.parametrize("images", [1, 3])
-def test_making_a_network_ready_changes_nothing(images):
+def seen_before_and_ready(images: int, precision: torch.dtype) -> tuple[FilmNetOutput, FilmNetOutput]:
+    """What a network says of some images, and what it says once it is made ready."""
     torch.manual_seed(0)
     network = FilmNet(TINY).train()
     for _ in range(3):
@@ -108,9 +116,38 @@ def test_making_a_network_ready_changes_nothing(images):
     image = torch.rand(images, 3, 64, 64)
     with torch.no_grad():
         before = network.eval()(image)
-        after = ready(network)(image)
+        return before, ready(network, precision)(image)
+
+
+@pytest.mark.parametrize("images", [1, 3])
+def test_making_a_network_ready_changes_nothing(images):
+    before, after = seen_before_and_ready(images, torch.float32)
     torch.testing.assert_close(after.uv, before.uv, atol=1e-5, rtol=1e-4)
     torch.testing.assert_close(after.mask_logit, before.mask_logit, atol=1e-5, rtol=1e-4)
+
+
+HALF = pytest.mark.skipif(not fast_bfloat16("cpu"), reason="a processor without instructions for bfloat16")
+
+
+@HALF
+def test_in_bfloat16_a_network_says_nearly_the_same_in_single_precision():
+    before, after = seen_before_and_ready(2, torch.bfloat16)
+    assert after.uv.dtype is torch.float32
+    off = (after.uv - before.uv).abs()
+    assert 0 < off.mean() < 0.002
+    assert off.max() < 0.01
+    assert len(torch.unique(after.mask_logit)) > 0.9 * after.mask_logit.numel()  # none is rounded to a 256th
+
+
+@HALF
+@torch.inference_mode()
+@pytest.mark.parametrize("net", [packaged_upright_net, packaged_slice_net])
+def test_in_bfloat16_votes_are_nearly_the_same(net: Callable[[], torch.nn.Module]):
+    torch.manual_seed(0)
+    pictures = torch.rand(2, 5, *2 * (net().config.input_px,))
+    before, after = (ready(net(), precision)(pictures) for precision in (torch.float32, torch.bfloat16))
+    assert after.votes.dtype is torch.float32
+    assert (after.votes - before.votes).abs().max() < 0.05
 
 
 @pytest.mark.skipif(not torch.backends.mkldnn.is_available(), reason="PyTorch without oneDNN")

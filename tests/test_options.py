@@ -160,7 +160,7 @@ SHARES = """
     UprightConfig.turned UprightConfig.mirrored CoverConfig.least_chance
     DeilluminateConfig.print_black DeilluminateConfig.print_white DeilluminateConfig.least_print
     TrustConfig.least_chance TrustConfig.min_support TrustConfig.least_support TrustConfig.min_overlap
-    TrustConfig.min_overlap_flat TrustConfig.min_in_step TrustConfig.min_alike
+    TrustConfig.min_in_step TrustConfig.min_alike
 """
 """Shares, probabilities and correlations, of which none is above 1. Further ones may be, as that says never: the
 benchmark leaves stages out with PathConfig.min_mass and RepeatConfig.min_correlation, and tests try it of

@@ -119,8 +119,8 @@ def test_a_run_goes_on_only_with_the_data_that_it_began_with(dataset, tmp_path):
 @pytest.mark.usefixtures("tiny")
 def test_a_run_goes_on_only_in_the_precision_that_it_began_with(dataset, tmp_path, monkeypatch):
     train(quick_run(dataset, tmp_path))
-    had = train_module._fast_bfloat16("cpu")
-    monkeypatch.setattr(train_module, "_fast_bfloat16", lambda device: not had)
+    had = train_module.fast_bfloat16("cpu")
+    monkeypatch.setattr(train_module, "fast_bfloat16", lambda device: not had)
     with pytest.raises(ConfigError, match=r"got precision (bfloat16|float32); allowed: .*kind of processor"):
         train(quick_run(dataset, tmp_path))
 

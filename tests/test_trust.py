@@ -183,15 +183,6 @@ def test_a_flat_picture_is_expected_to_be_off_by_what_refining_its_frame_moves()
     assert film_verdict(further).ok
 
 
-def test_a_scan_with_more_around_the_film_than_the_network_overlooks_is_doubtful() -> None:
-    whole = replace(SURE, flat=True, overlap_after=0.85)
-    assert film_verdict(whole).ok
-    doubtful = film_verdict(replace(whole, overlap_after=0.75))
-    assert doubtful.code is StatusCode.UNSURE
-    assert "overlaps the sheet by only 75%" in doubtful.reason
-    assert "margins" not in doubtful.reason
-
-
 def test_margins_are_as_lopsided_as_they_differ_along_the_worse_axis() -> None:
     film = BackwardMap.from_function(lambda uv: 100.0 + uv * 400.0)
     vertices = np.array([0.02, 0.05]) + np.array([0.96, 0.88]) * film_nodes((3, 4))

@@ -33,6 +33,7 @@ from hybrid.errors import ConfigError, DataError, HybridError, describe
 from hybrid.files import make_folder, write_bytes
 from hybrid.image_io import write_rgb
 from hybrid.learn.dewarpnet import DewarpNet
+from hybrid.learn.inference import fast_bfloat16
 from hybrid.learn.presets import Preset, preset, weighted_sum
 from hybrid.learn.shards import data_digest
 from hybrid.learn.weights import load_into, save_weights
@@ -337,7 +338,7 @@ class _State:
         self.plan, self.rank, self.step = plan, rank, 0
         self.began = {name: str(getattr(plan, name, getattr(config, name, None))) for name in _KEPT}
         self.began |= {"preset": config.preset, "samples": str(samples), "data": data_digest(config.data)}
-        self.began["precision"] = "bfloat16" if _fast_bfloat16(config.device) else "float32"
+        self.began["precision"] = "bfloat16" if fast_bfloat16(config.device) else "float32"
         self.network = plan.preset.network()
         self.path = config.out / "checkpoint.pt"
         if config.start and not self.path.exists():
@@ -361,7 +362,7 @@ class _State:
             group["lr"] = self.plan.rate_at(self.step)
         self.shared.train()
         images, targets = images.to(device), targets.to(device)
-        with torch.autocast(device, torch.bfloat16, enabled=_fast_bfloat16(device)):
+        with torch.autocast(device, torch.bfloat16, enabled=fast_bfloat16(device)):
             output = self.shared(chosen.inputs(images, targets))
         terms = chosen.losses(output, targets)
         self.optimiser.zero_grad(set_to_none=True)
@@ -458,13 +459,6 @@ def _processes(device: str) -> Iterator[Rank]:
         yield Rank(torch.distributed.get_rank(), count)
     finally:
         torch.distributed.destroy_process_group()
-
-
-def _fast_bfloat16(device: str) -> bool:
-    """Whether bfloat16 is faster than float32: on GPUs, and on CPUs that have instructions for it."""
-    return device == "cuda" or bool(
-        torch.ops.mkldnn._is_mkldnn_bf16_supported() and torch.cpu._is_avx512_bf16_supported()
-    )
 
 
 _KEPT = (

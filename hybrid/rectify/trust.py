@@ -121,18 +121,14 @@ class TrustConfig:
     """Of a photo that is the flat film itself, how unlike margins on opposite sides may be (``SliceGrid.lopsided``): of
     50 whole films they are by 0.05 at most, of nine that lack 0.4 of a column or 7 % of their width by 0.06 and more.
     """
-    min_overlap_flat: float = 0.8
-    """The same as ``min_overlap`` for such a photo: of 102 whole films 0.85 and more, though the network sees their
-    ends inside of them; of one on a black scanner, whose edges do not show, 0.75."""
     min_levels: float = 20.0
     """Least number of grey levels that the photo makes use of: over fewer, gutters look like the sheet's edges."""
 
     def __post_init__(self) -> None:
         require_at_least(self, 0, "limit_px")
         require_at_most(
-            self, 1, "least_chance", "min_support", "least_support", "min_overlap", "min_overlap_flat", "min_in_step",
-            "min_alike",
-        )  # fmt: skip
+            self, 1, "least_chance", "min_support", "least_support", "min_overlap", "min_in_step", "min_alike"
+        )
 
 
 def signs_of(
@@ -202,8 +198,7 @@ def expected_error_px(signs: Signs, config: TrustConfig | None = None) -> float:
 
 def _whole_photo(signs: Signs, config: TrustConfig) -> bool:
     """Whether the photo is the flat film itself, and all of it."""
-    whole = signs.lopsided <= config.most_lopsided and signs.overlap_after >= config.min_overlap_flat
-    return signs.flat and whole
+    return signs.flat and signs.lopsided <= config.most_lopsided
 
 
 def features(signs: Signs) -> dict[str, float]:
@@ -255,10 +250,7 @@ def film_verdict(signs: Signs, config: TrustConfig | None = None) -> Verdict:
         text
         for text, doubtful in (
             (f"step back, the photo lacks the film's {' and '.join(signs.outside)} edge", bool(signs.outside)),
-            (
-                "a scan with unlike margins on opposite sides, which may lack part of the sheet",
-                signs.flat and signs.lopsided > config.most_lopsided,
-            ),
+            ("a scan with unlike margins on opposite sides, which may lack part of the sheet", signs.flat),
             (f"{signs.edges} of 4 edges seen", signs.edges < config.min_edges),
             ("no grid seen", not signs.grid),
             (f"only {signs.levels:.0f} of 255 grey levels", signs.levels < config.min_levels),
