@@ -15,6 +15,7 @@ from benchmarks.command import run_command
 from benchmarks.lineup import CONFIGURATIONS, MAIN
 from benchmarks.page_tables import number, table
 from benchmarks.page_text import Results, page_text
+from benchmarks.pictures import write_pictures
 from benchmarks.results import Report
 from benchmarks.schema import Record, read_record
 from benchmarks.stress_records import SoakReport, StabilityReport
@@ -97,6 +98,7 @@ def write_page(page: Path, out: Path, readme: Path | None = None) -> None:
     """
     results = read_results(out)
     make_folder(page.parent / "images")
+    write_pictures(results.run, out / "pictures")  # those that lie there may be of another run
     write_bytes(page, page_text(results).encode())
     for name in ("run", "surroundings", "stability", "soak"):
         if (out / f"{name}.json").exists():

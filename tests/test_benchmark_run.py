@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -23,10 +24,10 @@ from benchmarks.claims import Claim
 from benchmarks.lineup import EFFORTS, LINEUP, MAIN, OWN, lineup
 from benchmarks.measure import forward_time, measure, peak_memory
 from benchmarks.methods import Method, flattened
-from benchmarks.page import BEGIN, END, read_results, readme_table, with_table
+from benchmarks.page import BEGIN, END, read_results, readme_table, with_table, write_page
 from benchmarks.page_tables import duel_text, losses_text, photos_text, size_section
 from benchmarks.page_text import page_text
-from benchmarks.pictures import best_to_worst
+from benchmarks.pictures import best_to_worst, seconds_by_stage
 from benchmarks.published import TIME_ONLY, Prompt, PromptedFiReNet, true_dewarpnet_answer, true_firenet_answer
 from benchmarks.results import Report
 from benchmarks.run import Options, main, make_methods, run
@@ -507,6 +508,15 @@ def test_results_from_before_there_were_claims_are_read_and_shown_without(
 def test_published_figures_make_the_published_page() -> None:
     docs = Path(__file__).parents[1] / "docs"
     assert (docs / "benchmarks.md").read_text() == page_text(read_results(docs, "benchmarks_"))
+
+
+def test_the_page_has_the_charts_of_its_run_whatever_lies_there(made: tuple[Options, Report], tmp_path: Path) -> None:
+    shutil.copyfile(made[0].out / "run.json", tmp_path / "run.json")
+    (tmp_path / "pictures").mkdir()
+    (tmp_path / "pictures" / "stages.png").write_bytes(b"of another run")
+    write_page(tmp_path / "page.md", tmp_path)
+    drawn = seconds_by_stage(read_record(tmp_path / "run.json", Report))
+    assert np.array_equal(read_photo(tmp_path / "images" / "benchmarks_stages.png"), drawn)
 
 
 def test_published_figures_make_the_readme_s_table() -> None:
