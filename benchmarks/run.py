@@ -156,11 +156,12 @@ def run(options: Options, command: list[str]) -> Report:
     )
     write_record(options.out / "run.json", report)
     print(figures_text(report))
-    write_pictures(report, options.out / "pictures")
     if options.gallery:
         write_gallery(report, cases, options.weights, options.gallery, options.out / "pictures")
-    if options.page is not None:
-        write_page(options.page, options.out)
+    if options.page is None:
+        write_pictures(report, options.out / "pictures")
+    else:
+        write_page(options.page, options.out)  # draws them as well
     return report
 
 
