@@ -10,7 +10,8 @@ from test_foreshortening import edges_of, even_grid, told_of
 
 from hybrid.backward import BackwardMap
 from hybrid.borders import GROUP, INSIDE, REACH, border_strips, inner_lines, strip_across
-from hybrid.coords import film_nodes
+from hybrid.coords import film_centres_1d, film_nodes
+from hybrid.film_view import view_film
 from hybrid.learn.border_data import BorderAugment, border_view, open_borders
 from hybrid.learn.edges import strip_reader
 from hybrid.learn.inference import ready
@@ -18,12 +19,12 @@ from hybrid.learn.weights import packaged_border_net
 from hybrid.pyramid import Pyramid
 from hybrid.records import SliceGrid
 from hybrid.rectify import course
-from hybrid.rectify.border_paths import BorderConfig, borders_shown, held_to, read_borders
+from hybrid.rectify.border_paths import BorderConfig, as_read, borders_shown, held_to, read_borders
 from hybrid.rectify.cells import Reading
 from hybrid.rectify.grid import Borders, Comb, GridConfig
-from hybrid.rectify.layout import Layout
+from hybrid.rectify.layout import Layout, find_layout
 from hybrid.rectify.refine import RefineConfig, refine
-from hybrid.rectify.repeat import Repeats
+from hybrid.rectify.repeat import RepeatConfig, Repeats
 from hybrid.rectify.sightings import SplineConfig, fit_displacement
 from hybrid.strips import StripConfig, StripReader
 
@@ -143,10 +144,42 @@ def test_nothing_is_read_of_an_axis_of_which_nothing_is_known():
     assert not read_borders(photo, film, replace(layout, read=None), BRIGHT, GRID, CONFIG)
     columns, rows = layout.repeats
     assert columns is not None
-    one = replace(layout, repeats=(columns, None))
-    assert [e.sightings.axis for e in read_borders(photo, film, one, BRIGHT, GRID, CONFIG)] == [0]
     other = replace(layout, repeats=(replace(columns, cells=3), rows))
     assert [e.sightings.axis for e in read_borders(photo, film, other, BRIGHT, GRID, CONFIG)] == [1]
+
+
+def test_borders_are_read_before_it_is_known_whether_cells_repeat():
+    photo, film = ruled_photo()
+    found = read_borders(photo, film, replace(known(), repeats=(None, None)), BRIGHT, GRID, CONFIG)
+    assert [e.sightings.axis for e in found] == [0, 1]
+
+
+@pytest.mark.parametrize(("columns", "rows"), [(4, 5), (2, 3)])
+def test_borders_lie_evenly_where_they_were_read(columns, rows):
+    photo, film = ruled_photo(columns, rows)
+    for e, n in zip(
+        read_borders(photo, film, known(columns, rows, 0.012), BRIGHT, GRID, CONFIG), (columns, rows), strict=True
+    ):
+        assert isinstance(e.source, Borders)
+        assert np.abs(e.source.lines() - np.arange(n + 1) / n).mean() > 0.008  # as the film was read
+        np.testing.assert_allclose(as_read(e).lines(), np.arange(n + 1) / n, atol=0.0025 if n > 2 else 0.013)
+
+
+@pytest.mark.parametrize("beside", [0.0, 0.01, 0.035, -0.035])
+def test_lines_beside_borders_that_were_read_are_none_between_cells(beside):
+    """Such as couches and texts, of which each slice shows one at the same place."""
+    photo, film = ruled_photo()
+    at = film_centres_1d(600)
+    view = view_film(photo[..., 0], film, at, at)
+    borders = [Borders(axis, beside / n, 1 / n, n) for axis, n in ((0, 4), (1, 5))]
+    layout, lines = find_layout(view, known(), True, GRID, RepeatConfig(), borders)
+    for comb, followed in zip(layout.combs, lines, strict=True):
+        assert (comb is None) == (followed is None) == (abs(beside) > GRID.beside_read)
+    unread, _ = find_layout(view, known(), True, GRID, RepeatConfig())
+    assert all(unread.combs)
+    fitted, _ = find_layout(view, replace(known(), borders=(borders[0], None)), True, GRID, RepeatConfig())
+    assert (fitted.combs[0] is None) == (layout.combs[0] is None)
+    assert fitted.combs[1] is not None
 
 
 def test_a_blank_film_shows_no_borders():
@@ -163,8 +196,8 @@ def test_borders_are_read_at_once_in_groups_of_four(columns, groups):
         sizes.append(len(images))
         return bright_reader(images, inside)
 
-    layout = known(columns)
-    layout = replace(layout, repeats=(layout.repeats[0], None))
+    comb = Comb(1, 0.0, 0.2, 5, np.arange(1, 5), 2, 1, 1.0, np.zeros((4, 4)))
+    layout = replace(known(columns), combs=(None, comb))
     (found,) = read_borders(photo, film, layout, StripReader(STRIP, counted), GRID, CONFIG)
     assert sizes == [GROUP * groups]
     assert len(np.unique(np.round(columns * found.sightings.seen[:, 0]))) == columns - 1

@@ -1,7 +1,8 @@
 """Borders between cells as BorderNet reads them in strips across those that a map and a grid predict.
 
-Rules and gutters show as lines, and these are found without it (grid.py) where they are clear. Where they are faint, or
-there are none, texts and scale bars on both sides still tell where one cell ends and the next begins.
+Rules and gutters show as lines, and these are followed without it (grid.py) where they are clear. Where they are faint,
+or there are none, texts and scale bars on both sides still tell where one cell ends and the next begins; and which
+lines are those between cells, and which are couches or rows of text.
 """
 
 from __future__ import annotations
@@ -46,7 +47,7 @@ class BorderConfig:
 def read_borders(
     photo: Photo, film: BackwardMap, layout: Layout, reader: StripReader, grid: GridConfig, config: BorderConfig
 ) -> list[Evidence]:
-    """Sightings of the borders across the axes along which no lines were seen, through the map ``film`` into ``photo``;
+    """Sightings of the borders across the axes along which no lines are known, through the map ``film`` into ``photo``;
     none of an axis of which nothing is known, or where too few are read."""
     found = []
     for axis in (0, 1):
@@ -57,6 +58,17 @@ def read_borders(
         sightings = _sightings(photo, film, borders, ends, reader, config)
         found += [] if sightings is None else [_held(sightings, borders, grid)]
     return found
+
+
+def as_read(read: Evidence) -> Borders:
+    """The borders as they lie at equal distances, as nearly as may be, where they were read."""
+    borders, sightings = read.source, read.sightings
+    assert isinstance(borders, Borders)
+    number, line = np.unique(sightings.shared[:, borders.pitch_at], return_inverse=True)
+    across = sightings.seen[:, sightings.axis]
+    at = np.array([np.median(across[line == k]) for k in range(len(number))])
+    pitch = float(np.polyfit(number, at, 1)[0]) if len(number) > 1 else borders.pitch
+    return replace(borders, first=float(np.mean(at - pitch * number)) - 0.5 * pitch * borders.cells, pitch=pitch)
 
 
 def borders_shown(
@@ -96,15 +108,16 @@ def _held(read: Sightings, borders: Borders, grid: GridConfig) -> Evidence:
 
 
 def _known(layout: Layout, axis: int) -> Borders | None:
-    """Where borders lie along an axis: as was read of them before, else as the whole film was read, if what repeats are
-    as many cells."""
+    """Where borders lie along an axis: as was read of them before, else as the whole film was read, unless what repeats
+    are other cells."""
     borders, repeats = layout.borders[axis], layout.repeats[axis]
     if borders is not None:
         return borders
-    if repeats is None or layout.read is None or not layout.read.is_likely:
+    if layout.read is None or not layout.read.is_likely:
         return None
     read = (layout.read.columns, layout.read.rows)[axis]
-    return Borders(axis, read.first, read.pitch, read.cells) if read.cells == repeats.cells else None
+    same = repeats is None or repeats.cells == read.cells
+    return Borders(axis, read.first, read.pitch, read.cells) if same else None
 
 
 def _sightings(

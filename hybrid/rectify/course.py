@@ -19,7 +19,7 @@ from jaxtyping import Float
 from hybrid.backward import BackwardMap, mean_move
 from hybrid.errors import require_at_least, require_at_most
 from hybrid.film_view import FilmView
-from hybrid.rectify.border_paths import BorderConfig, held_to, read_borders
+from hybrid.rectify.border_paths import BorderConfig, as_read, held_to, read_borders
 from hybrid.rectify.cell_phases import AxisPhases
 from hybrid.rectify.cells import CellsConfig, Reading, read_cells
 from hybrid.rectify.congeal import CongealConfig, register_cells
@@ -262,9 +262,10 @@ def _round(
     view, known = view_of(scene, near), progress.layout
     if number == 0:
         known = replace(known, read=read_view(view, known, phases_along(scene, near), scene.aspect, config))
-    layout, lines = find_layout(view, known, looking, config.grid, config.repeat)
+    read = [] if progress.borders else _read_borders(scene, near, known, config)
+    layout, lines = find_layout(view, known, looking, config.grid, config.repeat, [as_read(e) for e in read])
     found = _observe_print(view, layout, lines, matcher, outline, config)
-    borders = progress.borders or tuple(e.lifted(displacement) for e in _read_borders(scene, near, layout, config))
+    borders = progress.borders or tuple(e.lifted(displacement) for e in read)
     watch.lap("grid")
     evidence = tuple(e.lifted(displacement) for e in found)
     unseen = (e for e in borders if layout.combs[e.sightings.axis] is None)

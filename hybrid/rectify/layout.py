@@ -119,24 +119,31 @@ def _fitted(read: Repeats, fitted: Source | None) -> Source:
 
 
 def find_layout(
-    view: FilmView, known: Layout, looking: bool, grid: GridConfig, repeat: RepeatConfig
+    view: FilmView,
+    known: Layout,
+    looking: bool,
+    grid: GridConfig,
+    repeat: RepeatConfig,
+    borders: Sequence[Borders] = (),
 ) -> tuple[Layout, tuple[Sightings | None, Sightings | None]]:
     """What is found of the grid in this view, added to what was known, and the sightings of the lines of each axis.
 
-    Repetition counts only if it tells as many cells as were read. Lines are only followed unless ``looking`` for them.
-    Lines that contradict the repeats, or lie beside where cells meet, are dropped: tables and bones make lines too.
+    borders: as they were read in this view, if they were. Repetition counts only if it tells as many cells as were
+    read. Lines are only followed unless ``looking`` for them. Lines that contradict the repeats, or lie beside where
+    cells meet, are dropped: couches, texts and bones make lines too.
     """
     grey = view.image[..., 0]
     read = (None, None) if known.read is None or not known.read.is_likely else (known.read.columns, known.read.rows)
     repeating = known.repeats if all(known.repeats) else find_repeats(grey, repeat)
     repeats = [r or _as_read(new, told) for r, new, told in zip(known.repeats, repeating, read, strict=True)]
+    seen = {b.axis: b for b in (*known.borders, *borders) if b is not None}
     combs, followed = list(known.combs), []
     for axis, repeated in enumerate(repeats):
         comb = combs[axis]
         if looking and (comb is None or len(comb.seen) <= comb.cells):
             around = (0.94 * repeated.pitch, 1.06 * repeated.pitch) if repeated is not None else (0.0, 1.0)
             found = find_comb(grey, axis, grid, around)
-            if found is not None and _plausible(found, repeated, read[axis], grid):
+            if found is not None and _plausible(found, repeated, read[axis], seen.get(axis), grid):
                 comb = found if comb is None or len(found.seen) > len(comb.seen) else comb
         followed.append(follow_comb(view, comb, grid) if comb is not None else None)
         combs[axis] = comb if followed[axis] is not None else None
@@ -162,17 +169,21 @@ def _in_step(repeat: Repeats | None, comb: Comb | None) -> Repeats | None:
     return Repeats(comb.axis, comb.first, comb.pitch, comb.cells)
 
 
-def _plausible(comb: Comb, repeat: Repeats | None, read: Repeats | None, config: GridConfig) -> bool:
+def _plausible(
+    comb: Comb, repeat: Repeats | None, read: Repeats | None, borders: Borders | None, config: GridConfig
+) -> bool:
     """True where the cells repeat at the comb's pitch or, if no repetition is seen, several lines are unbroken; and the
-    lines lie where cells meet, as the film was read."""
+    lines lie where cells meet, as the film and the borders were read."""
     if read is not None and beside_cells(comb, read) > config.beside:
+        return False
+    if borders is not None and beside_cells(comb, borders) > config.beside_read:
         return False
     if repeat is None:
         return comb.cells > 2 and comb.strength >= config.sure_share
     return comb.strength >= config.believed_share and abs(comb.pitch - repeat.pitch) < 0.04 * repeat.pitch
 
 
-def beside_cells(comb: Comb, cells: Repeats) -> float:
+def beside_cells(comb: Comb, cells: Borders | Repeats) -> float:
     """How far the lines that were seen lie from where cells meet, in cells on average."""
     seen = comb.lines()[comb.seen]
     return float(np.abs(seen[:, None] - cells.lines()).min(axis=1).mean() / cells.pitch)
