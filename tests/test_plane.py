@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
 from synthetic_film import FilmDrawing, disturbed, draw_print
+from told_cells import even_grid, told_of
 
 from hybrid.backward import BackwardMap, end_point_error
 from hybrid.coords import film_nodes, opencv_from_photo, pixel_centres, pixel_from_film
+from hybrid.learn.edges import strip_reader
+from hybrid.learn.inference import ready
+from hybrid.learn.weights import packaged_border_net
 from hybrid.rectify.glance import glance
 from hybrid.rectify.invert import apply_homography
 from hybrid.rectify.plane import PlaneConfig, edge_line, film_corners, flat_film, plane_by_edges
@@ -23,9 +29,10 @@ def plane_map() -> BackwardMap:
     return BackwardMap(apply_homography(HOMOGRAPHY, film_nodes((33, 33)).reshape(-1, 2)).reshape(33, 33, 2))
 
 
-def flat_photo(bow: float = 0.0) -> np.ndarray:
+def flat_photo(bow: float = 0.0, printed: np.ndarray | None = None) -> np.ndarray:
     """A drawn film on a brighter ground; ``bow``: the depth of the arc of its sides, in film units."""
-    printed = draw_print(FilmDrawing(margin=0.03), np.random.default_rng(0))
+    if printed is None:
+        printed = draw_print(FilmDrawing(margin=0.03), np.random.default_rng(0))
     points = pixel_centres((1800, 1800)) / 2.0
     uv = apply_homography(np.linalg.inv(HOMOGRAPHY), points.reshape(-1, 2)).reshape(points.shape)
     uv[..., 0] += bow * (1 - 4 * (uv[..., 1] - 0.5) ** 2)
@@ -121,3 +128,21 @@ def test_a_glance_leaves_the_map_and_finds_the_grid():
         ("grid", True),
         ("spline", False),
     ]
+
+
+def test_a_glance_takes_no_couches_for_lines_between_cells():
+    """Each slice shows one at the same place, a little above where it ends."""
+    true, rows = plane_map(), 5
+    printed = draw_print(FilmDrawing(rows, 4, rules=False), np.random.default_rng(0))
+    for row in range(rows):
+        at = round(len(printed) * (row + 0.955) / rows)
+        printed[at - 2 : at + 2] = 190.0
+    told = told_of(true, even_grid(rows, 4), np.random.default_rng(1))
+    reader = strip_reader(ready(packaged_border_net()))
+    off = []
+    for borders in (None, reader):
+        found = glance(flat_photo(printed=printed), true, replace(told, borders=borders), 5e-4, REFINE)
+        assert found.grid is not None
+        assert (found.grid.rows, found.grid.cols) == (rows, 4)
+        off.append(float(np.abs(found.grid.vertices[1:-1, :, 1] - np.arange(1, rows)[:, None] / rows).max()))
+    assert off[1] < 0.003 < 0.006 < off[0]

@@ -26,10 +26,10 @@ Square = UInt8[np.ndarray, "s s 3"]
 Nodes = Float[np.ndarray, "n m 2"]
 Outline = Float[np.ndarray, "n 2"]
 
-SHARE = 0.55
+SHARE = 0.45
 """Of the photos that may get something behind their film, those that do."""
 
-KINDS = {"shadow": 0.3, "sheet": 0.27, "films": 0.3, "pattern": 0.13}
+KINDS = {"shadow": 0.2, "sheet": 0.25, "films": 0.4, "pattern": 0.15}
 """Of these the shares of what it is."""
 
 IN_ROW, APART = 0.65, (0.96, 1.13)
@@ -111,7 +111,7 @@ def with_shadow(photo: Picture, outline: Outline, free: Grey, rng: np.random.Gen
     outline: of the film, in the photo. free: share, of 255, of the ground in each pixel.
     """
     centre, size = outline.mean(axis=0), _size(outline)
-    turn, far = rng.uniform(0, 2 * np.pi), size * float(np.exp(rng.uniform(*np.log((0.004, 0.4)))))
+    turn, far = rng.uniform(0, 2 * np.pi), size * rng.uniform(0.02, 0.4)
     thrown = (outline - centre) * rng.uniform(0.95, 1.15) + centre + far * np.array([np.cos(turn), np.sin(turn)])
     rim = max(size * float(np.exp(rng.uniform(*np.log((0.001, 0.02))))), 0.3)
     shade = cv2.GaussianBlur(filled(thrown, photo.shape[:2]), (0, 0), rim)

@@ -19,8 +19,9 @@ from jaxtyping import Float
 from hybrid.backward import BackwardMap, mean_move
 from hybrid.errors import require_at_least, require_at_most
 from hybrid.film_view import FilmView
+from hybrid.pyramid import Photo
 from hybrid.rectify.border_paths import BorderConfig, as_read, held_to, read_borders
-from hybrid.rectify.cell_phases import AxisPhases
+from hybrid.rectify.cell_phases import AxisPhases, CellPhases
 from hybrid.rectify.cells import CellsConfig, Reading, read_cells
 from hybrid.rectify.congeal import CongealConfig, register_cells
 from hybrid.rectify.grid import GridConfig, GridLines
@@ -262,7 +263,7 @@ def _round(
     view, known = view_of(scene, near), progress.layout
     if number == 0:
         known = replace(known, read=read_view(view, known, phases_along(scene, near), scene.aspect, config))
-    read = [] if progress.borders else _read_borders(scene, near, known, config)
+    read = [] if progress.borders else told_borders(scene.photo, near, known, scene.phases, config)
     layout, lines = find_layout(view, known, looking, config.grid, config.repeat, [as_read(e) for e in read])
     found = _observe_print(view, layout, lines, matcher, outline, config)
     borders = progress.borders or tuple(e.lifted(displacement) for e in read)
@@ -376,6 +377,14 @@ def read_view(
     return read_cells(view.image[..., 0], aspect, layout.pitches(), told, config.grid, config.cells)
 
 
+def told_borders(
+    photo: Photo, film: BackwardMap, layout: Layout, phases: CellPhases | None, config: RefineConfig
+) -> list[Evidence]:
+    """Borders between cells as they are read through a map into a photo; none where nothing reads them."""
+    reader = None if phases is None else phases.borders
+    return [] if reader is None else read_borders(photo, film, layout, reader, config.grid, config.borders)
+
+
 # ---------------------------------------------------------------- steps
 
 
@@ -407,12 +416,6 @@ def _observe_print(
         alike = (Evidence(s, layout.repeats[s.axis]) for s in matcher(clean, columns, rows))
         evidence += [in_place(e, config.margins) for e in alike]
     return evidence
-
-
-def _read_borders(scene: Scene, film: BackwardMap, layout: Layout, config: RefineConfig) -> list[Evidence]:
-    """Borders between cells as they are read through a map; none where nothing reads them."""
-    reader = None if scene.phases is None else scene.phases.borders
-    return [] if reader is None else read_borders(scene.photo, film, layout, reader, config.grid, config.borders)
 
 
 def _placed(e: Evidence, outline: Sequence[Sightings], config: RefineConfig) -> Evidence:
@@ -462,5 +465,6 @@ __all__ = [
     "ended",
     "followed",
     "read_view",
+    "told_borders",
     "unstretched",
 ]

@@ -12,8 +12,9 @@ from hybrid.backward import BackwardMap
 from hybrid.coords import film_centres_1d
 from hybrid.film_view import view_film
 from hybrid.records import StageReport
+from hybrid.rectify.border_paths import as_read
 from hybrid.rectify.cell_phases import CellPhases
-from hybrid.rectify.course import read_view
+from hybrid.rectify.course import read_view, told_borders
 from hybrid.rectify.layout import Layout, find_layout
 from hybrid.rectify.refine import RefineConfig, Refinement
 
@@ -43,7 +44,9 @@ def glance(
     view = view_film(grey, backward, film_centres_1d(size[1]), film_centres_1d(size[0]))
     told = phases and phases.inside(backward).axes()
     reading = read_view(view, Layout(), told, down / across, config)
-    layout, _ = find_layout(view, Layout(read=reading), True, config.grid, config.repeat)
+    read = Layout(read=reading)
+    borders = [as_read(e) for e in told_borders(photo, backward, read, phases, config)]
+    layout, _ = find_layout(view, read, True, config.grid, config.repeat, borders)
     grid = layout.slice_grid(reading, backward, expected)
     seconds = perf_counter() - start
     stages = (
