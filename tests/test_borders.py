@@ -19,7 +19,7 @@ from hybrid.learn.weights import packaged_border_net
 from hybrid.pyramid import Pyramid
 from hybrid.records import SliceGrid
 from hybrid.rectify import course
-from hybrid.rectify.border_paths import BorderConfig, as_read, borders_shown, held_to, read_borders
+from hybrid.rectify.border_paths import BorderConfig, borders_shown, held_to, places, places_along, read_borders
 from hybrid.rectify.cells import Reading
 from hybrid.rectify.grid import Borders, Comb, GridConfig
 from hybrid.rectify.layout import Layout, find_layout
@@ -155,14 +155,21 @@ def test_borders_are_read_before_it_is_known_whether_cells_repeat():
 
 
 @pytest.mark.parametrize(("columns", "rows"), [(4, 5), (2, 3)])
-def test_borders_lie_evenly_where_they_were_read(columns, rows):
+def test_places_of_borders_are_where_they_were_read(columns, rows):
     photo, film = ruled_photo(columns, rows)
-    for e, n in zip(
-        read_borders(photo, film, known(columns, rows, 0.012), BRIGHT, GRID, CONFIG), (columns, rows), strict=True
-    ):
-        assert isinstance(e.source, Borders)
-        assert np.abs(e.source.lines() - np.arange(n + 1) / n).mean() > 0.008  # as the film was read
-        np.testing.assert_allclose(as_read(e).lines(), np.arange(n + 1) / n, atol=0.0025 if n > 2 else 0.013)
+    found = read_borders(photo, film, known(columns, rows, 0.012), BRIGHT, GRID, CONFIG)
+    for read, n in zip(places_along(found), (columns, rows), strict=True):
+        np.testing.assert_allclose(read, np.arange(1, n) / n, atol=0.0025)
+    assert places_along(found[1:])[0] is None
+
+
+def test_ends_of_the_print_are_no_borders_between_cells():
+    photo, film = ruled_photo()
+    short = Repeats(1, 0.2, 0.2, 3)
+    inside = replace(known(), repeats=(known().repeats[0], short), read=Reading(known().read.columns, short, 0.99))
+    _, rows = read_borders(photo, film, inside, BRIGHT, GRID, CONFIG)
+    assert len(np.unique(rows.sightings.shared[:, 1])) == 4
+    np.testing.assert_allclose(places(rows), [0.4, 0.6], atol=0.0025)
 
 
 @pytest.mark.parametrize("beside", [0.0, 0.01, 0.035, -0.035])
@@ -171,13 +178,14 @@ def test_lines_beside_borders_that_were_read_are_none_between_cells(beside):
     photo, film = ruled_photo()
     at = film_centres_1d(600)
     view = view_film(photo[..., 0], film, at, at)
-    borders = [Borders(axis, beside / n, 1 / n, n) for axis, n in ((0, 4), (1, 5))]
-    layout, lines = find_layout(view, known(), True, GRID, RepeatConfig(), borders)
+    borders = [(np.arange(1, n) + beside) / n for n in (4, 5)]
+    layout, lines = find_layout(view, known(), True, GRID, RepeatConfig(), (borders[0], borders[1]))
     for comb, followed in zip(layout.combs, lines, strict=True):
         assert (comb is None) == (followed is None) == (abs(beside) > GRID.beside_read)
     unread, _ = find_layout(view, known(), True, GRID, RepeatConfig())
     assert all(unread.combs)
-    fitted, _ = find_layout(view, replace(known(), borders=(borders[0], None)), True, GRID, RepeatConfig())
+    before = Borders(0, beside / 4, 0.25, 4)
+    fitted, _ = find_layout(view, replace(known(), borders=(before, None)), True, GRID, RepeatConfig())
     assert (fitted.combs[0] is None) == (layout.combs[0] is None)
     assert fitted.combs[1] is not None
 

@@ -7,6 +7,7 @@ lines are those between cells, and which are couches or rows of text.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -20,7 +21,7 @@ from hybrid.pyramid import Photo, Pyramid
 from hybrid.records import SliceGrid
 from hybrid.rectify.edge_paths import PathConfig, read_paths
 from hybrid.rectify.grid import Borders, GridConfig
-from hybrid.rectify.layout import Evidence, Layout
+from hybrid.rectify.layout import Evidence, Layout, Places
 from hybrid.rectify.sightings import Sightings
 from hybrid.strips import StripConfig, StripReader, strip_copy
 
@@ -60,15 +61,19 @@ def read_borders(
     return found
 
 
-def as_read(read: Evidence) -> Borders:
-    """The borders as they lie at equal distances, as nearly as may be, where they were read."""
+def places(read: Evidence) -> Places:
+    """Where each border between two cells was read, in film coordinates: the median along it."""
     borders, sightings = read.source, read.sightings
     assert isinstance(borders, Borders)
-    number, line = np.unique(sightings.shared[:, borders.pitch_at], return_inverse=True)
-    across = sightings.seen[:, sightings.axis]
-    at = np.array([np.median(across[line == k]) for k in range(len(number))])
-    pitch = float(np.polyfit(number, at, 1)[0]) if len(number) > 1 else borders.pitch
-    return replace(borders, first=float(np.mean(at - pitch * number)) - 0.5 * pitch * borders.cells, pitch=pitch)
+    number, across = sightings.shared[:, borders.pitch_at], sightings.seen[:, sightings.axis]
+    between = np.unique(number[np.abs(number) < 0.5 * borders.cells - 0.25])
+    return np.array([np.median(across[number == k]) for k in between])
+
+
+def places_along(read: Sequence[Evidence]) -> tuple[Places | None, Places | None]:
+    """The same along both axes; None where none were read."""
+    by_axis = {e.sightings.axis: places(e) for e in read}
+    return by_axis.get(0), by_axis.get(1)
 
 
 def borders_shown(
@@ -173,4 +178,4 @@ def _read(
     return paths.row, paths.spread, paths.mass
 
 
-__all__ = ["BorderConfig", "borders_shown", "held_to", "read_borders"]
+__all__ = ["BorderConfig", "borders_shown", "held_to", "places", "places_along", "read_borders"]

@@ -20,7 +20,7 @@ from hybrid.backward import BackwardMap, mean_move
 from hybrid.errors import require_at_least, require_at_most
 from hybrid.film_view import FilmView
 from hybrid.pyramid import Photo
-from hybrid.rectify.border_paths import BorderConfig, as_read, held_to, read_borders
+from hybrid.rectify.border_paths import BorderConfig, held_to, places_along, read_borders
 from hybrid.rectify.cell_phases import AxisPhases, CellPhases
 from hybrid.rectify.cells import CellsConfig, Reading, read_cells
 from hybrid.rectify.congeal import CongealConfig, register_cells
@@ -264,7 +264,7 @@ def _round(
     if number == 0:
         known = replace(known, read=read_view(view, known, phases_along(scene, near), scene.aspect, config))
     read = [] if progress.borders else told_borders(scene.photo, near, known, scene.phases, config)
-    layout, lines = find_layout(view, known, looking, config.grid, config.repeat, [as_read(e) for e in read])
+    layout, lines = find_layout(view, known, looking, config.grid, config.repeat, places_along(read))
     found = _observe_print(view, layout, lines, matcher, outline, config)
     borders = progress.borders or tuple(e.lifted(displacement) for e in read)
     watch.lap("grid")

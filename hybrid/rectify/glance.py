@@ -12,7 +12,7 @@ from hybrid.backward import BackwardMap
 from hybrid.coords import film_centres_1d
 from hybrid.film_view import view_film
 from hybrid.records import StageReport
-from hybrid.rectify.border_paths import as_read
+from hybrid.rectify.border_paths import places_along
 from hybrid.rectify.cell_phases import CellPhases
 from hybrid.rectify.course import read_view, told_borders
 from hybrid.rectify.layout import Layout, find_layout
@@ -45,7 +45,7 @@ def glance(
     told = phases and phases.inside(backward).axes()
     reading = read_view(view, Layout(), told, down / across, config)
     read = Layout(read=reading)
-    borders = [as_read(e) for e in told_borders(photo, backward, read, phases, config)]
+    borders = places_along(told_borders(photo, backward, read, phases, config))
     layout, _ = find_layout(view, read, True, config.grid, config.repeat, borders)
     grid = layout.slice_grid(reading, backward, expected)
     seconds = perf_counter() - start

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from jaxtyping import Float
 
 from hybrid.backward import BackwardMap
 from hybrid.film_view import FilmView
@@ -19,6 +20,9 @@ from hybrid.rectify.sightings import Displacement, Sightings
 GOOD_SHARE = 0.0025
 """Expected error of the map, in parts of the film, from which on a grid is trusted less: about 2 px of a photo."""
 
+
+Places = Float[np.ndarray, " _"]
+"""Film coordinates across one axis."""
 
 Source = Comb | Borders | Repeats
 """What sightings of print are of: it tells where cells lie along an axis."""
@@ -124,26 +128,27 @@ def find_layout(
     looking: bool,
     grid: GridConfig,
     repeat: RepeatConfig,
-    borders: Sequence[Borders] = (),
+    borders: tuple[Places | None, Places | None] = (None, None),
 ) -> tuple[Layout, tuple[Sightings | None, Sightings | None]]:
     """What is found of the grid in this view, added to what was known, and the sightings of the lines of each axis.
 
-    borders: as they were read in this view, if they were. Repetition counts only if it tells as many cells as were
-    read. Lines are only followed unless ``looking`` for them. Lines that contradict the repeats, or lie beside where
-    cells meet, are dropped: couches, texts and bones make lines too.
+    borders: where those across each axis were read in this view, if they were. Repetition counts only if it tells as
+    many cells as were read. Lines are only followed unless ``looking`` for them. Lines that contradict the repeats, or
+    lie beside where cells meet, are dropped: couches, texts and bones make lines too.
     """
     grey = view.image[..., 0]
     read = (None, None) if known.read is None or not known.read.is_likely else (known.read.columns, known.read.rows)
     repeating = known.repeats if all(known.repeats) else find_repeats(grey, repeat)
     repeats = [r or _as_read(new, told) for r, new, told in zip(known.repeats, repeating, read, strict=True)]
-    seen = {b.axis: b for b in (*known.borders, *borders) if b is not None}
+    fitted = [None if b is None else b.lines()[1:-1] for b in known.borders]
+    seen = [before if now is None else now for now, before in zip(borders, fitted, strict=True)]
     combs, followed = list(known.combs), []
     for axis, repeated in enumerate(repeats):
         comb = combs[axis]
         if looking and (comb is None or len(comb.seen) <= comb.cells):
             around = (0.94 * repeated.pitch, 1.06 * repeated.pitch) if repeated is not None else (0.0, 1.0)
             found = find_comb(grey, axis, grid, around)
-            if found is not None and _plausible(found, repeated, read[axis], seen.get(axis), grid):
+            if found is not None and _plausible(found, repeated, read[axis], seen[axis], grid):
                 comb = found if comb is None or len(found.seen) > len(comb.seen) else comb
         followed.append(follow_comb(view, comb, grid) if comb is not None else None)
         combs[axis] = comb if followed[axis] is not None else None
@@ -170,23 +175,30 @@ def _in_step(repeat: Repeats | None, comb: Comb | None) -> Repeats | None:
 
 
 def _plausible(
-    comb: Comb, repeat: Repeats | None, read: Repeats | None, borders: Borders | None, config: GridConfig
+    comb: Comb, repeat: Repeats | None, read: Repeats | None, borders: Places | None, config: GridConfig
 ) -> bool:
     """True where the cells repeat at the comb's pitch or, if no repetition is seen, several lines are unbroken; and the
     lines lie where cells meet, as the film and the borders were read."""
     if read is not None and beside_cells(comb, read) > config.beside:
         return False
-    if borders is not None and beside_cells(comb, borders) > config.beside_read:
+    if borders is not None and len(borders) and beside_borders(comb, borders) > config.beside_read:
         return False
     if repeat is None:
         return comb.cells > 2 and comb.strength >= config.sure_share
     return comb.strength >= config.believed_share and abs(comb.pitch - repeat.pitch) < 0.04 * repeat.pitch
 
 
-def beside_cells(comb: Comb, cells: Borders | Repeats) -> float:
+def beside_cells(comb: Comb, cells: Repeats) -> float:
     """How far the lines that were seen lie from where cells meet, in cells on average."""
     seen = comb.lines()[comb.seen]
     return float(np.abs(seen[:, None] - cells.lines()).min(axis=1).mean() / cells.pitch)
 
 
-__all__ = ["Evidence", "Layout", "Source", "find_layout"]
+def beside_borders(comb: Comb, borders: Places) -> float:
+    """How far borders were read from the nearest lines that were seen, in cells on average. Where a map is crooked yet
+    neither lie evenly, so each is compared where it was seen."""
+    seen = comb.tracks.mean(axis=1)
+    return float(np.abs(seen[:, None] - borders).min(axis=0).mean() / comb.pitch)
+
+
+__all__ = ["Evidence", "Layout", "Places", "Source", "find_layout"]
