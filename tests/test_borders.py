@@ -19,7 +19,7 @@ from hybrid.learn.weights import packaged_border_net
 from hybrid.pyramid import Pyramid
 from hybrid.records import SliceGrid
 from hybrid.rectify import course
-from hybrid.rectify.border_paths import BorderConfig, borders_shown, held_to, places, places_along, read_borders
+from hybrid.rectify.border_paths import BorderConfig, borders_shown, held_to, places_along, read_borders
 from hybrid.rectify.cells import Reading
 from hybrid.rectify.grid import Borders, Comb, GridConfig
 from hybrid.rectify.layout import Layout, find_layout
@@ -169,7 +169,7 @@ def test_ends_of_the_print_are_no_borders_between_cells():
     inside = replace(known(), repeats=(known().repeats[0], short), read=Reading(known().read.columns, short, 0.99))
     _, rows = read_borders(photo, film, inside, BRIGHT, GRID, CONFIG)
     assert len(np.unique(rows.sightings.shared[:, 1])) == 4
-    np.testing.assert_allclose(places(rows), [0.4, 0.6], atol=0.0025)
+    np.testing.assert_allclose(places_along([rows])[1], [0.4, 0.6], atol=0.0025)
 
 
 @pytest.mark.parametrize("beside", [0.0, 0.01, 0.035, -0.035])

@@ -61,18 +61,9 @@ def read_borders(
     return found
 
 
-def places(read: Evidence) -> Places:
-    """Where each border between two cells was read, in film coordinates: the median along it."""
-    borders, sightings = read.source, read.sightings
-    assert isinstance(borders, Borders)
-    number, across = sightings.shared[:, borders.pitch_at], sightings.seen[:, sightings.axis]
-    between = np.unique(number[np.abs(number) < 0.5 * borders.cells - 0.25])
-    return np.array([np.median(across[number == k]) for k in between])
-
-
 def places_along(read: Sequence[Evidence]) -> tuple[Places | None, Places | None]:
-    """The same along both axes; None where none were read."""
-    by_axis = {e.sightings.axis: places(e) for e in read}
+    """Where each border between two cells was read, the median along it, across u and across v; None where none was."""
+    by_axis = {e.sightings.axis: _places(e) for e in read}
     return by_axis.get(0), by_axis.get(1)
 
 
@@ -110,6 +101,14 @@ def _held(read: Sightings, borders: Borders, grid: GridConfig) -> Evidence:
     known = 0.5 + pitch * read.shared[:, borders.pitch_at]
     shared_sigma = np.append(before, read.shared_sigma[len(before) :])
     return Evidence(replace(read, known=known, shared_sigma=shared_sigma), borders)
+
+
+def _places(read: Evidence) -> Places:
+    borders, sightings = read.source, read.sightings
+    assert isinstance(borders, Borders)
+    number, across = sightings.shared[:, borders.pitch_at], sightings.seen[:, sightings.axis]
+    between = np.unique(number[np.abs(number) < 0.5 * borders.cells - 0.25])
+    return np.array([np.median(across[number == k]) for k in between])
 
 
 def _known(layout: Layout, axis: int) -> Borders | None:
@@ -178,4 +177,4 @@ def _read(
     return paths.row, paths.spread, paths.mass
 
 
-__all__ = ["BorderConfig", "borders_shown", "held_to", "places", "places_along", "read_borders"]
+__all__ = ["BorderConfig", "borders_shown", "held_to", "places_along", "read_borders"]
