@@ -22,9 +22,9 @@ from hybrid.rectify import course
 from hybrid.rectify.border_paths import BorderConfig, borders_shown, held_to, places_along, read_borders
 from hybrid.rectify.cells import Reading
 from hybrid.rectify.grid import Borders, Comb, GridConfig
-from hybrid.rectify.layout import Layout, find_layout
+from hybrid.rectify.layout import Layout, find_lines
 from hybrid.rectify.refine import RefineConfig, refine
-from hybrid.rectify.repeat import RepeatConfig, Repeats
+from hybrid.rectify.repeat import Repeats
 from hybrid.rectify.sightings import SplineConfig, fit_displacement
 from hybrid.strips import StripConfig, StripReader
 
@@ -144,14 +144,10 @@ def test_nothing_is_read_of_an_axis_of_which_nothing_is_known():
     assert not read_borders(photo, film, replace(layout, read=None), BRIGHT, GRID, CONFIG)
     columns, rows = layout.repeats
     assert columns is not None
+    one = replace(layout, repeats=(columns, None))
+    assert [e.sightings.axis for e in read_borders(photo, film, one, BRIGHT, GRID, CONFIG)] == [0]
     other = replace(layout, repeats=(replace(columns, cells=3), rows))
     assert [e.sightings.axis for e in read_borders(photo, film, other, BRIGHT, GRID, CONFIG)] == [1]
-
-
-def test_borders_are_read_before_it_is_known_whether_cells_repeat():
-    photo, film = ruled_photo()
-    found = read_borders(photo, film, replace(known(), repeats=(None, None)), BRIGHT, GRID, CONFIG)
-    assert [e.sightings.axis for e in found] == [0, 1]
 
 
 @pytest.mark.parametrize(("columns", "rows"), [(4, 5), (2, 3)])
@@ -179,13 +175,13 @@ def test_lines_beside_borders_that_were_read_are_none_between_cells(beside):
     at = film_centres_1d(600)
     view = view_film(photo[..., 0], film, at, at)
     borders = [(np.arange(1, n) + beside) / n for n in (4, 5)]
-    layout, lines = find_layout(view, known(), True, GRID, RepeatConfig(), (borders[0], borders[1]))
+    layout, lines = find_lines(view, known(), True, (borders[0], borders[1]), GRID)
     for comb, followed in zip(layout.combs, lines, strict=True):
         assert (comb is None) == (followed is None) == (abs(beside) > GRID.beside_read)
-    unread, _ = find_layout(view, known(), True, GRID, RepeatConfig())
+    unread, _ = find_lines(view, known(), True, (None, None), GRID)
     assert all(unread.combs)
     before = Borders(0, beside / 4, 0.25, 4)
-    fitted, _ = find_layout(view, replace(known(), borders=(before, None)), True, GRID, RepeatConfig())
+    fitted, _ = find_lines(view, replace(known(), borders=(before, None)), True, (None, None), GRID)
     assert (fitted.combs[0] is None) == (layout.combs[0] is None)
     assert fitted.combs[1] is not None
 
@@ -204,8 +200,8 @@ def test_borders_are_read_at_once_in_groups_of_four(columns, groups):
         sizes.append(len(images))
         return bright_reader(images, inside)
 
-    comb = Comb(1, 0.0, 0.2, 5, np.arange(1, 5), 2, 1, 1.0, np.zeros((4, 4)))
-    layout = replace(known(columns), combs=(None, comb))
+    layout = known(columns)
+    layout = replace(layout, repeats=(layout.repeats[0], None))
     (found,) = read_borders(photo, film, layout, StripReader(STRIP, counted), GRID, CONFIG)
     assert sizes == [GROUP * groups]
     assert len(np.unique(np.round(columns * found.sightings.seen[:, 0]))) == columns - 1

@@ -10,7 +10,7 @@ from hybrid.film_view import FilmView, _lattice_xy, view_film
 from hybrid.rectify.cells import Reading
 from hybrid.rectify.follow import follow_comb
 from hybrid.rectify.grid import Comb, GridConfig, find_comb
-from hybrid.rectify.layout import Layout, find_layout
+from hybrid.rectify.layout import Layout, find_lines, find_repeating
 from hybrid.rectify.match import MatchConfig, match_cells
 from hybrid.rectify.repeat import RepeatConfig, Repeats, cell_agreement, find_repeats
 
@@ -134,7 +134,7 @@ def test_lines_count_where_the_cells_were_read_to_meet(place: float, between: bo
     read = Reading(Repeats(0, 0.0, 1 / 3, 3), Repeats(1, 0.0, 1 / 6, 6), 0.99)
     seen = FilmView(image[..., None], view.u, view.v, view.inside)
     for known in (Layout(), Layout(read=read)):
-        layout, lines = find_layout(seen, known, True, GRID, REPEAT)
+        layout, lines = find_lines(seen, find_repeating(seen, known, REPEAT), True, (None, None), GRID)
         found = between or known.read is None
         assert (layout.combs[1] is not None, lines[1] is not None) == (found, found)
 

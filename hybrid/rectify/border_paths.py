@@ -112,16 +112,15 @@ def _places(read: Evidence) -> Places:
 
 
 def _known(layout: Layout, axis: int) -> Borders | None:
-    """Where borders lie along an axis: as was read of them before, else as the whole film was read, unless what repeats
-    are other cells."""
+    """Where borders lie along an axis: as was read of them before, else as the whole film was read, if what repeats are
+    as many cells."""
     borders, repeats = layout.borders[axis], layout.repeats[axis]
     if borders is not None:
         return borders
-    if layout.read is None or not layout.read.is_likely:
+    if repeats is None or layout.read is None or not layout.read.is_likely:
         return None
     read = (layout.read.columns, layout.read.rows)[axis]
-    same = repeats is None or repeats.cells == read.cells
-    return Borders(axis, read.first, read.pitch, read.cells) if same else None
+    return Borders(axis, read.first, read.pitch, read.cells) if read.cells == repeats.cells else None
 
 
 def _sightings(

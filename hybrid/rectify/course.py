@@ -26,7 +26,7 @@ from hybrid.rectify.cells import CellsConfig, Reading, read_cells
 from hybrid.rectify.congeal import CongealConfig, register_cells
 from hybrid.rectify.grid import GridConfig, GridLines
 from hybrid.rectify.held_out import held_out_residuals
-from hybrid.rectify.layout import Evidence, Layout, find_layout
+from hybrid.rectify.layout import Evidence, Layout, find_lines, find_repeating
 from hybrid.rectify.margins import MarginsConfig, PlacedPrint, in_place, undecided, unfilled, usual_margins
 from hybrid.rectify.match import MatchConfig, match_cells
 from hybrid.rectify.outline import OutlineConfig, expecting_rule, find_outline
@@ -263,8 +263,9 @@ def _round(
     view, known = view_of(scene, near), progress.layout
     if number == 0:
         known = replace(known, read=read_view(view, known, phases_along(scene, near), scene.aspect, config))
+    known = find_repeating(view, known, config.repeat)
     read = [] if progress.borders else told_borders(scene.photo, near, known, scene.phases, config)
-    layout, lines = find_layout(view, known, looking, config.grid, config.repeat, places_along(read))
+    layout, lines = find_lines(view, known, looking, places_along(read), config.grid)
     found = _observe_print(view, layout, lines, matcher, outline, config)
     borders = progress.borders or tuple(e.lifted(displacement) for e in read)
     watch.lap("grid")

@@ -15,7 +15,7 @@ from hybrid.records import StageReport
 from hybrid.rectify.border_paths import places_along
 from hybrid.rectify.cell_phases import CellPhases
 from hybrid.rectify.course import read_view, told_borders
-from hybrid.rectify.layout import Layout, find_layout
+from hybrid.rectify.layout import Layout, find_lines, find_repeating
 from hybrid.rectify.refine import RefineConfig, Refinement
 
 VIEW_PX = 500
@@ -44,9 +44,9 @@ def glance(
     view = view_film(grey, backward, film_centres_1d(size[1]), film_centres_1d(size[0]))
     told = phases and phases.inside(backward).axes()
     reading = read_view(view, Layout(), told, down / across, config)
-    read = Layout(read=reading)
-    borders = places_along(told_borders(photo, backward, read, phases, config))
-    layout, _ = find_layout(view, read, True, config.grid, config.repeat, borders)
+    known = find_repeating(view, Layout(read=reading), config.repeat)
+    borders = places_along(told_borders(photo, backward, known, phases, config))
+    layout, _ = find_lines(view, known, True, borders, config.grid)
     grid = layout.slice_grid(reading, backward, expected)
     seconds = perf_counter() - start
     stages = (

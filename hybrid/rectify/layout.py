@@ -122,38 +122,48 @@ def _fitted(read: Repeats, fitted: Source | None) -> Source:
     return fitted if np.abs(fitted.lines() - read.lines()).max() < SAME_PLACE else read
 
 
-def find_layout(
-    view: FilmView,
-    known: Layout,
-    looking: bool,
-    grid: GridConfig,
-    repeat: RepeatConfig,
-    borders: tuple[Places | None, Places | None] = (None, None),
-) -> tuple[Layout, tuple[Sightings | None, Sightings | None]]:
-    """What is found of the grid in this view, added to what was known, and the sightings of the lines of each axis.
+def find_repeating(view: FilmView, known: Layout, config: RepeatConfig) -> Layout:
+    """What was known of the grid, with the cells that repeat in this view along the axes of which none were known.
 
-    borders: where those across each axis were read in this view, if they were. Repetition counts only if it tells as
-    many cells as were read. Lines are only followed unless ``looking`` for them. Lines that contradict the repeats, or
-    lie beside where cells meet, are dropped: couches, texts and bones make lines too.
+    Repetition counts only if it tells as many cells as were read.
     """
-    grey = view.image[..., 0]
-    read = (None, None) if known.read is None or not known.read.is_likely else (known.read.columns, known.read.rows)
-    repeating = known.repeats if all(known.repeats) else find_repeats(grey, repeat)
-    repeats = [r or _as_read(new, told) for r, new, told in zip(known.repeats, repeating, read, strict=True)]
+    if all(known.repeats):
+        return known
+    found = find_repeats(view.image[..., 0], config)
+    told = zip(known.repeats, found, _likely(known), strict=True)
+    columns, rows = (before or _as_read(new, read) for before, new, read in told)
+    return replace(known, repeats=(columns, rows))
+
+
+def find_lines(
+    view: FilmView, known: Layout, looking: bool, borders: tuple[Places | None, Places | None], config: GridConfig
+) -> tuple[Layout, tuple[Sightings | None, Sightings | None]]:
+    """What was known of the grid, with the lines in this view, and the sightings of the lines of each axis.
+
+    borders: where those across each axis were read in this view, if they were. Lines are only followed unless
+    ``looking`` for them. Lines that contradict the repeats, or lie beside where cells meet, are dropped: couches, texts
+    and bones make lines too.
+    """
+    grey, read = view.image[..., 0], _likely(known)
     fitted = [None if b is None else b.lines()[1:-1] for b in known.borders]
     seen = [before if now is None else now for now, before in zip(borders, fitted, strict=True)]
-    combs, followed = list(known.combs), []
+    combs, repeats, followed = list(known.combs), list(known.repeats), []
     for axis, repeated in enumerate(repeats):
         comb = combs[axis]
         if looking and (comb is None or len(comb.seen) <= comb.cells):
             around = (0.94 * repeated.pitch, 1.06 * repeated.pitch) if repeated is not None else (0.0, 1.0)
-            found = find_comb(grey, axis, grid, around)
-            if found is not None and _plausible(found, repeated, read[axis], seen[axis], grid):
+            found = find_comb(grey, axis, config, around)
+            if found is not None and _plausible(found, repeated, read[axis], seen[axis], config):
                 comb = found if comb is None or len(found.seen) > len(comb.seen) else comb
-        followed.append(follow_comb(view, comb, grid) if comb is not None else None)
+        followed.append(follow_comb(view, comb, config) if comb is not None else None)
         combs[axis] = comb if followed[axis] is not None else None
         repeats[axis] = _in_step(repeated, combs[axis])
     return replace(known, combs=(combs[0], combs[1]), repeats=(repeats[0], repeats[1])), (followed[0], followed[1])
+
+
+def _likely(known: Layout) -> tuple[Repeats | None, Repeats | None]:
+    """The cells along each axis as the film was read, if that is likely."""
+    return (None, None) if known.read is None or not known.read.is_likely else (known.read.columns, known.read.rows)
 
 
 def _as_read(repeat: Repeats | None, read: Repeats | None) -> Repeats | None:
@@ -190,15 +200,18 @@ def _plausible(
 
 def beside_cells(comb: Comb, cells: Repeats) -> float:
     """How far the lines that were seen lie from where cells meet, in cells on average."""
-    seen = comb.lines()[comb.seen]
-    return float(np.abs(seen[:, None] - cells.lines()).min(axis=1).mean() / cells.pitch)
+    return _beside(comb.lines()[comb.seen], cells.lines()) / cells.pitch
 
 
 def beside_borders(comb: Comb, borders: Places) -> float:
     """How far borders were read from the nearest lines that were seen, in cells on average. Where a map is crooked yet
     neither lie evenly, so each is compared where it was seen."""
-    seen = comb.tracks.mean(axis=1)
-    return float(np.abs(seen[:, None] - borders).min(axis=0).mean() / comb.pitch)
+    return _beside(borders, comb.tracks.mean(axis=1)) / comb.pitch
 
 
-__all__ = ["Evidence", "Layout", "Places", "Source", "find_layout"]
+def _beside(places: Places, others: Places) -> float:
+    """Mean distance of places from the nearest of others."""
+    return float(np.abs(places[:, None] - others).min(axis=1).mean())
+
+
+__all__ = ["Evidence", "Layout", "Places", "Source", "find_lines", "find_repeating"]
