@@ -69,14 +69,12 @@ def behind_some(place: Place, photo: Picture, film: BackwardMap, rng: np.random.
     """
     if rng.random() >= SHARE:
         return photo
-    shard, index = place
-    record, scale = shard.record(index), max(photo.shape) / REFERENCE_SIDE
-    lens = record.get("lens", {"defocus_px": 0.0, "motion_px": 0.0})
-    if record.get("things") or scale * lens["motion_px"] > MOVED_PX:
+    around = ground_around(place, photo, film)
+    if around is None:
         return photo
+    outline, free = around
+    record = place[0].record(place[1])
     nodes = film.photo_from_film(film_nodes((_ALONG, _ALONG)))
-    outline = sheet_outline(film, round_corners_of(place))
-    free = ground_of(outline, photo.shape[:2], float(np.hypot(LENS_PX, scale * lens["defocus_px"])))
     for _ in range(1 + int(rng.random() < MORE_SHARE)):
         kind = rng.choice(list(KINDS), p=list(KINDS.values()))
         if kind == "shadow":
@@ -90,6 +88,18 @@ def behind_some(place: Place, photo: Picture, film: BackwardMap, rng: np.random.
         else:
             photo = with_pattern(photo, free, rng)
     return photo
+
+
+def ground_around(place: Place, photo: Picture, film: BackwardMap) -> tuple[Outline, Grey] | None:
+    """The film's outline in the photo of a sample, and the share, of 255, of the ground in each pixel; None of photos
+    that things lie before, or that moved."""
+    shard, index = place
+    record, scale = shard.record(index), max(photo.shape) / REFERENCE_SIDE
+    lens = record.get("lens", {"defocus_px": 0.0, "motion_px": 0.0})
+    if record.get("things") or scale * lens["motion_px"] > MOVED_PX:
+        return None
+    outline = sheet_outline(film, round_corners_of(place))
+    return outline, ground_of(outline, photo.shape[:2], float(np.hypot(LENS_PX, scale * lens["defocus_px"])))
 
 
 def clear_share(record: dict[str, Any]) -> float:
@@ -110,11 +120,15 @@ def with_shadow(photo: Picture, outline: Outline, free: Grey, rng: np.random.Gen
 
     outline: of the film, in the photo. free: share, of 255, of the ground in each pixel.
     """
-    centre, size = outline.mean(axis=0), _size(outline)
+    centre, size = outline.mean(axis=0), photo_size(outline)
     turn, far = rng.uniform(0, 2 * np.pi), size * rng.uniform(0.02, 0.4)
     thrown = (outline - centre) * rng.uniform(0.95, 1.15) + centre + far * np.array([np.cos(turn), np.sin(turn)])
-    rim = max(size * float(np.exp(rng.uniform(*np.log((0.001, 0.02))))), 0.3)
-    shade = cv2.GaussianBlur(filled(thrown, photo.shape[:2]), (0, 0), rim)
+    return with_shade(photo, thrown, size * float(np.exp(rng.uniform(*np.log((0.001, 0.02))))), free, rng)
+
+
+def with_shade(photo: Picture, shadow: Outline, rim: float, free: Grey, rng: np.random.Generator) -> Picture:
+    """The photo with some light taken of its ground within an outline, whose rim is blurred by ``rim`` pixels."""
+    shade = cv2.GaussianBlur(filled(shadow, photo.shape[:2]), (0, 0), max(rim, 0.3))
     return _darkened(photo, cv2.multiply(shade, free, scale=1 / 255), rng)
 
 
@@ -137,7 +151,7 @@ def with_sheet(photo: Picture, nodes: Nodes, free: Grey, rng: np.random.Generato
 
     nodes: photo points of a lattice of film points, edges included.
     """
-    corners, size = _corners(nodes), _size(nodes)
+    corners, size = _corners(nodes), photo_size(nodes)
     to = rng.uniform(0, 2 * np.pi)
     shift = size * abs(rng.normal(0, 0.12)) * np.array([np.cos(to), np.sin(to)])
     placed = _moved(corners, rng.normal(0, 0.2), rng.uniform(0.85, 1.7), shift)
@@ -161,7 +175,7 @@ def with_films(
 
     pictures: of these films.
     """
-    corners, size = _corners(nodes), _size(nodes)
+    corners, size = _corners(nodes), photo_size(nodes)
     in_row = rng.random() < IN_ROW
     for picture in pictures:
         if in_row:
@@ -229,7 +243,7 @@ def _corners(nodes: Nodes) -> Float[np.ndarray, "4 2"]:
     return nodes[[0, 0, -1, -1], [0, -1, -1, 0]]
 
 
-def _size(points: Float[np.ndarray, "*n 2"]) -> float:
+def photo_size(points: Float[np.ndarray, "*n 2"]) -> float:
     """Of the film in the photo, in pixels."""
     return float(np.linalg.norm(np.ptp(points.reshape(-1, 2), axis=0)) / np.sqrt(2))
 

@@ -173,14 +173,19 @@ def random_window(size: tuple[int, int], rng: np.random.Generator, config: Augme
 
 def disturbed_map(film: BackwardMap, nodes: int, error: float, rng: np.random.Generator) -> BackwardMap:
     """A film's map with a smooth random error: of one sigma ``error`` (parts of the film) on ``nodes``^2 points."""
-    lattice = film_nodes(VIEW_NODES)
     at_nodes = rng.normal(0, error, (nodes, nodes, 2))
-    if nodes < MIN_NODES:  # two nodes along an axis: linear between the corners
-        u, v = lattice[..., :1], lattice[..., 1:]
-        (a, b), (c, d) = at_nodes
-        offset = (1 - v) * ((1 - u) * a + u * b) + v * ((1 - u) * c + u * d)
-    else:
-        offset = BackwardMap(at_nodes).photo_from_film(lattice)
+    if nodes < MIN_NODES:
+        return corners_moved(film, at_nodes)
+    lattice = film_nodes(VIEW_NODES)
+    return BackwardMap(film.photo_from_film(lattice + BackwardMap(at_nodes).photo_from_film(lattice)))
+
+
+def corners_moved(film: BackwardMap, by: Float[np.ndarray, "2 2 2"]) -> BackwardMap:
+    """The map whose corners lie so far, in film units, from a film's, and all else linearly between them."""
+    lattice = film_nodes(VIEW_NODES)
+    u, v = lattice[..., :1], lattice[..., 1:]
+    (a, b), (c, d) = by
+    offset = (1 - v) * ((1 - u) * a + u * b) + v * ((1 - u) * c + u * d)
     return BackwardMap(film.photo_from_film(lattice + offset))
 
 

@@ -1,7 +1,8 @@
 """Training views of EdgeNet: strips across the edges that a map predicts, and where the edges really are.
 
 Predicted are they by the true map, disturbed, or by what FilmNet made of the photo (data_gen/film_maps.py). Only that
-errs as it does in use: where a shadow or a frame looks like the sheet's edge FilmNet is drawn to it first.
+errs as it does in use: where a shadow or a frame looks like the sheet's edge FilmNet is drawn to it first. Of shadows
+that are put into photos here FilmNet has seen nothing; there the true map is moved out to them (near_edges.py).
 """
 
 from __future__ import annotations
@@ -13,12 +14,13 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
-from hybrid.backward import BackwardMap, Orientation, film_as_seen, orientation
+from hybrid.backward import BackwardMap, Orientation, orientation
 from hybrid.coords import film_centres_1d, rescale_points, sample_bilinear
 from hybrid.errors import NPZ_ERRORS, DataError, describe
 from hybrid.learn import behind, rounded
 from hybrid.learn.colours import disturbed, taken_badly
 from hybrid.learn.data import BEND_ERROR_NODES, disturbed_map, log_uniform
+from hybrid.learn.near_edges import near_edges
 from hybrid.learn.samples import Place, film_mask, film_of, open_places, photo_of, round_corners_of
 from hybrid.learn.views import plane_of
 from hybrid.pyramid import Pyramid
@@ -36,12 +38,14 @@ JUST_INSIDE = 0.02
 class EdgeAugment:
     """How the predicting map errs.
 
-    found_share: maps that FilmNet made, where these are known. found_error: range of one sigma of what their corners
-    are disturbed by, in parts of the film. plane_share: of the others those that are the plane nearest to the true one.
+    drawn_share: maps that take a shadow beside the film for part of it, where there is one. found_share: of the others
+    those that FilmNet made, where these are known. found_error: range of one sigma of what the corners of both are
+    disturbed by, in parts of the film. plane_share: of the others those that are the plane nearest to the true one.
     plane_error, bend_error: range of one sigma of their corners' error and of a smooth bent one. colours: whether
     colours are disturbed.
     """
 
+    drawn_share: float = 0.65
     found_share: float = 0.5
     found_error: tuple[float, float] = (0.0005, 0.01)
     plane_share: float = 0.25
@@ -92,14 +96,20 @@ def edge_view(
     """Strips of a sample, where the photo covers them, and the true rows in each pair of columns (NaN: not shown)."""
     place, way = sample.place, Orientation(int(rng.integers(4)), bool(rng.random() < 0.5))
     photo, film, corners = photo_of(place), film_of(place), round_corners_of(place)
+    drawn: BackwardMap | None = None
     if augment.colours:
         photo = behind.behind_some(place, photo, film, rng)
+        photo, drawn = near_edges(place, photo, film, rng)
         photo, corners = rounded.round_some(photo, film, corners, rng)
         photo = taken_badly(photo, rng)
-    true = film_as_seen(film).turned(way)
+    seen = orientation(film)
+    true = film.turned(seen.inverse).turned(way)
     if corners is not None:
-        corners = corners.turned(orientation(film).turns + way.turns)
-    if sample.found is not None and rng.random() < augment.found_share:
+        corners = corners.turned(seen.turns + way.turns)
+    if drawn is not None and rng.random() < augment.drawn_share:
+        guess = drawn.turned(seen.inverse).turned(way)
+        guess = disturbed_map(guess, 2, log_uniform(rng, augment.found_error), rng)
+    elif sample.found is not None and rng.random() < augment.found_share:
         guess = BackwardMap(sample.found.astype(np.float64)).turned(way)
         guess = disturbed_map(guess, 2, log_uniform(rng, augment.found_error), rng)
     else:

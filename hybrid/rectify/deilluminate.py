@@ -26,6 +26,9 @@ CLIPPED_CONTRAST = 50 / 255
 ``LEAST_CONTRAST``: what is clipped ends sharply, and levels are read on a coarse lattice."""
 FREE = 245
 """Channel values, at the mean of a small pixel, up to which the print still shows in a channel beside clipped ones."""
+HAIR = 1e-7
+"""Display grey by which the film is made darker: less than any picture shows, but where the curve leaves 0 more than
+rounding adds."""
 LEAST_SEEN = 0.1
 """Share of the film that must be seen for its light to be read."""
 STRIP_ROWS = 64
@@ -267,8 +270,8 @@ def _apply(
         scale, shift = (cv2.resize(x[part], even.shape[::-1], interpolation=cv2.INTER_LINEAR) for x in rows)
         cv2.add(cv2.multiply(even, scale, dst=even), shift, dst=even)
         np.clip(even, tone.least, 1.0, out=even)
-        cv2.addWeighted(even, tone.straight, cv2.sqrt(even), tone.root, tone.black, dst=film[part])
-        np.clip(film[part], 0.0, 1.0, out=film[part])  # rounding leaves a hair below black
+        cv2.addWeighted(even, tone.straight, cv2.sqrt(even), tone.root, tone.black - HAIR, dst=film[part])
+        np.clip(film[part], 0.0, 1.0, out=film[part])
 
     in_strips(apply, height, STRIP_ROWS)
     return film

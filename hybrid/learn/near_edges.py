@@ -1,0 +1,124 @@
+"""What looks like the sheet's edge beside it, put into EdgeNet's training photos: its shadow, bands in the print.
+
+A film that stands off the table by a few millimetres throws a shadow of its own shape, which sticks out by 0.5 to 5 %
+of the film on one or two sides and is as dark as a rim of clear film. FilmNet takes it for part of the sheet. Then an
+edge lies just where the map says, and EdgeNet, which had met such edges only where the map was right, believed it. Once
+it has met shadows, a black band below a patient's couch looks like one: so such bands are put into prints, too.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+
+from hybrid.backward import BackwardMap
+from hybrid.coords import film_nodes
+from hybrid.learn.behind import Grey, Outline, Picture, filled, ground_around, mixed, photo_size, with_shade
+from hybrid.learn.data import corners_moved, log_uniform
+from hybrid.learn.samples import Place
+from hybrid.strips import SIDES, Side
+
+SHADOW_SHARE, BAND_SHARE = 0.12, 0.2
+"""Of the photos over whose film nothing lies, those that get a shadow, and a band in the print."""
+
+FAR = (0.004, 0.08)
+"""How far beside the film a shadow lies, in sizes of the film."""
+
+SLANT = 0.4
+"""One sigma of how much, in parts of that, it is turned, stretched and sheared: a sheet stands off unevenly."""
+
+RIM = (0.0005, 0.012)
+"""Sigma of its blurred rim, in sizes of the film."""
+
+REACHED = (0.002, 0.085)
+"""Parts of the film by which a map's corners are moved out to the shadow: no strip would show more."""
+
+PART_SHARE = 0.3
+"""Of the maps, those that take part of the shadow only for the sheet."""
+
+DEEP, THICK = (0.006, 0.09), (0.0006, 0.008)
+"""How deep in the film a band ends, and how thick the line there is, in parts of the film."""
+
+BROKEN_SHARE, PIECES = 0.5, (2, 8)
+"""Of the lines, those that are broken, as each slice has one; and into how many pieces."""
+
+GREYS = (8, 96)
+"""Percentiles of the film's colours in the photo that bands and lines are near."""
+
+
+def near_edges(
+    place: Place, photo: Picture, film: BackwardMap, rng: np.random.Generator
+) -> tuple[Picture, BackwardMap | None]:
+    """The photo of a sample, of some with a band along a side of the print, or with a shadow right beside the film; and
+    the map that takes this for part of the sheet, None where there is no shadow."""
+    band, shadow = rng.random(2) < (BAND_SHARE, SHADOW_SHARE)
+    around = ground_around(place, photo, film) if band or shadow else None
+    if around is None:
+        return photo, None
+    outline, free = around
+    if band:
+        photo = with_band(photo, film, free, rng)
+    return near_shadow(photo, film, outline, free, rng) if shadow else (photo, None)
+
+
+def near_shadow(
+    photo: Picture, film: BackwardMap, outline: Outline, free: Grey, rng: np.random.Generator
+) -> tuple[Picture, BackwardMap]:
+    """The photo with a shadow right beside the film, and the map that takes it for part of the sheet.
+
+    outline: of the film, in the photo. free: share, of 255, of the ground in each pixel.
+    """
+    centre, size = outline.mean(axis=0), photo_size(outline)
+    far, turn, rim = log_uniform(rng, FAR), rng.uniform(0, 2 * np.pi), log_uniform(rng, RIM)
+    slant = np.eye(2) + rng.normal(0, SLANT * far, (2, 2))
+    to = centre + far * size * np.array([np.cos(turn), np.sin(turn)])
+    corners = film_nodes((2, 2)).reshape(4, 2)
+    thrown = (film.photo_from_film(corners) - centre) @ slant + to
+    out = film.film_near(thrown, corners, iterations=6, most_step=0.1) - corners
+    beyond = out * np.sign(corners - 0.5)
+    part = rng.uniform(0, 1) if rng.random() < PART_SHARE else 1.0
+    by = part * np.where((beyond > REACHED[0]) & (beyond < REACHED[1]), out, 0.0)
+    photo = with_shade(photo, (outline - centre) @ slant + to, rim * size, free, rng)
+    return photo, corners_moved(film, by.reshape(2, 2, 2))
+
+
+def with_band(photo: Picture, film: BackwardMap, free: Grey, rng: np.random.Generator) -> Picture:
+    """The photo with a black band printed along one side of the film, and a bright line where it ends."""
+    side, deep, thick = SIDES[rng.integers(4)], log_uniform(rng, DEEP), log_uniform(rng, THICK)
+    dark, bright = _greys(photo, film)
+    band = _strip(film, side, (0.0, 1.0), (0.0, deep))
+    photo = _printed(photo, [band], dark, rng.uniform(0.5, 1.0), free)
+    ends = [(0.0, 1.0)]
+    if rng.random() < BROKEN_SHARE:
+        pieces = int(rng.integers(*PIECES)) + 1
+        length = rng.uniform(0.7, 0.98) / pieces
+        ends = [(k / pieces, k / pieces + length) for k in range(pieces)]
+    lines = [_strip(film, side, piece, (deep, deep + thick)) for piece in ends]
+    return _printed(photo, lines, bright, rng.uniform(0.2, 1.0), free)
+
+
+def _strip(film: BackwardMap, side: Side, along: tuple[float, float], depth: tuple[float, float]) -> Outline:
+    """In the photo, the outline of a strip along a side: between two places along it, and two depths."""
+    t = np.linspace(*along, 33)
+    there, back = (side.film_points(t, np.full(len(t), d)) for d in depth)
+    return film.photo_from_film(np.concatenate([there, back[::-1]]))
+
+
+def _printed(
+    photo: Picture, outlines: list[Outline], colour: Float[np.ndarray, "3"], share: float, free: Grey
+) -> Picture:
+    """The photo with a share of a colour within outlines, as far as the film is seen there."""
+    drawn = np.max([filled(outline, photo.shape[:2]) for outline in outlines], axis=0)
+    weight = share * drawn * (1 - free / np.float32(255))
+    return mixed(photo, np.full_like(photo, colour), np.rint(weight).astype(np.uint8))
+
+
+def _greys(photo: Picture, film: BackwardMap) -> Float[np.ndarray, "2 3"]:
+    """A dark and a bright colour of the film, as the photo shows it."""
+    points = film.photo_from_film(film_nodes((65, 65))[4:-4, 4:-4].reshape(-1, 2))
+    seen = points[((points >= 0) & (points < photo.shape[1::-1])).all(axis=1)]
+    if not len(seen):
+        return np.array([[20.0] * 3, [200.0] * 3])
+    colours = photo[seen[:, 1].astype(int), seen[:, 0].astype(int)]
+    order = np.argsort(colours.sum(axis=1, dtype=int))
+    return colours[order[[int(p / 100 * (len(order) - 1)) for p in GREYS]]].astype(float)
