@@ -73,13 +73,13 @@ def behind_some(place: Place, photo: Picture, film: BackwardMap, rng: np.random.
     if around is None:
         return photo
     outline, free = around
-    record = place[0].record(place[1])
+    clear = clear_share(place[0].record(place[1]))
     nodes = film.photo_from_film(film_nodes((_ALONG, _ALONG)))
     for _ in range(1 + int(rng.random() < MORE_SHARE)):
         kind = rng.choice(list(KINDS), p=list(KINDS.values()))
         if kind == "shadow":
             photo = with_shadow(photo, outline, free, rng)
-        elif clear_share(record) > CLEAR:
+        elif clear > CLEAR:
             continue
         elif kind == "sheet":
             photo = with_sheet(photo, nodes, free, rng)

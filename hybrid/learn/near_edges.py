@@ -39,8 +39,8 @@ PART_SHARE = 0.3
 DEEP, THICK = (0.006, 0.09), (0.0006, 0.008)
 """How deep in the film a band ends, and how thick the line there is, in parts of the film."""
 
-BROKEN_SHARE, PIECES = 0.5, (2, 8)
-"""Of the lines, those that are broken, as each slice has one; and into how many pieces."""
+BROKEN_SHARE, PIECES = 0.5, (3, 8)
+"""Of the lines, those that are broken, as each slice has one; and the least and most pieces then."""
 
 GREYS = (8, 96)
 """Percentiles of the film's colours in the photo that bands and lines are near."""
@@ -90,7 +90,7 @@ def with_band(photo: Picture, film: BackwardMap, free: Grey, rng: np.random.Gene
     photo = _printed(photo, [band], dark, rng.uniform(0.5, 1.0), free)
     ends = [(0.0, 1.0)]
     if rng.random() < BROKEN_SHARE:
-        pieces = int(rng.integers(*PIECES)) + 1
+        pieces = int(rng.integers(PIECES[0], PIECES[1] + 1))
         length = rng.uniform(0.7, 0.98) / pieces
         ends = [(k / pieces, k / pieces + length) for k in range(pieces)]
     lines = [_strip(film, side, piece, (deep, deep + thick)) for piece in ends]
