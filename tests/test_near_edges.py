@@ -2,7 +2,6 @@
 
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 from simple_samples import simple_dataset
@@ -11,12 +10,11 @@ from synthetic_film import FilmDrawing, make_photo
 from hybrid.backward import BackwardMap
 from hybrid.coords import film_nodes
 from hybrid.learn import near_edges as edges
-from hybrid.learn.behind import ground_of, photo_size, with_shade
-from hybrid.learn.data import corners_moved
+from hybrid.learn.behind import ground_of, size_in_photo, with_shade
 from hybrid.learn.edge_data import EdgeAugment, EdgePlace, edge_view
 from hybrid.learn.edges import strip_reader
 from hybrid.learn.inference import ready
-from hybrid.learn.near_edges import near_edges, near_shadow, with_band
+from hybrid.learn.near_edges import near_edges, near_shadow, reaching, with_band
 from hybrid.learn.samples import Place, open_places
 from hybrid.learn.weights import packaged_edge_net
 from hybrid.pyramid import Pyramid
@@ -99,12 +97,12 @@ def test_a_part_of_the_maps_goes_part_of_the_way(place: Place, monkeypatch: pyte
 
 def test_bands_are_dark_and_lie_along_one_side_of_the_film_alone() -> None:
     film, free = printed_photo(), ground_of(FILM.outline(), SIZE)
-    ground = (plain_photo(0)[..., 0] > 0).astype(np.uint8)
+    ground = plain_photo(0)[..., 0] > 0
     sides, lines = set(), []
     for seed in range(24):
         banded = with_band(film, FILM, free, np.random.default_rng(seed)).astype(int)
         changed = np.abs(banded - film).max(axis=2) > 3
-        assert not cv2.bitwise_and(changed.astype(np.uint8), ground).any()
+        assert not (changed & ground).any()
         y, x = np.nonzero(changed)
         reach = {"top": y.max() - 100, "bottom": 380 - y.min(), "left": x.max() - 100, "right": 340 - x.min()}
         side = min(reach, key=lambda name: reach[name])
@@ -158,15 +156,14 @@ def test_views_through_such_maps_show_the_edge_further_in(place: Place) -> None:
 def test_the_packaged_network_tells_most_shadows_from_the_sheet_that_throws_them() -> None:
     """Through maps that take them for part of the sheet, as FilmNet's do, in four directions."""
     plain, film = make_photo(FilmDrawing(rules=False), np.random.default_rng(4), 170)
-    outline, corners = film.outline(), film_nodes((2, 2)).reshape(4, 2)
+    outline = film.outline()
     free = ground_of(outline, plain.shape[:2])
     reader, config = strip_reader(ready(packaged_edge_net())), EdgeConfig()
     moved = []
     for turn in np.deg2rad([20, 110, 200, 290]):
-        by = 0.03 * photo_size(outline) * np.array([np.cos(turn), np.sin(turn)])
+        by = 0.03 * size_in_photo(outline) * np.array([np.cos(turn), np.sin(turn)])
         photo = Pyramid(with_shade(plain, outline + by, 1.0, free, np.random.default_rng(2)))
-        out = film.film_near(film.photo_from_film(corners) + by, corners, iterations=4) - corners
-        drawn = corners_moved(film, np.where(out * (corners - 0.5) > 0, out, 0.0).reshape(2, 2, 2))
+        drawn = reaching(film, film.photo_from_film(edges.CORNERS) + by)
         moved.append(read_edges(photo, drawn, reader, config).off)
         assert look_across(photo, film, reader, config).support.min() > 0.8  # through the true map, the true edges
     assert np.sum(np.array(moved) > 0.015) >= 3

@@ -17,6 +17,7 @@ from jaxtyping import Float, UInt8
 
 from hybrid.backward import BackwardMap
 from hybrid.coords import film_nodes, linear_from_srgb, opencv_from_photo, srgb_from_linear
+from hybrid.learn.draws import log_uniform
 from hybrid.learn.samples import Place, film_of, photo_of, round_corners_of, sheet_outline
 from hybrid.learn.views import film_view, view_image
 
@@ -120,10 +121,10 @@ def with_shadow(photo: Picture, outline: Outline, free: Grey, rng: np.random.Gen
 
     outline: of the film, in the photo. free: share, of 255, of the ground in each pixel.
     """
-    centre, size = outline.mean(axis=0), photo_size(outline)
+    centre, size = outline.mean(axis=0), size_in_photo(outline)
     turn, far = rng.uniform(0, 2 * np.pi), size * rng.uniform(0.02, 0.4)
     thrown = (outline - centre) * rng.uniform(0.95, 1.15) + centre + far * np.array([np.cos(turn), np.sin(turn)])
-    return with_shade(photo, thrown, size * float(np.exp(rng.uniform(*np.log((0.001, 0.02))))), free, rng)
+    return with_shade(photo, thrown, size * log_uniform(rng, (0.001, 0.02)), free, rng)
 
 
 def with_shade(photo: Picture, shadow: Outline, rim: float, free: Grey, rng: np.random.Generator) -> Picture:
@@ -135,7 +136,7 @@ def with_shade(photo: Picture, shadow: Outline, rim: float, free: Grey, rng: np.
 def with_pattern(photo: Picture, free: Grey, rng: np.random.Generator) -> Picture:
     """Stripes, or checks, in what is around the film."""
     h, w = photo.shape[:2]
-    period = max(h, w) * float(np.exp(rng.uniform(*np.log((0.015, 0.3)))))
+    period = max(h, w) * log_uniform(rng, (0.015, 0.3))
     turn, duty = rng.uniform(0, np.pi), rng.uniform(0.1, 0.9, 2)
     y, x = np.mgrid[:h, :w].astype(np.float32) / np.float32(period)
     along, across = np.cos(turn) * x + np.sin(turn) * y, np.cos(turn) * y - np.sin(turn) * x
@@ -151,7 +152,7 @@ def with_sheet(photo: Picture, nodes: Nodes, free: Grey, rng: np.random.Generato
 
     nodes: photo points of a lattice of film points, edges included.
     """
-    corners, size = _corners(nodes), photo_size(nodes)
+    corners, size = _corners(nodes), size_in_photo(nodes)
     to = rng.uniform(0, 2 * np.pi)
     shift = size * abs(rng.normal(0, 0.12)) * np.array([np.cos(to), np.sin(to)])
     placed = _moved(corners, rng.normal(0, 0.2), rng.uniform(0.85, 1.7), shift)
@@ -175,7 +176,7 @@ def with_films(
 
     pictures: of these films.
     """
-    corners, size = _corners(nodes), photo_size(nodes)
+    corners, size = _corners(nodes), size_in_photo(nodes)
     in_row = rng.random() < IN_ROW
     for picture in pictures:
         if in_row:
@@ -243,7 +244,7 @@ def _corners(nodes: Nodes) -> Float[np.ndarray, "4 2"]:
     return nodes[[0, 0, -1, -1], [0, -1, -1, 0]]
 
 
-def photo_size(points: Float[np.ndarray, "*n 2"]) -> float:
+def size_in_photo(points: Float[np.ndarray, "*n 2"]) -> float:
     """Of the film in the photo, in pixels."""
     return float(np.linalg.norm(np.ptp(points.reshape(-1, 2), axis=0)) / np.sqrt(2))
 

@@ -14,7 +14,8 @@ from hybrid.backward import BackwardMap, Orientation, orientation
 from hybrid.borders import GROUP, border_side, border_strips, inner_lines, strip_across
 from hybrid.learn import behind
 from hybrid.learn.colours import taken_badly
-from hybrid.learn.data import UNKNOWN_GRID, disturbed_map, grid_along, log_uniform
+from hybrid.learn.data import UNKNOWN_GRID, disturbed_map, grid_along
+from hybrid.learn.draws import log_uniform
 from hybrid.learn.edge_data import EdgePlace, disturbed_alike, film_shown, open_edges, row_of_line
 from hybrid.learn.samples import film_mask, film_of, photo_of, vertices_of
 from hybrid.pyramid import Pyramid

@@ -12,6 +12,7 @@ from hybrid.backward import MIN_NODES, BackwardMap, Orientation, film_as_seen, o
 from hybrid.coords import film_centres, film_nodes
 from hybrid.learn import behind, rounded
 from hybrid.learn.colours import disturbed, taken_badly
+from hybrid.learn.draws import log_uniform
 from hybrid.learn.losses import Targets
 from hybrid.learn.network import STRIDE
 from hybrid.learn.samples import Place, Truth, film_of, photo_of, round_corners_of, truth_at
@@ -187,11 +188,6 @@ def corners_moved(film: BackwardMap, by: Float[np.ndarray, "2 2 2"]) -> Backward
     (a, b), (c, d) = by
     offset = (1 - v) * ((1 - u) * a + u * b) + v * ((1 - u) * c + u * d)
     return BackwardMap(film.photo_from_film(lattice + offset))
-
-
-def log_uniform(rng: np.random.Generator, bounds: tuple[float, float]) -> float:
-    """A number between bounds whose logarithm is as likely anywhere between theirs."""
-    return float(np.exp(rng.uniform(*np.log(bounds))))
 
 
 def orientation_in(truth: Truth) -> Orientation:

@@ -19,7 +19,8 @@ from hybrid.coords import film_centres_1d, rescale_points, sample_bilinear
 from hybrid.errors import NPZ_ERRORS, DataError, describe
 from hybrid.learn import behind, rounded
 from hybrid.learn.colours import disturbed, taken_badly
-from hybrid.learn.data import BEND_ERROR_NODES, disturbed_map, log_uniform
+from hybrid.learn.data import BEND_ERROR_NODES, disturbed_map
+from hybrid.learn.draws import log_uniform
 from hybrid.learn.near_edges import near_edges
 from hybrid.learn.samples import Place, film_mask, film_of, open_places, photo_of, round_corners_of
 from hybrid.learn.views import plane_of
@@ -106,12 +107,13 @@ def edge_view(
     true = film.turned(seen.inverse).turned(way)
     if corners is not None:
         corners = corners.turned(seen.turns + way.turns)
+    found: BackwardMap | None = None
     if drawn is not None and rng.random() < augment.drawn_share:
-        guess = drawn.turned(seen.inverse).turned(way)
-        guess = disturbed_map(guess, 2, log_uniform(rng, augment.found_error), rng)
+        found = drawn.turned(seen.inverse).turned(way)
     elif sample.found is not None and rng.random() < augment.found_share:
-        guess = BackwardMap(sample.found.astype(np.float64)).turned(way)
-        guess = disturbed_map(guess, 2, log_uniform(rng, augment.found_error), rng)
+        found = BackwardMap(sample.found.astype(np.float64)).turned(way)
+    if found is not None:
+        guess = disturbed_map(found, 2, log_uniform(rng, augment.found_error), rng)
     else:
         guess = plane_of(true) if rng.random() < augment.plane_share else true
         guess = disturbed_map(guess, 2, log_uniform(rng, augment.plane_error), rng)

@@ -13,8 +13,9 @@ from jaxtyping import Float
 
 from hybrid.backward import BackwardMap
 from hybrid.coords import film_nodes
-from hybrid.learn.behind import Grey, Outline, Picture, filled, ground_around, mixed, photo_size, with_shade
-from hybrid.learn.data import corners_moved, log_uniform
+from hybrid.learn.behind import Grey, Outline, Picture, filled, ground_around, mixed, size_in_photo, with_shade
+from hybrid.learn.data import corners_moved
+from hybrid.learn.draws import log_uniform
 from hybrid.learn.samples import Place
 from hybrid.strips import SIDES, Side
 
@@ -45,6 +46,9 @@ BROKEN_SHARE, PIECES = 0.5, (3, 8)
 GREYS = (8, 96)
 """Percentiles of the film's colours in the photo that bands and lines are near."""
 
+CORNERS = film_nodes((2, 2)).reshape(4, 2)
+"""The film's corners, row by row, as ``corners_moved`` has them."""
+
 
 def near_edges(
     place: Place, photo: Picture, film: BackwardMap, rng: np.random.Generator
@@ -68,18 +72,24 @@ def near_shadow(
 
     outline: of the film, in the photo. free: share, of 255, of the ground in each pixel.
     """
-    centre, size = outline.mean(axis=0), photo_size(outline)
+    centre, size = outline.mean(axis=0), size_in_photo(outline)
     far, turn, rim = log_uniform(rng, FAR), rng.uniform(0, 2 * np.pi), log_uniform(rng, RIM)
     slant = np.eye(2) + rng.normal(0, SLANT * far, (2, 2))
     to = centre + far * size * np.array([np.cos(turn), np.sin(turn)])
-    corners = film_nodes((2, 2)).reshape(4, 2)
-    thrown = (film.photo_from_film(corners) - centre) @ slant + to
-    out = film.film_near(thrown, corners, iterations=6, most_step=0.1) - corners
-    beyond = out * np.sign(corners - 0.5)
     part = rng.uniform(0, 1) if rng.random() < PART_SHARE else 1.0
+    drawn = reaching(film, (film.photo_from_film(CORNERS) - centre) @ slant + to, part)
+    return with_shade(photo, (outline - centre) @ slant + to, rim * size, free, rng), drawn
+
+
+def reaching(film: BackwardMap, thrown: Float[np.ndarray, "4 2"], part: float = 1.0) -> BackwardMap:
+    """The map that takes the film's shadow for part of the sheet where it sticks out, or so much of it only.
+
+    thrown: photo points of the shadows of CORNERS.
+    """
+    out = film.film_near(thrown, CORNERS, iterations=6, most_step=0.1) - CORNERS
+    beyond = out * np.sign(CORNERS - 0.5)
     by = part * np.where((beyond > REACHED[0]) & (beyond < REACHED[1]), out, 0.0)
-    photo = with_shade(photo, (outline - centre) @ slant + to, rim * size, free, rng)
-    return photo, corners_moved(film, by.reshape(2, 2, 2))
+    return corners_moved(film, by.reshape(2, 2, 2))
 
 
 def with_band(photo: Picture, film: BackwardMap, free: Grey, rng: np.random.Generator) -> Picture:

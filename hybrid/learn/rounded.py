@@ -12,6 +12,7 @@ from jaxtyping import UInt8
 from hybrid.backward import BackwardMap
 from hybrid.coords import FILM_CORNERS
 from hybrid.learn.behind import filled, mixed
+from hybrid.learn.draws import log_uniform
 from hybrid.round_corners import RoundCorners
 
 SHARE = 0.5
@@ -28,7 +29,7 @@ def round_some(
     if own is not None or rng.random() >= SHARE:
         return photo, own
     down, across = film.mean_film_pixels()
-    radius = max(down, across) * float(np.exp(rng.uniform(*np.log(RADIUS))))
+    radius = max(down, across) * log_uniform(rng, RADIUS)
     corners = RoundCorners(min(radius / across, 0.4), min(radius / down, 0.4))
     return with_round_corners(photo, film, corners, rng), corners
 

@@ -11,7 +11,7 @@ from jaxtyping import Float, Float32, UInt8
 
 from hybrid.coords import opencv_from_photo
 from hybrid.errors import DataError, describe
-from hybrid.learn.data import log_uniform
+from hybrid.learn.draws import log_uniform
 from hybrid.learn.upright import UprightNetConfig
 from hybrid.learn.upright_patches import text_patches
 
