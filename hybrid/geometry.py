@@ -195,10 +195,13 @@ def _with_margins(
 ) -> tuple[Refinement, str] | None:
     """The first refinement with such margins that is to be believed, and what they are."""
     options = config.margins
+    before = np.inf if refined.expected_px is None else refined.expected_px
     for longer in with_margins(pyramid, refined.backward, reader, config.edges, options):
         wider = _exactly(pyramid, phases, longer.read, config, longer.read.through)
-        most_px = options.most_expected * max(wider.backward.mean_film_pixels())
+        most_px = min(options.most_expected * max(wider.backward.mean_film_pixels()), options.most_growth * before)
         if wider.expected_px is None or wider.expected_px > most_px:
+            continue
+        if _grid_chance(wider) < _grid_chance(refined) - options.grid_lost:
             continue
         if wider.grid is not None and wider.grid.lopsided > options.most_lopsided:
             continue
@@ -208,6 +211,11 @@ def _with_margins(
         if beside(wider.backward) <= options.most_beside:
             return replace(wider, across=across), str(longer)
     return None
+
+
+def _grid_chance(refinement: Refinement) -> float:
+    """How probable the grid is; 0 where there is none."""
+    return 0.0 if refinement.grid is None else refinement.grid.confidence
 
 
 def flat_itself(

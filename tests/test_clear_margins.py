@@ -168,6 +168,28 @@ def test_it_does_not_where_its_refinement_expects_a_large_error_or_none(monkeypa
     assert not ran
 
 
+@pytest.mark.parametrize("before_px", [0.5, None])
+def test_nor_where_its_refinement_expects_a_larger_error_than_before(monkeypatch, before_px):
+    """As where the sheet becomes part of the film beside it; but where none was expected before any is less."""
+    before = refined(part((100, 160)), before_px)
+    for grown, counts in ((1.01, before_px is None), (0.99, True)):
+        sheet, _, ran = sheet_of(before, monkeypatch, 0.5 * grown * MARGINS.most_growth)
+        assert ran is counts
+        assert (sheet is before) is not counts
+
+
+def test_nor_where_its_grid_is_less_probable_than_before(monkeypatch):
+    """As where another film's panel is taken for its margin, which spoils the cells."""
+    at = film_nodes((4, 4))
+    before = replace(refined(part((100, 160))), grid=SliceGrid(3, 3, at, at, 0.9))
+    for lost, counts in ((1.01, False), (0.99, True), (-0.5, True)):
+        grid = SliceGrid(4, 3, film_nodes((5, 4)), film_nodes((5, 4)), 0.9 - lost * MARGINS.grid_lost)
+        sheet, _, ran = sheet_of(before, monkeypatch, grid=grid)
+        assert ran is counts
+        assert (sheet is before) is not counts
+    assert sheet_of(before, monkeypatch)[0] is before  # of which there is no grid any more
+
+
 def test_nor_where_its_print_is_far_from_the_middle(monkeypatch):
     """The sheet goes on at one end by a seventh, and the grid ends where the map did."""
     before = refined(part((100, 160)))

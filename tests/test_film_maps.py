@@ -16,7 +16,7 @@ from hybrid.learn.edge_data import FILM_MAPS, EdgeAugment, edge_view, open_edges
 from hybrid.learn.samples import film_of
 from hybrid.strips import SIDES, StripConfig
 
-FOUND = EdgeAugment(found_share=1.0, found_error=(1e-6, 2e-6), colours=False)
+FOUND = EdgeAugment(found_share=1.0, found_error=(1e-6, 2e-6), far_share=0.0, colours=False)
 
 
 @pytest.fixture(scope="module")

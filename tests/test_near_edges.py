@@ -1,4 +1,4 @@
-"""Beside edges in EdgeNet's training: shadows on the ground, to which the map reaches, and bands in the print."""
+"""Beside edges in EdgeNet's training: shadows on the ground, to which the map reaches, bands and margins in prints."""
 
 from pathlib import Path
 
@@ -11,10 +11,10 @@ from hybrid.backward import BackwardMap
 from hybrid.coords import film_nodes
 from hybrid.learn import near_edges as edges
 from hybrid.learn.behind import ground_of, size_in_photo, with_shade
-from hybrid.learn.edge_data import EdgeAugment, EdgePlace, edge_view
+from hybrid.learn.edge_data import EdgeAugment, EdgePlace, edge_view, sides_far, true_rows
 from hybrid.learn.edges import strip_reader
 from hybrid.learn.inference import ready
-from hybrid.learn.near_edges import near_edges, near_shadow, reaching, with_band
+from hybrid.learn.near_edges import margins_some, near_edges, near_shadow, reaching, with_band, with_margins
 from hybrid.learn.samples import Place, open_places
 from hybrid.learn.weights import packaged_edge_net
 from hybrid.pyramid import Pyramid
@@ -37,6 +37,7 @@ def place(dataset: Path, monkeypatch: pytest.MonkeyPatch) -> Place:
     """A sample that gets a shadow; as sharp as drawing makes it, and maps reach all the way."""
     monkeypatch.setattr(edges, "SHADOW_SHARE", 1.0)
     monkeypatch.setattr(edges, "BAND_SHARE", 0.0)
+    monkeypatch.setattr(edges, "MARGIN_SHARE", 0.0)
     monkeypatch.setattr(edges, "PART_SHARE", 0.0)
     monkeypatch.setattr(edges, "RIM", (0.0001, 0.0002))
     return open_places([dataset])[0]
@@ -116,6 +117,23 @@ def test_bands_are_dark_and_lie_along_one_side_of_the_film_alone() -> None:
     assert np.median(lines) > 100
 
 
+def test_margins_are_blank_and_lie_along_sides_of_the_film_alone() -> None:
+    """As dark as what is darkest nearby, or a little brighter; what is printed further in stays as it is."""
+    film, free = printed_photo(), ground_of(FILM.outline(), SIZE)
+    film[102:378, 140] = film[102:378, 290] = 250  # rules that reach through the margins
+    rules, counts = film.max(axis=2) > 200, []
+    for seed in range(24):
+        changed = np.abs(with_margins(film, FILM, free, np.random.default_rng(seed)).astype(int) - film).max(axis=2)
+        assert not changed[:98].any()
+        assert not changed[382:].any()
+        assert not changed[:, :98].any()
+        assert not changed[:, 342:].any()
+        assert not changed[100 + 32 : 380 - 32, 100 + 28 : 340 - 28].any()
+        blank = [changed[102:104][rules[102:104]].min() > 80, changed[376:378][rules[376:378]].min() > 80]
+        counts.append(sum(blank))
+    assert 0 < np.mean(counts) < 2
+
+
 @pytest.mark.parametrize(
     "changes",
     [{"things": [{"thing": "hand"}]}, {"lens": {"defocus_px": 0.0, "motion_px": 12.0}}],
@@ -131,6 +149,8 @@ def test_photos_that_nothing_is_put_behind_get_none(
     monkeypatch.setattr(type(place[0]), "record", lambda self, index: changes)
     same, drawn = near_edges(place, photo, FILM, np.random.default_rng(1))
     assert same is photo
+    monkeypatch.setattr(edges, "MARGIN_SHARE", 1.0)
+    assert margins_some(place, photo, FILM, np.random.default_rng(1)) is photo
     assert drawn is None
 
 
@@ -145,12 +165,33 @@ def test_bands_alone_move_no_map(place: Place, monkeypatch: pytest.MonkeyPatch) 
 
 def test_views_through_such_maps_show_the_edge_further_in(place: Place) -> None:
     """By up to as much as the map was moved out, on the sides that it was; on none of them further out."""
-    exact = EdgeAugment(drawn_share=1.0, found_error=(1e-6, 2e-6))
+    exact = EdgeAugment(drawn_share=1.0, found_error=(1e-6, 2e-6), far_share=0.0)
     views = [edge_view(EdgePlace(place, None), STRIP, np.random.default_rng(seed), exact) for seed in range(12)]
     depth = np.array([STRIP.depth_of(rows) for _, _, rows in views])  # NaN where no edge is shown
     assert np.nanmin(depth) > -0.004
     assert (np.nanmax(depth, axis=(1, 2)) > 0.004).mean() > 0.6
     assert np.nanmax(depth) < edges.REACHED[1] + 0.004
+
+
+def test_maps_whose_sides_lie_far_off_show_the_edge_there_or_not_at_all() -> None:
+    """One side or two, most of them outside of the film; the others stay, but for what was added to their ends."""
+    film_everywhere, outwards, lost = np.ones((48, 44), bool), [], 0
+    for seed in range(60):
+        far = sides_far(FILM, EdgeAugment(), np.random.default_rng(seed))
+        at = (far.photo_from_film(np.array([[0.5, 0], [0.5, 1], [0, 0.5], [1, 0.5]])) - [100, 100]) / [240, 280]
+        inside = np.array([at[0, 1], 1 - at[1, 1], at[2, 0], 1 - at[3, 0]])  # of the film's edges, in film units
+        moved = np.abs(inside) > 1e-6
+        assert moved.sum() in (1, 2)
+        assert (np.abs(inside[moved]) >= 0.8 * 0.02).all()
+        assert (np.abs(inside[moved]) <= 1.2 * 0.2).all()
+        outwards += list(inside[moved] < 0)
+        shown = np.isfinite(true_rows(FILM, far, SIZE, film_everywhere, STRIP)).any(axis=1)
+        assert shown[~moved].all()
+        assert shown[np.abs(inside) < 0.06].all()
+        assert not shown[np.abs(inside) > 0.2].any()
+        lost += int((~shown).sum())
+    assert 0.55 < np.mean(outwards) < 0.85
+    assert lost > 20
 
 
 def test_the_packaged_network_tells_most_shadows_from_the_sheet_that_throws_them() -> None:

@@ -2,7 +2,8 @@
 
 Predicted are they by the true map, disturbed, or by what FilmNet made of the photo (data_gen/film_maps.py). Only that
 errs as it does in use: where a shadow or a frame looks like the sheet's edge FilmNet is drawn to it first. Of shadows
-that are put into photos here FilmNet has seen nothing; there the true map is moved out to them (near_edges.py).
+that are put into photos here FilmNet has seen nothing; there the true map is moved out to them (near_edges.py). And
+where margins are sought (rectify/clear_margins.py) maps end where nothing is to be seen: so do some of them all.
 """
 
 from __future__ import annotations
@@ -19,9 +20,9 @@ from hybrid.coords import film_centres_1d, rescale_points, sample_bilinear
 from hybrid.errors import NPZ_ERRORS, DataError, describe
 from hybrid.learn import behind, rounded
 from hybrid.learn.colours import disturbed, taken_badly
-from hybrid.learn.data import BEND_ERROR_NODES, disturbed_map
+from hybrid.learn.data import BEND_ERROR_NODES, corners_moved, disturbed_map
 from hybrid.learn.draws import log_uniform
-from hybrid.learn.near_edges import near_edges
+from hybrid.learn.near_edges import margins_some, near_edges
 from hybrid.learn.samples import Place, film_mask, film_of, open_places, photo_of, round_corners_of
 from hybrid.learn.views import plane_of
 from hybrid.pyramid import Pyramid
@@ -42,8 +43,9 @@ class EdgeAugment:
     drawn_share: maps that take a shadow beside the film for part of it, where there is one. found_share: of the others
     those that FilmNet made, where these are known. found_error: range of one sigma of what the corners of both are
     disturbed by, in parts of the film. plane_share: of the others those that are the plane nearest to the true one.
-    plane_error, bend_error: range of one sigma of their corners' error and of a smooth bent one. colours: whether
-    colours are disturbed.
+    plane_error, bend_error: range of one sigma of their corners' error and of a smooth bent one. far_share: of all
+    maps those of which a side or two are moved; far: range of how far, which may be further than strips reach.
+    outwards_share: of these sides those that are moved outwards. colours: whether colours are disturbed.
     """
 
     drawn_share: float = 0.65
@@ -52,6 +54,9 @@ class EdgeAugment:
     plane_share: float = 0.25
     plane_error: tuple[float, float] = (0.003, 0.045)
     bend_error: tuple[float, float] = (0.001, 0.008)
+    far_share: float = 0.2
+    far: tuple[float, float] = (0.02, 0.2)
+    outwards_share: float = 0.7
     colours: bool = True
 
 
@@ -101,6 +106,7 @@ def edge_view(
     if augment.colours:
         photo = behind.behind_some(place, photo, film, rng)
         photo, drawn = near_edges(place, photo, film, rng)
+        photo = margins_some(place, photo, film, rng)
         photo, corners = rounded.round_some(photo, film, corners, rng)
         photo = taken_badly(photo, rng)
     seen = orientation(film)
@@ -118,12 +124,25 @@ def edge_view(
         guess = plane_of(true) if rng.random() < augment.plane_share else true
         guess = disturbed_map(guess, 2, log_uniform(rng, augment.plane_error), rng)
         guess = disturbed_map(guess, BEND_ERROR_NODES, log_uniform(rng, augment.bend_error), rng)
+    if rng.random() < augment.far_share:
+        guess = sides_far(guess, augment, rng)
     copy, on_copy = strip_copy(Pyramid(photo), guess, strip)
     images, inside = edge_strips(copy, on_copy, strip)
     if augment.colours:
         images = disturbed_alike(images, rng)
     size = (photo.shape[0], photo.shape[1])
     return images, inside, true_rows(true, guess, size, film_mask(place), strip, corners)
+
+
+def sides_far(film: BackwardMap, augment: EdgeAugment, rng: np.random.Generator) -> BackwardMap:
+    """The map with one side, or two, far outside or inside of where it has them, a little turned."""
+    by = np.zeros((2, 2, 2))
+    for k in rng.permutation(4)[: rng.integers(1, 3)]:
+        side, outwards = SIDES[k], rng.random() < augment.outwards_share
+        off = rng.uniform(*augment.far) * (-side.inward if outwards else side.inward)
+        corners = by[int(side.edge)] if side.axis == 1 else by[:, int(side.edge)]
+        corners[:, side.axis] += off * rng.uniform(0.8, 1.2, 2)
+    return corners_moved(film, by)
 
 
 def true_rows(

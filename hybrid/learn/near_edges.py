@@ -1,13 +1,15 @@
-"""What looks like the sheet's edge beside it, put into EdgeNet's training photos: its shadow, bands in the print.
+"""What looks like the sheet's edge beside it, put into EdgeNet's training photos: its shadow, bands and margins in it.
 
 A film that stands off the table by a few millimetres throws a shadow of its own shape, which sticks out by 0.5 to 5 %
 of the film on one or two sides and is as dark as a rim of clear film. FilmNet takes it for part of the sheet. Then an
 edge lies just where the map says, and EdgeNet, which had met such edges only where the map was right, believed it. Once
-it has met shadows, a black band below a patient's couch looks like one: so such bands are put into prints, too.
+it has met shadows, a black band below a patient's couch looks like one, and so does a margin that is a little darker or
+brighter than the cells: so bands and margins are put into prints, too.
 """
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 from jaxtyping import Float
 
@@ -19,8 +21,8 @@ from hybrid.learn.draws import log_uniform
 from hybrid.learn.samples import Place
 from hybrid.strips import SIDES, Side
 
-SHADOW_SHARE, BAND_SHARE = 0.12, 0.2
-"""Of the photos over whose film nothing lies, those that get a shadow, and a band in the print."""
+SHADOW_SHARE, BAND_SHARE, MARGIN_SHARE = 0.08, 0.15, 0.15
+"""Of the photos over whose film nothing lies, those that get a shadow, a band in the print, and margins in it."""
 
 FAR = (0.004, 0.08)
 """How far beside the film a shadow lies, in sizes of the film."""
@@ -43,6 +45,12 @@ DEEP, THICK = (0.006, 0.09), (0.0006, 0.008)
 BROKEN_SHARE, PIECES = 0.5, (3, 8)
 """Of the lines, those that are broken, as each slice has one; and the least and most pieces then."""
 
+WIDE, LIFT = (0.006, 0.09), (1.0, 40.0)
+"""How wide margins are, in parts of the film, and by how many grey levels brighter than what is darkest nearby."""
+
+LIFTED_SHARE, ALL_ROUND = 0.7, 0.5
+"""Of the margins, those that are brighter at all, and those on all four sides."""
+
 GREYS = (8, 96)
 """Percentiles of the film's colours in the photo that bands and lines are near."""
 
@@ -63,6 +71,12 @@ def near_edges(
     if band:
         photo = with_band(photo, film, free, rng)
     return near_shadow(photo, film, outline, free, rng) if shadow else (photo, None)
+
+
+def margins_some(place: Place, photo: Picture, film: BackwardMap, rng: np.random.Generator) -> Picture:
+    """The photo of a sample, of some with margins along sides of the print."""
+    around = ground_around(place, photo, film) if rng.random() < MARGIN_SHARE else None
+    return photo if around is None else with_margins(photo, film, around[1], rng)
 
 
 def near_shadow(
@@ -97,14 +111,27 @@ def with_band(photo: Picture, film: BackwardMap, free: Grey, rng: np.random.Gene
     side, deep, thick = SIDES[rng.integers(4)], log_uniform(rng, DEEP), log_uniform(rng, THICK)
     dark, bright = _greys(photo, film)
     band = _strip(film, side, (0.0, 1.0), (0.0, deep))
-    photo = _printed(photo, [band], dark, rng.uniform(0.5, 1.0), free)
+    photo = _printed(photo, [band], np.full_like(photo, dark), rng.uniform(0.5, 1.0), free)
     ends = [(0.0, 1.0)]
     if rng.random() < BROKEN_SHARE:
         pieces = int(rng.integers(PIECES[0], PIECES[1] + 1))
         length = rng.uniform(0.7, 0.98) / pieces
         ends = [(k / pieces, k / pieces + length) for k in range(pieces)]
     lines = [_strip(film, side, piece, (deep, deep + thick)) for piece in ends]
-    return _printed(photo, lines, bright, rng.uniform(0.2, 1.0), free)
+    return _printed(photo, lines, np.full_like(photo, bright), rng.uniform(0.2, 1.0), free)
+
+
+def with_margins(photo: Picture, film: BackwardMap, free: Grey, rng: np.random.Generator) -> Picture:
+    """The photo with margins along some sides of the film: nearly as dark as what is darkest of the print nearby."""
+    wide, lifted = log_uniform(rng, WIDE), rng.random() < LIFTED_SHARE
+    near = 2 * int(0.5 * wide * size_in_photo(film.outline())) + 3
+    darkest = cv2.erode(np.maximum(photo, free[..., None]), np.ones((near, near), np.uint8))
+    blank = cv2.blur(darkest, (near, near))
+    if lifted:
+        blank = cv2.add(blank, np.full_like(blank, round(log_uniform(rng, LIFT))))
+    sides = SIDES if rng.random() < ALL_ROUND else [SIDES[k] for k in rng.permutation(4)[: rng.integers(1, 3)]]
+    strips = [_strip(film, side, (0.0, 1.0), (0.0, wide)) for side in sides]
+    return _printed(photo, strips, blank, rng.uniform(0.8, 1.0), free)
 
 
 def _strip(film: BackwardMap, side: Side, along: tuple[float, float], depth: tuple[float, float]) -> Outline:
@@ -114,13 +141,11 @@ def _strip(film: BackwardMap, side: Side, along: tuple[float, float], depth: tup
     return film.photo_from_film(np.concatenate([there, back[::-1]]))
 
 
-def _printed(
-    photo: Picture, outlines: list[Outline], colour: Float[np.ndarray, "3"], share: float, free: Grey
-) -> Picture:
-    """The photo with a share of a colour within outlines, as far as the film is seen there."""
+def _printed(photo: Picture, outlines: list[Outline], other: Picture, share: float, free: Grey) -> Picture:
+    """The photo with a share of another within outlines, as far as the film is seen there."""
     drawn = np.max([filled(outline, photo.shape[:2]) for outline in outlines], axis=0)
     weight = share * drawn * (1 - free / np.float32(255))
-    return mixed(photo, np.full_like(photo, colour), np.rint(weight).astype(np.uint8))
+    return mixed(photo, other, np.rint(weight).astype(np.uint8))
 
 
 def _greys(photo: Picture, film: BackwardMap) -> Float[np.ndarray, "2 3"]:
