@@ -54,8 +54,8 @@ class EdgeAugment:
     plane_share: float = 0.25
     plane_error: tuple[float, float] = (0.003, 0.045)
     bend_error: tuple[float, float] = (0.001, 0.008)
-    far_share: float = 0.2
-    far: tuple[float, float] = (0.02, 0.2)
+    far_share: float = 0.3
+    far: tuple[float, float] = (0.02, 0.25)
     outwards_share: float = 0.7
     colours: bool = True
 
