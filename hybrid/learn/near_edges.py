@@ -1,4 +1,4 @@
-"""What looks like the sheet's edge beside it, put into EdgeNet's training photos: its shadow, bands and margins in it.
+"""What looks like the sheet's edge beside it, put into EdgeNet's training photos: shadows, bands and margins of prints.
 
 A film that stands off the table by a few millimetres throws a shadow of its own shape, which sticks out by 0.5 to 5 %
 of the film on one or two sides and is as dark as a rim of clear film. FilmNet takes it for part of the sheet. Then an
