@@ -5,7 +5,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from simple_samples import simple_dataset
 
 from hybrid.backward import BackwardMap
 from hybrid.coords import film_nodes, linear_from_srgb
@@ -18,12 +17,6 @@ FILM = BackwardMap(film_nodes((9, 9)) * np.array([120.0, 140.0]) + np.array([50.
 MILKY = {"clear": 0.1, "transmission": 0.5, "diffuse": 0.3}
 CLEAR = {"clear": 0.6, "transmission": 0.05, "diffuse": 0.05}
 SHARP = {"defocus_px": 0.0, "motion_px": 0.0}
-
-
-@pytest.fixture(scope="module")
-def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Four samples of rolled sheets in photos of 48 px."""
-    return simple_dataset(tmp_path_factory.mktemp("data"))
 
 
 @pytest.fixture

@@ -75,12 +75,6 @@ METHODS = {"middle": lambda weights: Method("middle", middle, label="the middle"
 
 
 @pytest.fixture(scope="module")
-def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Four samples of rolled sheets in photos of 48 px."""
-    return simple_dataset(tmp_path_factory.mktemp("data"))
-
-
-@pytest.fixture(scope="module")
 def cases(dataset: Path) -> list[Case]:
     return sample_cases([dataset])
 

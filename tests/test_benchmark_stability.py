@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from kept_results import refused_elsewhere
-from simple_samples import simple_dataset
 
 import benchmarks.soak
 import benchmarks.stability
@@ -29,12 +28,6 @@ from hybrid.records import RectifyResult, Status, StatusCode
 from hybrid.rectify.trust import REFERENCE_PX
 
 SIZE = (240, 320)
-
-
-@pytest.fixture(scope="module")
-def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Four samples of rolled sheets in photos of 48 px."""
-    return simple_dataset(tmp_path_factory.mktemp("data"))
 
 
 def sheet() -> BackwardMap:

@@ -8,7 +8,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from simple_samples import simple_dataset
 
 import benchmarks.surroundings
 from benchmarks.cases import Case
@@ -188,12 +187,6 @@ def test_counts_are_of_each_change() -> None:
 
 
 # ---------------------------------------------------------------- the command
-
-
-@pytest.fixture(scope="module")
-def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Four samples of rolled sheets in photos of 48 px."""
-    return simple_dataset(tmp_path_factory.mktemp("data"))
 
 
 def test_each_photo_meets_each_change_beside_another_film(dataset: Path, tmp_path: Path) -> None:

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from simple_samples import simple_dataset
 
 from benchmarks.cases import Case, photo_cases, read_alike, sample_cases, true_shape
 from benchmarks.methods import METHODS, Method, path_in, weights_path
@@ -22,12 +21,6 @@ from hybrid.learn.presets import PRESETS, Preset
 from hybrid.learn.weights import packaged_path, save_weights
 
 EXACT_PX = 1e-6
-
-
-@pytest.fixture(scope="module")
-def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Four samples of rolled sheets."""
-    return simple_dataset(tmp_path_factory.mktemp("data"))
 
 
 @pytest.fixture(scope="module")

@@ -4,7 +4,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from simple_samples import simple_dataset
 from synthetic_film import FilmDrawing, make_photo
 
 from hybrid.backward import BackwardMap
@@ -24,12 +23,6 @@ from hybrid.strips import StripConfig
 SIZE, GROUND = (480, 440), 180
 FILM = BackwardMap(film_nodes((9, 9)) * np.array([240.0, 280.0]) + np.array([100.0, 100.0]))
 STRIP = StripConfig()
-
-
-@pytest.fixture(scope="module")
-def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Four samples of rolled sheets in photos of 48 px."""
-    return simple_dataset(tmp_path_factory.mktemp("data"))
 
 
 @pytest.fixture

@@ -6,7 +6,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from simple_samples import simple_dataset
 
 from data_gen.sample import SampleConfig, corners_of, film_samples
 from hybrid.backward import BackwardMap, Orientation
@@ -21,12 +20,6 @@ from hybrid.strips import StripConfig
 SIZE_MM = np.array([350.0, 430.0])
 """Width and height of a sheet."""
 STRIP = StripConfig()
-
-
-@pytest.fixture(scope="module")
-def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Four samples of rolled sheets in photos of 48 px."""
-    return simple_dataset(tmp_path_factory.mktemp("data"))
 
 
 def of_radius(radius_mm: float) -> RoundCorners:

@@ -21,7 +21,7 @@ from hybrid.errors import NPZ_ERRORS, DataError, describe
 from hybrid.learn import behind, rounded
 from hybrid.learn.colours import disturbed, taken_badly
 from hybrid.learn.data import BEND_ERROR_NODES, corners_moved, disturbed_map
-from hybrid.learn.draws import log_uniform
+from hybrid.learn.draws import log_uniform, one_side_or_two
 from hybrid.learn.near_edges import margins_some, near_edges
 from hybrid.learn.samples import Place, film_mask, film_of, open_places, photo_of, round_corners_of
 from hybrid.learn.views import plane_of
@@ -137,8 +137,8 @@ def edge_view(
 def sides_far(film: BackwardMap, augment: EdgeAugment, rng: np.random.Generator) -> BackwardMap:
     """The map with one side, or two, far outside or inside of where it has them, a little turned."""
     by = np.zeros((2, 2, 2))
-    for k in rng.permutation(4)[: rng.integers(1, 3)]:
-        side, outwards = SIDES[k], rng.random() < augment.outwards_share
+    for side in one_side_or_two(rng):
+        outwards = rng.random() < augment.outwards_share
         off = rng.uniform(*augment.far) * (-side.inward if outwards else side.inward)
         corners = by[int(side.edge)] if side.axis == 1 else by[:, int(side.edge)]
         corners[:, side.axis] += off * rng.uniform(0.8, 1.2, 2)

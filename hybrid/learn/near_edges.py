@@ -17,7 +17,7 @@ from hybrid.backward import BackwardMap
 from hybrid.coords import film_nodes
 from hybrid.learn.behind import Grey, Outline, Picture, filled, ground_around, mixed, size_in_photo, with_shade
 from hybrid.learn.data import corners_moved
-from hybrid.learn.draws import log_uniform
+from hybrid.learn.draws import log_uniform, one_side_or_two
 from hybrid.learn.samples import Place
 from hybrid.strips import SIDES, Side
 
@@ -40,13 +40,13 @@ PART_SHARE = 0.3
 """Of the maps, those that take part of the shadow only for the sheet."""
 
 DEEP, THICK = (0.006, 0.09), (0.0006, 0.008)
-"""How deep in the film a band ends, and how thick the line there is, in parts of the film."""
+"""How deep in the film a band ends, or a margin, and how thick the line of a band is, in parts of the film."""
 
 BROKEN_SHARE, PIECES = 0.5, (3, 8)
 """Of the lines, those that are broken, as each slice has one; and the least and most pieces then."""
 
-WIDE, LIFT = (0.006, 0.09), (1.0, 40.0)
-"""How wide margins are, in parts of the film, and by how many grey levels brighter than what is darkest nearby."""
+LIFT = (1.0, 40.0)
+"""By how many grey levels margins are brighter than what is darkest nearby."""
 
 LIFTED_SHARE, ALL_ROUND = 0.7, 0.5
 """Of the margins, those that are brighter at all, and those on all four sides."""
@@ -123,14 +123,14 @@ def with_band(photo: Picture, film: BackwardMap, free: Grey, rng: np.random.Gene
 
 def with_margins(photo: Picture, film: BackwardMap, free: Grey, rng: np.random.Generator) -> Picture:
     """The photo with margins along some sides of the film: nearly as dark as what is darkest of the print nearby."""
-    wide, lifted = log_uniform(rng, WIDE), rng.random() < LIFTED_SHARE
-    near = 2 * int(0.5 * wide * size_in_photo(film.outline())) + 3
+    deep, lifted = log_uniform(rng, DEEP), rng.random() < LIFTED_SHARE
+    near = 2 * int(0.5 * deep * size_in_photo(film.outline())) + 3
     darkest = cv2.erode(np.maximum(photo, free[..., None]), np.ones((near, near), np.uint8))
     blank = cv2.blur(darkest, (near, near))
     if lifted:
         blank = cv2.add(blank, np.full_like(blank, round(log_uniform(rng, LIFT))))
-    sides = SIDES if rng.random() < ALL_ROUND else [SIDES[k] for k in rng.permutation(4)[: rng.integers(1, 3)]]
-    strips = [_strip(film, side, (0.0, 1.0), (0.0, wide)) for side in sides]
+    sides = SIDES if rng.random() < ALL_ROUND else one_side_or_two(rng)
+    strips = [_strip(film, side, (0.0, 1.0), (0.0, deep)) for side in sides]
     return _printed(photo, strips, blank, rng.uniform(0.8, 1.0), free)
 
 
