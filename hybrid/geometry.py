@@ -196,12 +196,15 @@ def _with_margins(
     """The first refinement with such margins that is to be believed, and what they are."""
     options = config.margins
     before = np.inf if refined.expected_px is None else refined.expected_px
+    grid_before = _grid_chance(refined)
     for longer in with_margins(pyramid, refined.backward, reader, config.edges, options):
         wider = _exactly(pyramid, phases, longer.read, config, longer.read.through)
-        most_px = min(options.most_expected * max(wider.backward.mean_film_pixels()), options.most_growth * before)
+        most_px = options.most_expected * max(wider.backward.mean_film_pixels())
         if wider.expected_px is None or wider.expected_px > most_px:
             continue
-        if _grid_chance(wider) < _grid_chance(refined) - options.grid_lost:
+        gained = _grid_chance(wider) - grid_before
+        fits_worse = wider.expected_px > options.most_growth * before
+        if gained < -options.grid_changed or (fits_worse and gained < options.grid_changed):
             continue
         if wider.grid is not None and wider.grid.lopsided > options.most_lopsided:
             continue

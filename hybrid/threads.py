@@ -2,34 +2,46 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import AbstractContextManager
 from functools import lru_cache
 from threading import Lock
 
 import cv2
 from threadpoolctl import ThreadpoolController
 
-_LIMITED = Lock()
-"""Held by the call that has set the limit."""
+
+class _OneThread:
+    """The limit of linear algebra to one thread, which is the process's: of calls that overlap the first sets it and
+    the last takes it back. So none goes on with more, by which results would differ in their last digits, and the
+    process is left as it was."""
+
+    def __init__(self) -> None:
+        self._calls, self._counting = 0, Lock()
+        self._limiter: AbstractContextManager[object] | None = None
+
+    def __enter__(self) -> None:
+        with self._counting:
+            if self._calls == 0:
+                self._limiter = _controller().limit(limits=1, user_api="blas")
+                self._limiter.__enter__()
+            self._calls += 1
+
+    def __exit__(self, *error: object) -> None:
+        with self._counting:
+            self._calls -= 1
+            if self._calls == 0 and self._limiter is not None:
+                self._limiter.__exit__(None, None, None)
+                self._limiter = None
 
 
-@contextmanager
-def one_thread() -> Iterator[None]:
-    """Linear algebra uses one thread meanwhile: on matrices this small, several wait more than they work.
+_ONE_THREAD = _OneThread()
 
-    The limit is the process's: of calls that overlap only the first sets it, and takes it back. Each putting back what
-    it found would leave the process with one thread for good.
-    """
-    if not _LIMITED.acquire(blocking=False):
-        yield
-        return
-    try:
-        with _controller().limit(limits=1, user_api="blas"):
-            yield
-    finally:
-        _LIMITED.release()
+
+def one_thread() -> AbstractContextManager[None]:
+    """Linear algebra uses one thread meanwhile: on matrices this small, several wait more than they work."""
+    return _ONE_THREAD
 
 
 def in_strips(work: Callable[[slice], None], height: int, rows: int) -> None:

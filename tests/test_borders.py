@@ -31,7 +31,9 @@ from hybrid.strips import StripConfig, StripReader
 STRIP = StripConfig()
 CONFIG, GRID, CONFIGURED = BorderConfig(), GridConfig(), RefineConfig()
 COLUMNS = STRIP.columns // 2
-PLACED = BorderAugment(found_share=0.0, plane_error=(1e-9, 1e-8), bend_error=(1e-9, 1e-8), place_error=0.0)
+PLACED = BorderAugment(
+    found_share=0.0, plane_error=(1e-9, 1e-8), bend_error=(1e-9, 1e-8), place_error=0.0, far_share=0.0
+)
 
 
 def ruled_photo(columns: int = 4, rows: int = 5, size: int = 600) -> tuple[np.ndarray, BackwardMap]:
@@ -293,6 +295,19 @@ def test_true_rows_follow_a_map_that_errs(samples):
         off.append(rows[~np.isnan(rows)] - (STRIP.rows / 2 - 0.5))
     spread = np.concatenate(off).std() * STRIP.pitch  # narrow strips have finer rows
     assert 0.001 < spread < 0.02
+
+
+def test_true_rows_follow_a_grid_that_lies_far_beside(samples):
+    placed = replace(PLACED, colours=False)
+    far, found = replace(placed, far_share=1.0, far=0.3), []
+    for seed in range(12):
+        sample = samples[seed % len(samples)]
+        one, other = (border_view(sample, STRIP, np.random.default_rng(seed), augment)[2] for augment in (placed, far))
+        beside = (other - one)[~np.isnan(other - one)]
+        if len(beside):
+            assert np.ptp(beside) < 1.0  # all borders alike
+            found.append(np.abs(beside).max() / STRIP.rows)
+    assert 0.1 < max(found) < 0.5
 
 
 def test_views_are_of_their_random_numbers_alone(samples):

@@ -183,11 +183,22 @@ def test_nor_where_its_grid_is_less_probable_than_before(monkeypatch):
     at = film_nodes((4, 4))
     before = replace(refined(part((100, 160))), grid=SliceGrid(3, 3, at, at, 0.9))
     for lost, counts in ((1.01, False), (0.99, True), (-0.5, True)):
-        grid = SliceGrid(4, 3, film_nodes((5, 4)), film_nodes((5, 4)), 0.9 - lost * MARGINS.grid_lost)
+        grid = SliceGrid(4, 3, film_nodes((5, 4)), film_nodes((5, 4)), 0.9 - lost * MARGINS.grid_changed)
         sheet, _, ran = sheet_of(before, monkeypatch, grid=grid)
         assert ran is counts
         assert (sheet is before) is not counts
     assert sheet_of(before, monkeypatch)[0] is before  # of which there is no grid any more
+
+
+def test_where_its_grid_is_more_probable_a_larger_error_does_not_count_against_it(monkeypatch):
+    """As where the network's map lacks a row of cells: what is left of the film fits well, too."""
+    at = film_nodes((4, 4))
+    before = replace(refined(part((100, 160))), grid=SliceGrid(3, 3, at, at, 0.7))
+    for gained, counts in ((0.99, False), (1.01, True)):
+        grid = SliceGrid(4, 3, film_nodes((5, 4)), film_nodes((5, 4)), 0.7 + gained * MARGINS.grid_changed)
+        sheet, _, ran = sheet_of(before, monkeypatch, 2 * 0.5 * MARGINS.most_growth, grid=grid)
+        assert ran is counts
+        assert (sheet is before) is not counts
 
 
 def test_nor_where_its_print_is_far_from_the_middle(monkeypatch):

@@ -29,7 +29,8 @@ class BorderAugment:
     found_share: maps that FilmNet made, where these are known. plane_error, bend_error: range of one sigma of the error
     of the corners and of a smooth bent one, in parts of the film; FilmNet's maps have only the former added.
     bend_nodes: numbers of nodes of the bent error. place_error: one sigma of where the ends of the grid lie, in film
-    units. colours: whether they are disturbed.
+    units. far_share: of all views those in which the grid lies far beside; far: by how much at most, in cells. colours:
+    whether they are disturbed.
     """
 
     found_share: float = 0.3
@@ -37,6 +38,8 @@ class BorderAugment:
     bend_error: tuple[float, float] = (0.0006, 0.01)
     bend_nodes: tuple[int, ...] = (4, 5, 6, 8)
     place_error: float = 0.004
+    far_share: float = 0.4
+    far: float = 0.35
     colours: bool = True
 
 
@@ -72,6 +75,8 @@ def border_view(
     lines = lines[_some(len(lines), rng)]
     off, longer = rng.normal(0, augment.place_error, 2)
     held, strip = lines + off + longer * (lines - 0.5), strip_across(pitch, strip)
+    if rng.random() < augment.far_share:
+        held += pitch * rng.uniform(-augment.far, augment.far)
     copy, on_copy = strip_copy(Pyramid(photo), guess, strip)
     images, inside = border_strips(copy, on_copy, axis, held, strip)
     if augment.colours:

@@ -49,8 +49,8 @@ class ClearMarginsConfig:
     by which margins may differ on both sides of the film then, as most prints are in the sheet's middle
     (``SliceGrid.lopsided``). least_support: least mean probability, over any side, that an edge lies where the
     longer map has it, then. most_expected: largest error to be expected then, in parts of the film's longer side;
-    most_growth: and in parts of the one before. grid_lost: most by which the grid may be less probable than before.
-    Where part of another film is taken for the sheet's margin, its print fits worse.
+    most_growth: and in parts of the one before, unless the grid is ``grid_changed`` more probable. By so much it must
+    not be less probable. Where part of another film is taken for the sheet's margin, its print fits worse.
     most_beside: farthest, smoothed over the film, that the network sees it beside the longer map (trust.py).
     """
 
@@ -63,7 +63,7 @@ class ClearMarginsConfig:
     least_support: float = 0.3
     most_expected: float = 0.02
     most_growth: float = 1.2
-    grid_lost: float = 0.1
+    grid_changed: float = 0.1
     most_beside: float = 0.015
 
     def __post_init__(self) -> None:
