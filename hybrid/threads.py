@@ -6,10 +6,34 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager
 from functools import lru_cache
-from threading import Lock
+from threading import Event, Lock, Thread
 
 import cv2
 from threadpoolctl import ThreadpoolController
+
+
+class _Keeper(Thread):
+    """Holds the limit until it is let go, in a thread of its own: what one thread has set no other may take back
+    (threadpoolctl), and which call ends last is not known."""
+
+    def __init__(self) -> None:
+        super().__init__(name="one thread of linear algebra", daemon=True)
+        self._holds, self._ends = Event(), Event()
+        self.start()
+        self._holds.wait()
+
+    def run(self) -> None:
+        try:
+            with _controller().limit(limits=1, user_api="blas"):
+                self._holds.set()
+                self._ends.wait()
+        finally:
+            self._holds.set()  # nobody waits for a limit that could not be set
+
+    def let_go(self) -> None:
+        """Returns once the process has its threads back."""
+        self._ends.set()
+        self.join()
 
 
 class _OneThread:
@@ -19,21 +43,20 @@ class _OneThread:
 
     def __init__(self) -> None:
         self._calls, self._counting = 0, Lock()
-        self._limiter: AbstractContextManager[object] | None = None
+        self._keeper: _Keeper | None = None
 
     def __enter__(self) -> None:
         with self._counting:
-            if self._calls == 0:
-                self._limiter = _controller().limit(limits=1, user_api="blas")
-                self._limiter.__enter__()
+            if self._keeper is None:
+                self._keeper = _Keeper()
             self._calls += 1
 
     def __exit__(self, *error: object) -> None:
         with self._counting:
             self._calls -= 1
-            if self._calls == 0 and self._limiter is not None:
-                self._limiter.__exit__(None, None, None)
-                self._limiter = None
+            if self._calls == 0 and self._keeper is not None:
+                self._keeper.let_go()
+                self._keeper = None
 
 
 _ONE_THREAD = _OneThread()
