@@ -6,34 +6,10 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager
 from functools import lru_cache
-from threading import Event, Lock, Thread
+from threading import Lock
 
 import cv2
-from threadpoolctl import ThreadpoolController
-
-
-class _Keeper(Thread):
-    """Holds the limit until it is let go, in a thread of its own: what one thread has set no other may take back
-    (threadpoolctl), and which call ends last is not known."""
-
-    def __init__(self) -> None:
-        super().__init__(name="one thread of linear algebra", daemon=True)
-        self._holds, self._ends = Event(), Event()
-        self.start()
-        self._holds.wait()
-
-    def run(self) -> None:
-        try:
-            with _controller().limit(limits=1, user_api="blas"):
-                self._holds.set()
-                self._ends.wait()
-        finally:
-            self._holds.set()  # nobody waits for a limit that could not be set
-
-    def let_go(self) -> None:
-        """Returns once the process has its threads back."""
-        self._ends.set()
-        self.join()
+from threadpoolctl import LibController, ThreadpoolController
 
 
 class _OneThread:
@@ -43,20 +19,28 @@ class _OneThread:
 
     def __init__(self) -> None:
         self._calls, self._counting = 0, Lock()
-        self._keeper: _Keeper | None = None
+        self._before: list[tuple[LibController, int]] = []
 
     def __enter__(self) -> None:
         with self._counting:
-            if self._keeper is None:
-                self._keeper = _Keeper()
+            if self._calls == 0:
+                self._before = [(library, library.info()["num_threads"]) for library in _linear_algebra()]
+                for library, _ in self._before:
+                    _set_threads(library, 1)
             self._calls += 1
 
     def __exit__(self, *error: object) -> None:
         with self._counting:
             self._calls -= 1
-            if self._calls == 0 and self._keeper is not None:
-                self._keeper.let_go()
-                self._keeper = None
+            if self._calls == 0:
+                for library, threads in self._before:
+                    _set_threads(library, threads)
+
+
+def _set_threads(library: LibController, threads: int) -> None:
+    """As the library itself does: from threadpoolctl 3.8 on what one thread has set no other may take back, and which
+    call ends last is not known."""
+    getattr(library, "_real_set_num_threads", library.set_num_threads)(threads)
 
 
 _ONE_THREAD = _OneThread()
@@ -78,9 +62,9 @@ def in_strips(work: Callable[[slice], None], height: int, rows: int) -> None:
 
 
 @lru_cache(maxsize=1)
-def _controller() -> ThreadpoolController:
+def _linear_algebra() -> tuple[LibController, ...]:
     """Looks for the libraries once; they are loaded by then."""
-    return ThreadpoolController()
+    return tuple(x for x in ThreadpoolController().lib_controllers if x.user_api == "blas")
 
 
 __all__ = ["in_strips", "one_thread"]
