@@ -202,9 +202,8 @@ def _with_margins(
         most_px = options.most_expected * max(wider.backward.mean_film_pixels())
         if wider.expected_px is None or wider.expected_px > most_px:
             continue
-        gained = _grid_chance(wider) - grid_before
         fits_worse = wider.expected_px > options.most_growth * before
-        if gained < -options.grid_changed or (fits_worse and gained < options.grid_changed):
+        if _grid_chance(wider) - grid_before < (options.grid_changed if fits_worse else -options.grid_changed):
             continue
         if wider.grid is not None and wider.grid.lopsided > options.most_lopsided:
             continue
