@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache, partial
+
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
@@ -11,11 +13,18 @@ from hybrid.learn.tensors import Network
 from hybrid.learn.upright import Mix
 
 
+MOST_SIZES = 3
+"""Sizes of input for which a convolution's weights are kept as they are wanted; of FilmNet those of one take 30 MB."""
+
+
 class PackedConv(nn.Module):
     """A convolution whose weights lie as oneDNN wants them, and the ReLU that follows it, if one does.
 
-    PyTorch lays them out anew at each call, which takes a third of the time of a look at one small image: FilmNet reads
-    30 MB of weights for 1.3 GFLOP. The operators are those to which ``torch.compile`` turns convolutions on processors.
+    PyTorch lays them out anew at each call, which takes up to a third of the time of a look at one small image: FilmNet
+    reads 30 MB of weights for 1.3 GFLOP. How they are wanted depends on the input's size, batch included, on the
+    processor and on the precision: laid out for another size they are turned at each call after all, which on
+    processors without AVX-512 makes a look five times as slow. So that is done once for each size that comes. The
+    operators are those to which ``torch.compile`` turns convolutions on processors.
     """
 
     def __init__(self, conv: nn.Conv2d, relu: bool = False, precision: torch.dtype = torch.float32) -> None:
@@ -24,19 +33,25 @@ class PackedConv(nn.Module):
         self.shape = (conv.padding, conv.stride, conv.dilation, conv.groups)
         self.bias = None if conv.bias is None else conv.bias.detach().to(precision)
         weights = conv.weight.detach().to(precision).contiguous()  # of others oneDNN packs none in bfloat16
-        self.packed = torch.ops.aten.mkldnn_reorder_conv2d_weight(weights.to_mkldnn(), *self.shape)
+        self.packed = lru_cache(MOST_SIZES)(partial(_laid_out, weights, self.shape))
 
     def forward(self, x: Float[Tensor, "b c H W"]) -> Float[Tensor, "b k h w"]:
         """The same as without, but for the last bits of its precision, in which it also is."""
         x = x.to(self.precision)
-        return torch.ops.mkldnn._convolution_pointwise(x, self.packed, self.bias, *self.shape, self.then, [], "")
+        weights = self.packed(x.shape)
+        return torch.ops.mkldnn._convolution_pointwise(x, weights, self.bias, *self.shape, self.then, [], "")
 
     def added_to(self, beside: Float[Tensor, "b k h w"], x: Float[Tensor, "b c H W"]) -> Float[Tensor, "b k h w"]:
         """What the convolution makes of x, added to what lies beside it, and a ReLU: in one pass over the result."""
         x, beside = x.to(self.precision), beside.to(self.precision)
         return torch.ops.mkldnn._convolution_pointwise.binary(
-            x, beside, self.packed, self.bias, *self.shape, "add", 1.0, "relu", [], ""
+            x, beside, self.packed(x.shape), self.bias, *self.shape, "add", 1.0, "relu", [], ""
         )
+
+
+def _laid_out(weights: Tensor, shape: tuple, size: torch.Size) -> Tensor:
+    """Weights as oneDNN wants them for inputs of one size, channels last."""
+    return torch.ops.aten.mkldnn_reorder_conv2d_weight(weights.to_mkldnn(), *shape, size)
 
 
 class PackedResidual(nn.Module):
