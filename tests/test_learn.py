@@ -164,6 +164,22 @@ def test_a_packed_convolution_is_the_convolution(kernel, stride, groups):
             torch.testing.assert_close(with_relu, conv(image).relu(), atol=1e-5, rtol=1e-5)
 
 
+@torch.inference_mode()
+@pytest.mark.skipif(not torch.backends.mkldnn.is_available(), reason="PyTorch without oneDNN")
+def test_weights_are_not_laid_out_anew_whatever_the_batch(capfd):
+    conv = PackedConv(torch.nn.Conv2d(80, 80, 3, padding=1))
+    images = [torch.rand(n, 80, 16, 16).contiguous(memory_format=torch.channels_last) for n in (1, 2, 4)]
+    for image in images:
+        conv(image)
+    capfd.readouterr()
+    with torch.backends.mkldnn.verbose(torch.backends.mkldnn.VERBOSE_ON):
+        for image in images:
+            conv(image)
+    told = capfd.readouterr().out
+    assert told.count("exec,cpu,convolution") == len(images)
+    assert "exec,cpu,reorder" not in told
+
+
 def test_the_shipped_network_is_within_its_budget():
     assert parameter_count(FilmNet(FilmNetConfig())) <= 8_000_000
 
