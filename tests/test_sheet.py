@@ -381,6 +381,11 @@ def test_lines_lie_in_the_middle_where_what_is_seen_allows_it(off, expected):
     assert error_px(placed.sheet.backward, true) < 1.05 * error_px(found.backward, true)
 
 
+def costing(sheet: FittedSheet, times: float) -> FittedSheet:
+    """The same sheet, explaining what is seen so many times as badly."""
+    return replace(sheet, state=replace(sheet.state, cost=times * sheet.cost))
+
+
 @pytest.mark.parametrize(("found_off", "expected"), [(0.0, True), (0.015, True), (0.025, False)])
 def test_borders_lie_in_the_middle_where_they_are_found_near_it(found_off, expected):
     true = cylinder(1.2, 0, 10)
@@ -390,7 +395,7 @@ def test_borders_lie_in_the_middle_where_they_are_found_near_it(found_off, expec
     found = replace(found, constants=(*found.constants[:-1], np.array([found_off, 0.0])))
 
     def fit(_: Sequence[Sightings], before: FittedSheet | None) -> FittedSheet | None:
-        return before and replace(before, cost=1.01 * before.cost)
+        return before and costing(before, 1.01)
 
     borders = Borders(0, 0.1 + found_off, 0.2, 4)
     evidence = Evidence(seen[4], borders)
@@ -431,7 +436,7 @@ def test_margins_that_are_hardly_there_may_cost_more_to_leave_out(margins, growt
     repeats = Repeats(0, margins / 2, (1 - margins) / 4, 4)
 
     def fit(_: Sequence[Sightings], before: FittedSheet | None) -> FittedSheet | None:
-        return before and replace(before, cost=growth * before.cost)
+        return before and costing(before, growth)
 
     placed = usual_margins(placed_print(found, seen, repeats), fit, GridConfig(), MarginsConfig())
     source = placed.evidence[-1].source

@@ -40,18 +40,34 @@ FIRM_STEPS = 3
 class FittedSheet:
     """A sheet and its map.
 
-    cost: half the sum of squares, in deviations: how badly a sheet explains what was seen. constants: those that each
-    list of sightings shares. bent: cost of bending that it was found with, from which on more counts ever less.
-    stretched: whether it stretches. aspect_sigma: of the logarithm of its ratio of sides.
+    constants: those that each list of sightings shares. problem, state: what was minimised, and the minimum.
     """
 
-    sheet: Sheet
     backward: BackwardMap
-    cost: float
     constants: tuple[Float[np.ndarray, " _"], ...]
-    bent: float
-    stretched: bool
-    aspect_sigma: float
+    problem: Problem
+    state: State
+
+    @property
+    def sheet(self) -> Sheet:
+        """The sheet itself."""
+        return self.state.sheet
+
+    @property
+    def cost(self) -> float:
+        """Half the sum of squares, in deviations: how badly the sheet explains what was seen."""
+        return self.state.cost
+
+    @property
+    def stretched(self) -> bool:
+        """Whether it stretches."""
+        config = self.problem.config
+        return strain(self.sheet, config, 0, derivatives=False).cost > config.stretched
+
+    @property
+    def aspect_sigma(self) -> float:
+        """Standard deviation of the logarithm of its ratio of sides; takes as long as a step of the fit."""
+        return aspect_sigma(self.problem, self.state)
 
 
 def fit_sheet(
@@ -71,7 +87,7 @@ def fit_sheet(
     problem = Problem(seen_through(through, sightings, frame, config), _target(near, frame), config)
     try:
         if before is not None:
-            problem = replace(problem, config=config.near, bent=before.bent)
+            problem = replace(problem, config=config.near, bent=before.state.bent)
             state = minimised(problem, problem.begun(before.sheet), config.steps[2], near=True)
         else:
             state = _bent_either_way(problem, near, frame)
@@ -149,10 +165,7 @@ def _result(problem: Problem, state: State, frame: Frame, sightings: Sequence[Si
     if backward is None:
         return None
     ends = np.cumsum([s.shared.shape[1] for s in sightings])
-    constants = tuple(np.split(state.constants, ends[:-1]))
-    stretched = strain(state.sheet, problem.config, 0, derivatives=False).cost > problem.config.stretched
-    sigma = aspect_sigma(problem, state)
-    return FittedSheet(state.sheet, backward, state.cost, constants, state.bent, stretched, sigma)
+    return FittedSheet(backward, tuple(np.split(state.constants, ends[:-1])), problem, state)
 
 
 __all__ = ["FittedSheet", "fit_sheet"]
