@@ -202,8 +202,9 @@ def _with_margins(
         most_px = options.most_expected * max(wider.backward.mean_film_pixels())
         if wider.expected_px is None or wider.expected_px > most_px:
             continue
-        fits_worse = wider.expected_px > options.most_growth * before
-        if _grid_chance(wider) - grid_before < (options.grid_changed if fits_worse else -options.grid_changed):
+        larger = wider.expected_px > options.most_growth * before
+        fits = _grid_chance(wider) - grid_before >= (options.grid_changed if larger else -options.grid_changed)
+        if not fits and longer.detail_gained(pyramid, wider.backward) > options.blank:
             continue
         if wider.grid is not None and wider.grid.lopsided > options.most_lopsided:
             continue

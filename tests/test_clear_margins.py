@@ -130,7 +130,7 @@ def refined(film: BackwardMap, expected_px=0.5) -> Refinement:
 
 
 def sheet_of(
-    before: Refinement, monkeypatch, expected_px=0.5, margins=MARGINS, grid=None, beside=0.0
+    before: Refinement, monkeypatch, expected_px=0.5, margins=MARGINS, grid=None, beside=0.0, photo=PHOTO
 ) -> tuple[Refinement, list[BackwardMap], bool]:
     """The sheet, all maps from which refinement began, which leaves them where they are, and whether the stage ran.
 
@@ -144,7 +144,7 @@ def sheet_of(
 
     monkeypatch.setattr(geometry, "_exactly", exactly)
     config, clock = replace(RectifyConfig(), margins=margins), Clock()
-    sheet = whole_sheet(Pyramid(PHOTO), None, before, STEPS, lambda _: beside, config, clock)
+    sheet = whole_sheet(Pyramid(photo), None, before, STEPS, lambda _: beside, config, clock)
     (report,) = clock.reports
     assert report.name == "margins"
     return sheet, begun, report.ran
@@ -199,6 +199,30 @@ def test_where_its_grid_is_more_probable_a_larger_error_does_not_count_against_i
         sheet, _, ran = sheet_of(before, monkeypatch, 2 * 0.5 * MARGINS.most_growth, grid=grid)
         assert ran is counts
         assert (sheet is before) is not counts
+
+
+@pytest.mark.parametrize(("printed", "counts"), [(160, True), (100, False)])
+def test_margins_that_are_blank_count_however_the_print_fits(monkeypatch, printed, counts):
+    """As the sheet goes on, bare; print there, as of another film, is none of its margins."""
+    photo, rng = PHOTO.copy(), np.random.default_rng(0)
+    photo[printed:600, 100:600] += rng.integers(0, 60, (600 - printed, 500, 1), np.uint8)
+    before = refined(part((100, 160)))
+    sheet, _, ran = sheet_of(before, monkeypatch, 2 * 0.5 * MARGINS.most_growth, photo=photo)
+    assert ran is counts
+    assert (sheet is before) is not counts
+
+
+def test_detail_is_told_of_the_end_that_shows_most():
+    photo, rng = PHOTO.copy(), np.random.default_rng(0)
+    photo[200:500, 100:600] += rng.integers(0, 60, (300, 500, 1), np.uint8)
+    photo[500:600, 100:600] += rng.integers(0, 30, (100, 500, 1), np.uint8)
+    (longer,) = with_margins(Pyramid(PHOTO), part((100, 180), (600, 520)), STEPS, CONFIG, MARGINS)
+    top, bottom, *_ = SIDES
+    assert set(longer.gained) == {top, bottom}
+    assert longer.detail_gained(Pyramid(photo), SHEET) == pytest.approx(0.5, abs=0.1)
+    assert longer.only(top).detail_gained(Pyramid(photo), SHEET) < 0.1
+    away = BackwardMap(SHEET.nodes - [0.0, 250.0])
+    assert longer.detail_gained(Pyramid(photo), away) == np.inf
 
 
 def test_nor_where_its_print_is_far_from_the_middle(monkeypatch):

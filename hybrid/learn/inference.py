@@ -12,7 +12,6 @@ from hybrid.learn.network import Residual
 from hybrid.learn.tensors import Network
 from hybrid.learn.upright import Mix
 
-
 MOST_SIZES = 3
 """Sizes of input for which a convolution's weights are kept as they are wanted; of FilmNet those of one take 30 MB."""
 

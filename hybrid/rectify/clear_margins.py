@@ -12,12 +12,14 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 from jaxtyping import Float
 
 from hybrid.backward import BackwardMap
 from hybrid.coords import film_centres_1d, film_nodes, node_centres_1d
 from hybrid.errors import require_at_least, require_at_most
+from hybrid.film_view import view_film
 from hybrid.pyramid import Pyramid
 from hybrid.rectify.edge_paths import (
     CORNER,
@@ -29,12 +31,17 @@ from hybrid.rectify.edge_paths import (
     read_edges,
     read_paths,
 )
+from hybrid.rectify.repeat import detail
 from hybrid.strips import SIDES, Side, StripReader, strip_copy, strips_across
 
 NODES = (33, 33)
 """Of a map that was made longer."""
 SIDES_SHOWN = 0.3
 """Of the sides of what a sheet gains so much must be shown at least."""
+VIEW_PX, DETAIL_PX = 400, (1.0, 5.0)
+"""Longer side of a view of the film, and between which scales the detail of its print lies, in pixels of that."""
+RIM = 0.2
+"""Part of a margin at both of its ends of which the detail may be that of the print or of the sheet's edge."""
 BESIDE_FRAME, MOST = 0.02, 0.75
 """Of a new end most nodes must be shown so far inside the photo's frame, in parts of the film: else the frame is it."""
 
@@ -50,7 +57,8 @@ class ClearMarginsConfig:
     (``SliceGrid.lopsided``). least_support: least mean probability, over any side, that an edge lies where the
     longer map has it, then. most_expected: largest error to be expected then, in parts of the film's longer side;
     most_growth: and in parts of the one before, unless the grid is ``grid_changed`` more probable. By so much it must
-    not be less probable. Where part of another film is taken for the sheet's margin, its print fits worse.
+    not be less probable. Where part of another film is taken for the sheet's margin, its print fits worse; but margins
+    that show no more than ``blank`` of the print's detail are none of another film, however it fits.
     most_beside: farthest, smoothed over the film, that the network sees it beside the longer map (trust.py).
     """
 
@@ -64,11 +72,13 @@ class ClearMarginsConfig:
     most_expected: float = 0.02
     most_growth: float = 1.2
     grid_changed: float = 0.1
+    blank: float = 0.4
     most_beside: float = 0.015
 
     def __post_init__(self) -> None:
         require_at_least(self, 1e-3, "least")
         require_at_most(self, 1, "noticed", "least", "likely")
+        require_at_least(self, 0, "blank")
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,10 +103,30 @@ class LongerSheet:
         shows them; 0 where it hardly does."""
         chances = across.chances[[side.axis != end.axis for side in SIDES]]
         depth = -_outside(film_centres_1d(chances.shape[1]), end)  # inside of the new end
-        along = 1.0 + sum(length for side, length in self.gained.items() if side.axis == end.axis)
-        gained = chances[:, (depth < self.gained[end] / along) & (depth > CORNER)]
+        gained = chances[:, (depth < self._share(end)) & (depth > CORNER)]
         shown = np.isfinite(gained)
         return float(gained[shown].mean()) if gained.size and shown.mean() >= SIDES_SHOWN else 0.0
+
+    def _share(self, end: Side) -> float:
+        """What the sheet gains at one of its ends, in parts of the longer sheet."""
+        return self.gained[end] / (1.0 + sum(length for side, length in self.gained.items() if side.axis == end.axis))
+
+    def detail_gained(self, pyramid: Pyramid, film: BackwardMap) -> float:
+        """Detail of what the sheet gains, through its map ``film``, in parts of that of its other print: of the end
+        that shows most. Infinite where the photo does not show an end."""
+        photo, scale = pyramid.scaled(VIEW_PX / max(film.mean_film_pixels()))
+        film = film.cropped((0.0, 0.0), scale)
+        v, u = (film_centres_1d(max(round(side), VIEW_PX // 10)) for side in film.mean_film_pixels())
+        view = view_film(cv2.cvtColor(photo, cv2.COLOR_RGB2GRAY), film, u, v)
+        shown, printed, gained = np.abs(detail(view.image[..., 0], *DETAIL_PX)), view.inside, []
+        for end in self.gained:
+            depth = -_outside(u if end.axis == 0 else v, end) / self._share(end)
+            depth = depth if end.axis == 0 else depth[:, None]
+            gained.append(shown[view.inside & (depth > RIM) & (depth < 1.0 - RIM)])
+            printed = printed & (depth > 1.0)
+        if not printed.any() or not all(margin.size for margin in gained):
+            return float("inf")
+        return max(float(margin.mean()) for margin in gained) / max(float(shown[printed].mean()), 1e-6)
 
     def __str__(self) -> str:
         told = " and ".join(f"{length:.0%} at the {end.name}" for end, length in self.gained.items())
