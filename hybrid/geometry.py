@@ -17,7 +17,7 @@ from hybrid.pyramid import Photo, Pyramid
 from hybrid.records import CoarseMaps, Signs, StageReport, StatusCode
 from hybrid.rectify.border_paths import borders_shown
 from hybrid.rectify.cell_phases import CellPhases
-from hybrid.rectify.clear_margins import with_margins
+from hybrid.rectify.clear_margins import LongerSheet, with_margins
 from hybrid.rectify.edge_paths import EdgesRead, look_across, put_on_edges, read_edges
 from hybrid.rectify.flat import already_flat, is_frame
 from hybrid.rectify.foreshortening import even
@@ -204,7 +204,7 @@ def _with_margins(
             continue
         larger = wider.expected_px > options.most_growth * before
         fits = _grid_chance(wider) - grid_before >= (options.grid_changed if larger else -options.grid_changed)
-        if not fits and longer.detail_gained(pyramid, wider.backward) > options.blank:
+        if not fits and not _only_margins(pyramid, longer, wider, refined, reader, config):
             continue
         if wider.grid is not None and wider.grid.lopsided > options.most_lopsided:
             continue
@@ -219,6 +219,25 @@ def _with_margins(
 def _grid_chance(refinement: Refinement) -> float:
     """How probable the grid is; 0 where there is none."""
     return 0.0 if refinement.grid is None else refinement.grid.confidence
+
+
+def _only_margins(
+    pyramid: Pyramid,
+    longer: LongerSheet,
+    wider: Refinement,
+    before: Refinement,
+    reader: StripReader,
+    config: RectifyConfig,
+) -> bool:
+    """Whether what a sheet gains is margins however the print fits: blank, alike on both sides of the print, and beyond
+    edges of which one at least is not as good as certain."""
+    options = config.margins
+    if wider.grid is None or wider.grid.lopsided > options.blank_lopsided:
+        return False
+    across = before.across or look_across(pyramid, before.backward, reader, config.edges)
+    return bool(
+        across.support.min() < config.edges.sure and longer.detail_gained(pyramid, wider.backward) <= options.blank
+    )
 
 
 def flat_itself(

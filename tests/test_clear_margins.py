@@ -201,13 +201,22 @@ def test_where_its_grid_is_more_probable_a_larger_error_does_not_count_against_i
         assert (sheet is before) is not counts
 
 
-@pytest.mark.parametrize(("printed", "counts"), [(160, True), (100, False)])
-def test_margins_that_are_blank_count_however_the_print_fits(monkeypatch, printed, counts):
-    """As the sheet goes on, bare; print there, as of another film, is none of its margins."""
+@pytest.mark.parametrize(
+    ("printed", "lopsided", "sure", "counts"),
+    [(160, 0.9, 0.99, True), (100, 0.9, 0.99, False), (160, 1.1, 0.99, False), (160, 0.9, 1.01, False)],
+)
+def test_margins_that_are_blank_and_alike_count_however_the_print_fits(monkeypatch, printed, lopsided, sure, counts):
+    """The sheet goes on bare, beyond edges that are not certain; print there, as of another film, is none of its
+    margins, nor is a sheet below it, on which it lies anywhere, and of which its edges stand out."""
     photo, rng = PHOTO.copy(), np.random.default_rng(0)
     photo[printed:600, 100:600] += rng.integers(0, 60, (600 - printed, 500, 1), np.uint8)
-    before = refined(part((100, 160)))
-    sheet, _, ran = sheet_of(before, monkeypatch, 2 * 0.5 * MARGINS.most_growth, photo=photo)
+    options, film = RectifyConfig().edges, part((100, 160))
+    read = EdgesRead(film, (), 0.0, np.full((4, 32), sure * options.sure))
+    low = np.array([0.0, lopsided * MARGINS.blank_lopsided])
+    vertices = low + (1.0 - low) * film_nodes((4, 4))
+    grid = SliceGrid(3, 3, vertices, vertices, 1.0)
+    before = replace(refined(film), across=read, grid=grid)
+    sheet, _, ran = sheet_of(before, monkeypatch, 2 * 0.5 * MARGINS.most_growth, grid=grid, photo=photo)
     assert ran is counts
     assert (sheet is before) is not counts
 

@@ -57,8 +57,10 @@ class ClearMarginsConfig:
     (``SliceGrid.lopsided``). least_support: least mean probability, over any side, that an edge lies where the
     longer map has it, then. most_expected: largest error to be expected then, in parts of the film's longer side;
     most_growth: and in parts of the one before, unless the grid is ``grid_changed`` more probable. By so much it must
-    not be less probable. Where part of another film is taken for the sheet's margin, its print fits worse; but margins
-    that show no more than ``blank`` of the print's detail are none of another film, however it fits.
+    not be less probable. Where part of another film is taken for the sheet's margin, its print fits worse. But margins
+    that show no more than ``blank`` of the print's detail are none of another film, and if they differ by at most
+    ``blank_lopsided``, and an edge of the map before is not as good as certain, of no sheet below either: those count
+    however the print fits.
     most_beside: farthest, smoothed over the film, that the network sees it beside the longer map (trust.py).
     """
 
@@ -73,6 +75,7 @@ class ClearMarginsConfig:
     most_growth: float = 1.2
     grid_changed: float = 0.1
     blank: float = 0.4
+    blank_lopsided: float = 0.03
     most_beside: float = 0.015
 
     def __post_init__(self) -> None:
