@@ -202,14 +202,14 @@ def _with_margins(
         most_px = options.most_expected * max(wider.backward.mean_film_pixels())
         if wider.expected_px is None or wider.expected_px > most_px:
             continue
-        larger = wider.expected_px > options.most_growth * before
-        fits = _grid_chance(wider) - grid_before >= (options.grid_changed if larger else -options.grid_changed)
-        if not fits and not _only_margins(pyramid, longer, wider, refined, reader, config):
-            continue
         if wider.grid is not None and wider.grid.lopsided > options.most_lopsided:
             continue
         across = look_across(pyramid, wider.backward, reader, config.edges)
         if longer.chance(across) < options.sure or across.support.min() < options.least_support:
+            continue
+        larger = wider.expected_px > options.most_growth * before
+        fits = _grid_chance(wider) - grid_before >= (options.grid_changed if larger else -options.grid_changed)
+        if not fits and not _only_margins(pyramid, longer, replace(wider, across=across), refined, reader, config):
             continue
         if beside(wider.backward) <= options.most_beside:
             return replace(wider, across=across), str(longer)
@@ -229,15 +229,17 @@ def _only_margins(
     reader: StripReader,
     config: RectifyConfig,
 ) -> bool:
-    """Whether what a sheet gains is margins however the print fits: blank, alike on both sides of the print, and beyond
-    edges of which one at least is not as good as certain."""
+    """Whether what a sheet gains is margins however the print fits: blank, alike on both sides of the print, and either
+    likelier than most to end where they do or beyond edges of which one at least is not as good as certain."""
     options = config.margins
     if wider.grid is None or wider.grid.lopsided > options.blank_lopsided:
         return False
+    if longer.detail_gained(pyramid, wider.backward) > options.blank:
+        return False
+    if wider.across is not None and longer.chance(wider.across) >= options.blank_sure:
+        return True
     across = before.across or look_across(pyramid, before.backward, reader, config.edges)
-    return bool(
-        across.support.min() < config.edges.sure and longer.detail_gained(pyramid, wider.backward) <= options.blank
-    )
+    return bool(across.support.min() < config.edges.sure)
 
 
 def flat_itself(

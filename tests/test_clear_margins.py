@@ -202,21 +202,29 @@ def test_where_its_grid_is_more_probable_a_larger_error_does_not_count_against_i
 
 
 @pytest.mark.parametrize(
-    ("printed", "lopsided", "sure", "counts"),
-    [(160, 0.9, 0.99, True), (100, 0.9, 0.99, False), (160, 1.1, 0.99, False), (160, 0.9, 1.01, False)],
+    ("printed", "lopsided", "before_sure", "sure", "counts"),
+    [
+        (160, 0.9, 0.99, 1.01, True),
+        (160, 0.9, 1.01, 0.5, True),
+        (160, 0.9, 1.01, 1.01, False),
+        (160, 1.1, 0.99, 0.5, False),
+        (100, 0.9, 0.99, 0.5, False),
+    ],
 )
-def test_margins_that_are_blank_and_alike_count_however_the_print_fits(monkeypatch, printed, lopsided, sure, counts):
-    """The sheet goes on bare, beyond edges that are not certain; print there, as of another film, is none of its
-    margins, nor is a sheet below it, on which it lies anywhere, and of which its edges stand out."""
+def test_margins_that_are_blank_and_alike_count_however_the_print_fits(
+    monkeypatch, printed, lopsided, before_sure, sure, counts
+):
+    """The sheet goes on bare, beyond edges that are not certain, or to such as are; print there, as of another film, is
+    none of its margins, nor is a sheet below it, on which it lies anywhere, and from which its own edges stand out."""
     photo, rng = PHOTO.copy(), np.random.default_rng(0)
     photo[printed:600, 100:600] += rng.integers(0, 60, (600 - printed, 500, 1), np.uint8)
-    options, film = RectifyConfig().edges, part((100, 160))
-    read = EdgesRead(film, (), 0.0, np.full((4, 32), sure * options.sure))
+    film, margins = part((100, 160)), replace(MARGINS, blank_sure=sure)
+    read = EdgesRead(film, (), 0.0, np.full((4, 32), before_sure * RectifyConfig().edges.sure))
     low = np.array([0.0, lopsided * MARGINS.blank_lopsided])
     vertices = low + (1.0 - low) * film_nodes((4, 4))
     grid = SliceGrid(3, 3, vertices, vertices, 1.0)
-    before = replace(refined(film), across=read, grid=grid)
-    sheet, _, ran = sheet_of(before, monkeypatch, 2 * 0.5 * MARGINS.most_growth, grid=grid, photo=photo)
+    before, most_px = replace(refined(film), across=read, grid=grid), 0.5 * MARGINS.most_growth
+    sheet, _, ran = sheet_of(before, monkeypatch, 2 * most_px, margins, grid, photo=photo)
     assert ran is counts
     assert (sheet is before) is not counts
 

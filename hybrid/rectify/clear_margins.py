@@ -59,8 +59,8 @@ class ClearMarginsConfig:
     most_growth: and in parts of the one before, unless the grid is ``grid_changed`` more probable. By so much it must
     not be less probable. Where part of another film is taken for the sheet's margin, its print fits worse. But margins
     that show no more than ``blank`` of the print's detail are none of another film, and if they differ by at most
-    ``blank_lopsided``, and an edge of the map before is not as good as certain, of no sheet below either: those count
-    however the print fits.
+    ``blank_lopsided`` of no sheet below it, either: those count however the print fits, if an edge of the map before is
+    not as good as certain or their probability is at least ``blank_sure``.
     most_beside: farthest, smoothed over the film, that the network sees it beside the longer map (trust.py).
     """
 
@@ -76,6 +76,7 @@ class ClearMarginsConfig:
     grid_changed: float = 0.1
     blank: float = 0.4
     blank_lopsided: float = 0.03
+    blank_sure: float = 0.8
     most_beside: float = 0.015
 
     def __post_init__(self) -> None:
