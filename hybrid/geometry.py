@@ -232,7 +232,8 @@ def _only_margins(
     """Whether what a sheet gains is margins however the print fits: blank, alike on both sides of the print, and either
     likelier than most to end where they do or beyond edges of which one at least is not as good as certain."""
     options = config.margins
-    if wider.grid is None or wider.grid.lopsided > options.blank_lopsided:
+    lopsided = longer.lopsided if wider.grid is None else wider.grid.lopsided
+    if lopsided > options.blank_lopsided:
         return False
     if longer.detail_gained(pyramid, wider.backward) > options.blank:
         return False

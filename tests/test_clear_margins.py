@@ -229,6 +229,16 @@ def test_margins_that_are_blank_and_alike_count_however_the_print_fits(
     assert (sheet is before) is not counts
 
 
+def test_where_no_grid_is_seen_what_is_gained_tells_whether_margins_are_alike(monkeypatch):
+    margins = replace(MARGINS, blank_sure=0.5)
+    for low, high, counts in ((160, 540, True), (160, 580, False), (160, 600, False)):
+        photo, rng = PHOTO.copy(), np.random.default_rng(0)
+        photo[low:high, 100:600] += rng.integers(0, 60, (high - low, 500, 1), np.uint8)
+        before = refined(part((100, low), (600, high)))
+        _, _, ran = sheet_of(before, monkeypatch, 2 * 0.5 * MARGINS.most_growth, margins, photo=photo)
+        assert ran is counts
+
+
 def test_detail_is_told_of_the_end_that_shows_most():
     photo, rng = PHOTO.copy(), np.random.default_rng(0)
     photo[200:500, 100:600] += rng.integers(0, 60, (300, 500, 1), np.uint8)

@@ -115,6 +115,13 @@ class LongerSheet:
         """What the sheet gains at one of its ends, in parts of the longer sheet."""
         return self.gained[end] / (1.0 + sum(length for side, length in self.gained.items() if side.axis == end.axis))
 
+    @property
+    def lopsided(self) -> float:
+        """By how much what it gains differs at opposite ends, in parts of the longer sheet."""
+        return max(
+            abs(sum(end.inward * self._share(end) for end in self.gained if end.axis == axis)) for axis in (0, 1)
+        )
+
     def detail_gained(self, pyramid: Pyramid, film: BackwardMap) -> float:
         """Detail of what the sheet gains, through its map ``film``, in parts of that of its other print: of the end
         that shows most. Infinite where the photo does not show an end."""
