@@ -17,7 +17,7 @@ from hybrid.pyramid import Photo, Pyramid
 from hybrid.records import CoarseMaps, Signs, StageReport, StatusCode
 from hybrid.rectify.border_paths import borders_shown
 from hybrid.rectify.cell_phases import CellPhases
-from hybrid.rectify.clear_margins import LongerSheet, with_margins
+from hybrid.rectify.clear_margins import ClearMarginsConfig, LongerSheet, with_margins
 from hybrid.rectify.edge_paths import EdgesRead, look_across, put_on_edges, read_edges
 from hybrid.rectify.flat import already_flat, is_frame
 from hybrid.rectify.foreshortening import even
@@ -205,12 +205,17 @@ def _with_margins(
         if wider.grid is not None and wider.grid.lopsided > options.most_lopsided:
             continue
         across = look_across(pyramid, wider.backward, reader, config.edges)
-        if longer.chance(across) < options.sure or across.support.min() < options.least_support:
+        chance = longer.chance(across)
+        if chance < options.sure or across.support.min() < options.least_support:
             continue
         larger = wider.expected_px > options.most_growth * before
         fits = _grid_chance(wider) - grid_before >= (options.grid_changed if larger else -options.grid_changed)
-        if not fits and not _only_margins(pyramid, longer, replace(wider, across=across), refined, reader, config):
+        if not fits and not _blank(pyramid, longer, wider, options):
             continue
+        if not fits and chance < options.blank_sure:
+            read = refined.across or look_across(pyramid, refined.backward, reader, config.edges)
+            if read.support.min() >= config.edges.sure:
+                continue
         if beside(wider.backward) <= options.most_beside:
             return replace(wider, across=across), str(longer)
     return None
@@ -221,26 +226,10 @@ def _grid_chance(refinement: Refinement) -> float:
     return 0.0 if refinement.grid is None else refinement.grid.confidence
 
 
-def _only_margins(
-    pyramid: Pyramid,
-    longer: LongerSheet,
-    wider: Refinement,
-    before: Refinement,
-    reader: StripReader,
-    config: RectifyConfig,
-) -> bool:
-    """Whether what a sheet gains is margins however the print fits: blank, alike on both sides of the print, and either
-    likelier than most to end where they do or beyond edges of which one at least is not as good as certain."""
-    options = config.margins
+def _blank(pyramid: Pyramid, longer: LongerSheet, wider: Refinement, options: ClearMarginsConfig) -> bool:
+    """Whether what a sheet gains is blank, and alike on both sides of the print: margins, however the print fits."""
     lopsided = longer.lopsided if wider.grid is None else wider.grid.lopsided
-    if lopsided > options.blank_lopsided:
-        return False
-    if longer.detail_gained(pyramid, wider.backward) > options.blank:
-        return False
-    if wider.across is not None and longer.chance(wider.across) >= options.blank_sure:
-        return True
-    across = before.across or look_across(pyramid, before.backward, reader, config.edges)
-    return bool(across.support.min() < config.edges.sure)
+    return lopsided <= options.blank_lopsided and longer.detail_gained(pyramid, wider.backward) <= options.blank
 
 
 def flat_itself(
