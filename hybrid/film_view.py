@@ -9,10 +9,15 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
 from hybrid.backward import BackwardMap, spline_weights
-from hybrid.coords import opencv_from_photo
+from hybrid.coords import film_centres_1d, opencv_from_photo
+from hybrid.pyramid import Pyramid
 
 MOST_SIDE = 32_766
 """OpenCV's remap reads no picture of more pixels a side."""
+
+
+LEAST_SIDE = 64
+"""Fewest pixels of either side of ``grey_view``."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,4 +79,13 @@ def view_film(
     return FilmView(np.atleast_3d(image).astype(np.float32), u, v, inside)
 
 
-__all__ = ["FilmView", "view_film"]
+def grey_view(pyramid: Pyramid, film: BackwardMap, side_px: int) -> FilmView:
+    """The flat grey film, its longer side of ``side_px`` and none below LEAST_SIDE, from a copy of the photo that is
+    large enough for that."""
+    photo, scale = pyramid.scaled(side_px / max(film.mean_film_pixels()))
+    film = film.cropped((0.0, 0.0), scale)
+    v, u = (film_centres_1d(max(round(side), LEAST_SIDE)) for side in film.mean_film_pixels())
+    return view_film(cv2.cvtColor(photo, cv2.COLOR_RGB2GRAY), film, u, v)
+
+
+__all__ = ["FilmView", "grey_view", "view_film"]

@@ -17,7 +17,7 @@ from hybrid.pyramid import Photo, Pyramid
 from hybrid.records import CoarseMaps, Signs, StageReport, StatusCode
 from hybrid.rectify.border_paths import borders_shown
 from hybrid.rectify.cell_phases import CellPhases
-from hybrid.rectify.clear_margins import ClearMarginsConfig, LongerSheet, with_margins
+from hybrid.rectify.clear_margins import LongerSheet, with_margins
 from hybrid.rectify.edge_paths import EdgesRead, look_across, put_on_edges, read_edges
 from hybrid.rectify.flat import already_flat, is_frame
 from hybrid.rectify.foreshortening import even
@@ -210,12 +210,11 @@ def _with_margins(
             continue
         larger = wider.expected_px > options.most_growth * before
         fits = _grid_chance(wider) - grid_before >= (options.grid_changed if larger else -options.grid_changed)
-        if not fits and not _blank(pyramid, longer, wider, options):
+        if not (fits or _blank(pyramid, longer, wider, config)):
             continue
-        if not fits and chance < options.blank_sure:
-            read = refined.across or look_across(pyramid, refined.backward, reader, config.edges)
-            if read.support.min() >= config.edges.sure:
-                continue
+        surely = fits or chance >= options.blank_sure
+        if not surely and _edges_of(pyramid, refined, reader, config).support.min() >= config.edges.sure:
+            continue
         if beside(wider.backward) <= options.most_beside:
             return replace(wider, across=across), str(longer)
     return None
@@ -226,10 +225,17 @@ def _grid_chance(refinement: Refinement) -> float:
     return 0.0 if refinement.grid is None else refinement.grid.confidence
 
 
-def _blank(pyramid: Pyramid, longer: LongerSheet, wider: Refinement, options: ClearMarginsConfig) -> bool:
+def _edges_of(pyramid: Pyramid, refinement: Refinement, reader: StripReader, config: RectifyConfig) -> EdgesRead:
+    """The edges as they are read across a refinement's map, if they were not already."""
+    return refinement.across or look_across(pyramid, refinement.backward, reader, config.edges)
+
+
+def _blank(pyramid: Pyramid, longer: LongerSheet, wider: Refinement, config: RectifyConfig) -> bool:
     """Whether what a sheet gains is blank, and alike on both sides of the print: margins, however the print fits."""
-    lopsided = longer.lopsided if wider.grid is None else wider.grid.lopsided
-    return lopsided <= options.blank_lopsided and longer.detail_gained(pyramid, wider.backward) <= options.blank
+    options, lopsided = config.margins, longer.lopsided if wider.grid is None else wider.grid.lopsided
+    if lopsided > options.blank_lopsided:
+        return False
+    return longer.detail_gained(pyramid, wider.backward, config.refine.cells) <= options.blank
 
 
 def flat_itself(
@@ -276,7 +282,7 @@ def judged(
     coarse = seen.inversion.backward if isinstance(seen.inversion, Inversion) else refinement.backward
     with clock.stage("verdict") as report:
         look_again = seen_through(readers.network, seen, config, refinement.backward)
-        across = refinement.across or look_across(pyramid, refinement.backward, readers.edges, config.edges)
+        across = _edges_of(pyramid, refinement, readers.edges, config)
         film, grid = refinement.backward, refinement.grid
         shown = 0.0 if grid is None else borders_shown(pyramid, film, grid, readers.borders, config.refine.borders)
         signs = signs_of(pyramid, seen.maps, coarse, refinement, look_again, across, shown, flat, seen.near)

@@ -13,6 +13,7 @@ from hybrid.effort import RectifyConfig
 from hybrid.geometry import MOST_MARGINS, whole_sheet
 from hybrid.pyramid import Pyramid
 from hybrid.records import SliceGrid
+from hybrid.rectify.cells import CellsConfig
 from hybrid.rectify.clear_margins import ClearMarginsConfig, LongerSheet, _together, lengthened, with_margins
 from hybrid.rectify.edge_paths import EdgesRead
 from hybrid.rectify.refine import Refinement
@@ -246,10 +247,10 @@ def test_detail_is_told_of_the_end_that_shows_most():
     (longer,) = with_margins(Pyramid(PHOTO), part((100, 180), (600, 520)), STEPS, CONFIG, MARGINS)
     top, bottom, *_ = SIDES
     assert set(longer.gained) == {top, bottom}
-    assert longer.detail_gained(Pyramid(photo), SHEET) == pytest.approx(0.5, abs=0.1)
-    assert longer.only(top).detail_gained(Pyramid(photo), SHEET) < 0.1
+    assert longer.detail_gained(Pyramid(photo), SHEET, CellsConfig()) == pytest.approx(0.5, abs=0.1)
+    assert longer.only(top).detail_gained(Pyramid(photo), SHEET, CellsConfig()) < 0.1
     away = BackwardMap(SHEET.nodes - [0.0, 250.0])
-    assert longer.detail_gained(Pyramid(photo), away) == np.inf
+    assert longer.detail_gained(Pyramid(photo), away, CellsConfig()) == np.inf
 
 
 def test_nor_where_its_print_is_far_from_the_middle(monkeypatch):

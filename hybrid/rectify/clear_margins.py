@@ -12,15 +12,15 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
-import cv2
 import numpy as np
 from jaxtyping import Float
 
 from hybrid.backward import BackwardMap
 from hybrid.coords import film_centres_1d, film_nodes, node_centres_1d
 from hybrid.errors import require_at_least, require_at_most
-from hybrid.film_view import view_film
+from hybrid.film_view import grey_view
 from hybrid.pyramid import Pyramid
+from hybrid.rectify.cells import CellsConfig
 from hybrid.rectify.edge_paths import (
     CORNER,
     EdgeConfig,
@@ -38,8 +38,6 @@ NODES = (33, 33)
 """Of a map that was made longer."""
 SIDES_SHOWN = 0.3
 """Of the sides of what a sheet gains so much must be shown at least."""
-VIEW_PX, DETAIL_PX = 400, (1.0, 5.0)
-"""Longer side of a view of the film, and between which scales the detail of its print lies, in pixels of that."""
 RIM = 0.2
 """Part of a margin at both of its ends of which the detail may be that of the print or of the sheet's edge."""
 BESIDE_FRAME, MOST = 0.02, 0.75
@@ -122,16 +120,13 @@ class LongerSheet:
             abs(sum(end.inward * self._share(end) for end in self.gained if end.axis == axis)) for axis in (0, 1)
         )
 
-    def detail_gained(self, pyramid: Pyramid, film: BackwardMap) -> float:
+    def detail_gained(self, pyramid: Pyramid, film: BackwardMap, look: CellsConfig) -> float:
         """Detail of what the sheet gains, through its map ``film``, in parts of that of its other print: of the end
-        that shows most. Infinite where the photo does not show an end."""
-        photo, scale = pyramid.scaled(VIEW_PX / max(film.mean_film_pixels()))
-        film = film.cropped((0.0, 0.0), scale)
-        v, u = (film_centres_1d(max(round(side), VIEW_PX // 10)) for side in film.mean_film_pixels())
-        view = view_film(cv2.cvtColor(photo, cv2.COLOR_RGB2GRAY), film, u, v)
-        shown, printed, gained = np.abs(detail(view.image[..., 0], *DETAIL_PX)), view.inside, []
+        that shows most. Infinite where the photo does not show an end. look: how cells are looked at: so is this."""
+        view = grey_view(pyramid, film, look.side_px)
+        shown, printed, gained = np.abs(detail(view.image[..., 0], *look.detail_px)), view.inside, []
         for end in self.gained:
-            depth = -_outside(u if end.axis == 0 else v, end) / self._share(end)
+            depth = -_outside(view.u if end.axis == 0 else view.v, end) / self._share(end)
             depth = depth if end.axis == 0 else depth[:, None]
             gained.append(shown[view.inside & (depth > RIM) & (depth < 1.0 - RIM)])
             printed = printed & (depth > 1.0)

@@ -12,13 +12,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 
 from hybrid.backward import BackwardMap
 from hybrid.coords import film_centres_1d
 from hybrid.errors import FittedWeights, require_at_least, require_at_most
-from hybrid.film_view import view_film
+from hybrid.film_view import grey_view
 from hybrid.pyramid import Pyramid
 from hybrid.records import CoarseMaps, Signs, SliceGrid, StatusCode
 from hybrid.rectify.cell_phases import CellPhases
@@ -289,13 +288,9 @@ def cells_alike(pyramid: Pyramid, backward: BackwardMap, grid: SliceGrid, side_p
     cells = grid.rows * grid.cols
     if cells < 2:
         return 0.0
-    photo, scale = pyramid.scaled(side_px / max(backward.mean_film_pixels()))
-    backward = backward.cropped((0.0, 0.0), scale)
-    down, across = (max(round(side), 64) for side in backward.mean_film_pixels())
-    grey = cv2.cvtColor(photo, cv2.COLOR_RGB2GRAY)
-    view = view_film(grey, backward, film_centres_1d(across), film_centres_1d(down))
+    view = grey_view(pyramid, backward, side_px)
     columns, rows = (_repeats(grid, axis) for axis in (0, 1))
-    if min(columns.pitch * across, rows.pitch * down) < 4:
+    if min(columns.pitch * len(view.u), rows.pitch * len(view.v)) < 4:
         return 0.0
     share = cell_agreement(view, columns, rows)
     return float(np.clip((share - 1 / cells) / (1 - 1 / cells), 0.0, 1.0))
