@@ -1,12 +1,12 @@
 """Photos by another renderer, other physics: ``python -m benchmarks.blender_photos --out DIR --python PYTHON``.
 
 Blender bends sheets as soft bodies or cloth, which stretch and twist as the mass-spring films of data_gen do not, and
-traces their light by Cycles (benchmarks/blender_scene.py). What comes out is a folder as benchmarks.photos reads it:
-every benchmark takes it by ``--photos DIR``, and no network has learnt from its like. The prints are data_gen's.
+traces their light with Cycles (benchmarks/blender_scene.py). The result is a folder for benchmarks.photos; every
+benchmark takes it by ``--photos DIR``, and no network was trained on its like. The prints are data_gen's.
 
 PYTHON is one that has ``bpy`` (Python 3.11, ``pip install bpy==5.0.1``), which cannot share an environment with this
-project, as it needs an older NumPy. A photo takes half a minute on two cores. Photos that are there already are kept,
-so that a run that was stopped goes on.
+project, as it needs an older NumPy. A photo takes half a minute on two cores. Photos that already exist are kept, so a
+run that was stopped can be continued.
 """
 
 from __future__ import annotations
@@ -48,15 +48,15 @@ class Options:
     count: int = 48
     """How many photos."""
     seed: int = 0
-    """Of all that is drawn."""
+    """Seed of all random choices."""
     side: int = 1080
-    """Of the photos in pixels."""
+    """Side of the photos in pixels."""
     samples: int = 24
-    """Of light per pixel, before they are denoised."""
+    """Light samples per pixel, before denoising."""
     hard_shadows: bool = False
-    """Each film before a desk and in the light of a small lamp, which throws its shadow beside it."""
+    """Put each film in front of a desk, in the light of a small lamp that casts its shadow beside it."""
     sources: tyro.conf.OmitArgPrefixes[SourceConfig] = field(default_factory=SourceConfig)
-    """Of CT volumes and environments; without environments light is plain."""
+    """CT volumes and environments; without environments the light is plain."""
 
     def __post_init__(self) -> None:
         require_at_least(self, 1, "count", "samples")
@@ -70,13 +70,13 @@ class Job:
 
     photo, texture: files. size: (height, width) of the film. cuts: of each side, between simulated quads.
     kind: soft or cloth. pins: vertices held. strength, noise, field_at: of the force that pushes (< 0 pulls) from a
-    place. stiffness: against bending. gravity: in parts of the Earth's. max_angle: degrees between the mean normal and
-    the furthest at which the simulation ends.
+    place. stiffness: against bending. gravity: in parts of the Earth's. max_angle: the simulation ends when a normal is
+    this many degrees from the mean normal.
     roughness: of the surface. through: share of the light that is let through.
     room: file of the environment, or "" for ``room_colour``. room_turn: its Euler angles in rad.
-    lamps: discs of ``size`` that shine to the film's middle. desk: a plane ``behind`` the film's middle, if any.
-    focal: in parts of the photo's side. tilt, tilt_to, roll: degrees off the normal, to where, and about the axis.
-    fill: share of the photo's side that the film takes. off_centre: in parts of what is free then.
+    lamps: discs of ``size`` that shine at the film's middle. desk: a plane ``behind`` the film's middle, if any.
+    focal: in parts of the photo's side. tilt, tilt_to, roll: degrees off the normal, towards where, and about the axis.
+    fill: share of the photo's side that the film takes. off_centre: in parts of the free space that is left.
     tone: Blender's view transform. brightness: of the photo's mean radiance. quality: of the JPEG.
     """
 
@@ -114,7 +114,7 @@ class Job:
 
 
 def draw_job(rng: np.random.Generator, film_print: FilmPrint, rooms: Sequence[Path], options: Options) -> Job:
-    """A film, how it is bent, its light and its camera; the files and the seed are still to be set."""
+    """A film, its bend, its light and its camera; the files and the seed are still to be set."""
     height, width = film_print.size_mm
     scale = 2 / max(height, width)
     cuts = int(rng.integers(8, 20))
@@ -165,7 +165,7 @@ def draw_job(rng: np.random.Generator, film_print: FilmPrint, rooms: Sequence[Pa
 
 
 def _lamps(rng: np.random.Generator, behind: bool, room: bool) -> tuple[dict[str, Any], ...]:
-    """Discs behind the film, or before it: always where no room lights it."""
+    """Discs behind the film, or in front of it: always some where no room lights it."""
     if behind:
         return (_lamp(rng, -1.0, 0.3, float(rng.uniform(2, 4)), 300.0),)
     if room and rng.random() < 0.6:
@@ -177,13 +177,13 @@ def _lamps(rng: np.random.Generator, behind: bool, room: bool) -> tuple[dict[str
 
 
 def _lamp(rng: np.random.Generator, side: float, at: float, size: float, watts: float) -> dict[str, Any]:
-    """A disc on a side of the film, up to ``at`` beside its middle."""
+    """A disc on one side of the film, up to ``at`` off its middle."""
     place = (float(rng.uniform(-at, at)), float(rng.uniform(-at, at)), side * float(rng.uniform(2, 4)))
     return {"at": place, "size": size, "watts": watts, "colour": rng.uniform(0.75, 1, 3).tolist()}
 
 
 def _desk(rng: np.random.Generator) -> dict[str, Any]:
-    """A plane behind the film, as far from its middle as this says or further, mottled in two colours."""
+    """A plane behind the film, at least as far from its middle as this says, mottled in two colours."""
     base = rng.uniform(0.02, 0.7) * rng.uniform(0.6, 1, 3)
     return {
         "behind": float(rng.uniform(0.5, 1.2)),
@@ -194,7 +194,7 @@ def _desk(rng: np.random.Generator) -> dict[str, Any]:
 
 
 def write_print(folder: Path, number: int, film_print: FilmPrint) -> Path:
-    """The print's file among the textures, its name as benchmarks.photos reads it."""
+    """Write the print among the textures, under a name that benchmarks.photos can read."""
     margin = round(max(film_print.parameters["margins_px"]))
     name = f"film_{number:03d}_{film_print.rows}x{film_print.cols}_{film_print.style}_m{margin}.png"
     grey = np.rint(film_print.image * 255).astype(np.uint8)
@@ -204,11 +204,11 @@ def write_print(folder: Path, number: int, film_print: FilmPrint) -> Path:
 
 
 def make_photo(number: int, rooms: Sequence[Path], options: Options) -> None:
-    """Photo ``number``, unless it is there. The same seed and number draw the same job, but Blender bends a sheet a
-    little otherwise each time; the truth is that of the photo.
+    """Make photo ``number``, unless it exists. The same seed and number draw the same job, but Blender bends a sheet a
+    little differently each time; the truth is that of the photo.
 
     Raises:
-        DataError: Blender made none.
+        DataError: Blender made no photo.
     """
     photo = options.out / f"film_{number:03d}.jpg"
     truth = photo.with_suffix(".npz")
@@ -229,7 +229,7 @@ def make_photo(number: int, rooms: Sequence[Path], options: Options) -> None:
 
 
 def _told(command: Sequence[str]) -> str:
-    """What a command said last."""
+    """The last line that a command printed."""
     try:
         ended = subprocess.run(command, capture_output=True, text=True)
     except OSError as error:
@@ -246,7 +246,7 @@ def room_files(sources: SourceConfig) -> list[Path]:
 
 
 def run(options: Options, command: list[str]) -> int:
-    """Make the photos; how many there are.
+    """Make the photos; return how many there are.
 
     Raises:
         ConfigError: the folder holds photos that were made with other options.
@@ -260,7 +260,7 @@ def run(options: Options, command: list[str]) -> int:
 
 
 def _keep_options(options: Options) -> None:
-    """Write dataset.json with what decides the photos, or check that those there were made alike."""
+    """Write dataset.json with what determines the photos, or check that the existing ones were made alike."""
     photos = sum(1 for _ in options.out.glob("film_*.npz"))
     if photos and not (options.out / "dataset.json").exists():
         do = "Choose another --out."
@@ -272,7 +272,7 @@ def _keep_options(options: Options) -> None:
 
 
 def _makers() -> str:
-    """A digest of the sources that make prints, draw jobs and set the scene."""
+    """A digest of the sources that make prints, draw jobs and set up the scene."""
     scene = b"".join(path.read_bytes() for path in (Path(__file__), SCENE))
     return hashlib.sha256(generator_digest().encode() + scene).hexdigest()[:16]
 

@@ -1,7 +1,7 @@
-"""Bends and photographs one film in Blender: ``PYTHON blender_scene.py JOB.json``, of a Python that has ``bpy``.
+"""Bend and photograph one film in Blender: ``PYTHON blender_scene.py JOB.json``, with a Python that has ``bpy``.
 
-Nothing of the project is imported, since bpy needs a NumPy of its own; benchmarks/blender_photos.py writes the job,
-whose fields its ``Job`` documents. The sheet lies in the xy plane, x to its right, y up, its longer side 2 units.
+Nothing of the project is imported, since bpy needs a NumPy of its own. benchmarks/blender_photos.py writes the job; its
+``Job`` documents the fields. The sheet lies in the xy plane, x to its right, y up, its longer side 2 units.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ METERING_PX = 96
 
 
 def flat_sheet(job: dict[str, Any]) -> Any:
-    """The flat film, (cuts + 1) squared quads, its uv from the lower left, and its pinned vertices as a group."""
+    """The flat film of (cuts + 1) squared quads, its uv from the lower left, and its pinned vertices as a group."""
     n = job["cuts"] + 2
     height, width = job["size"]
     across, up = np.meshgrid(np.linspace(0, 1, n), np.linspace(0, 1, n))
@@ -49,7 +49,7 @@ def flat_sheet(job: dict[str, Any]) -> Any:
 
 
 def bend(film: Any, job: dict[str, Any]) -> dict[str, float]:
-    """Simulate until the sheet's normals are ``max_angle`` degrees apart from their mean, or the last frame.
+    """Simulate until a normal of the sheet is ``max_angle`` degrees from the mean normal, or until the last frame.
 
     The film gets the shape of that frame. Returns what came out: the angle, the frame, the strain of the edges.
     """
@@ -81,7 +81,7 @@ def bend(film: Any, job: dict[str, Any]) -> dict[str, float]:
         if angle >= job["max_angle"]:
             break
     film.modifiers.clear()
-    points -= points.mean(axis=0)  # lamps and desk stand about the origin, from which what pushes a sheet may drive it
+    points -= points.mean(axis=0)  # lamps and desk stand around the origin; the pushing force may move a sheet away
     film.data.vertices.foreach_set("co", points.astype(np.float32).ravel())
     field.type = "NONE"
     scene.frame_set(1)
@@ -152,7 +152,7 @@ def strain(points: np.ndarray, flat: np.ndarray) -> float:
 
 
 def material(film: Any, job: dict[str, Any]) -> None:
-    """The print's grey on plastic; of a film with light behind it some is let through."""
+    """The print's grey on plastic; a film lit from behind lets some light through."""
     made = bpy.data.materials.new("film")
     made.use_nodes = True
     nodes, links = made.node_tree.nodes, made.node_tree.links
@@ -174,7 +174,7 @@ def material(film: Any, job: dict[str, Any]) -> None:
 
 
 def light(job: dict[str, Any], lattice: np.ndarray, normal: np.ndarray) -> None:
-    """The room, lamps, and what stands behind the film: no part of ``lattice`` sinks into it."""
+    """The room, the lamps, and what stands behind the film: no part of ``lattice`` sinks into it."""
     world = bpy.data.worlds.new("world")
     bpy.context.scene.world = world
     world.use_nodes = True
@@ -216,7 +216,7 @@ def light(job: dict[str, Any], lattice: np.ndarray, normal: np.ndarray) -> None:
 
 
 def camera_for(lattice: np.ndarray, job: dict[str, Any]) -> tuple[np.ndarray, np.ndarray, float]:
-    """A camera before the film that sees it as large as asked for; its eye, axes (right, up, back) and f."""
+    """A camera in front of the film that sees it at the requested size; its eye, axes (right, up, back) and f."""
     side, f_px = job["side"], job["focal"] * job["side"]
     points = lattice.reshape(-1, 3)
     middle = points.mean(axis=0)
@@ -235,7 +235,7 @@ def camera_for(lattice: np.ndarray, job: dict[str, Any]) -> tuple[np.ndarray, np
     axes = np.stack([right, above, back], axis=-1)
     near, far = 0.1, 60.0
     shift = np.array(job["off_centre"])
-    for _ in range(50):  # the nearest distance from which all of the film lies within its share of the photo
+    for _ in range(50):  # the nearest distance at which the whole film lies within its share of the photo
         distance = math.sqrt(near * far)
         inside = (points - middle) @ axes
         depth = distance - inside[:, 2]
@@ -259,7 +259,7 @@ def projected(points: np.ndarray, eye: np.ndarray, axes: np.ndarray, f_px: float
 
 
 def expose(job: dict[str, Any]) -> float:
-    """Stops of exposure that bring the photo's usual brightness to ``brightness``; read off a small rendering."""
+    """Stops of exposure that bring the photo's usual brightness to ``brightness``, measured on a small rendering."""
     scene = bpy.context.scene
     render = scene.render
     with tempfile.TemporaryDirectory() as folder:
@@ -297,7 +297,7 @@ def photograph(job: dict[str, Any]) -> None:
     simulated = {**job, **bent, "stops": stops, "texture": Path(job["texture"]).name, "photo": Path(job["photo"]).name}
     simulated["room"] = Path(job["room"]).name if job["room"] else ""
     truth = Path(job["photo"]).with_suffix(".npz")
-    part = truth.with_suffix(".part")  # a run that is stopped leaves no half of a truth
+    part = truth.with_suffix(".part")  # a run that is stopped leaves no partial truth
     with part.open("wb") as file:
         np.savez_compressed(
             file,

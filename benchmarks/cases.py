@@ -1,4 +1,4 @@
-"""Photos to score methods on: a photo and its true map, from a data set's shards or from a folder of photos."""
+"""Photos to score methods on: a photo and its true map, from a data set's shards or a folder of photos."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from hybrid.learn.tensors import map_batch
 from hybrid.rectify.film_size import FilmSizeConfig
 
 SAME_SIZE = 1.25
-"""Ratio of areas up to which a photo counts as being of the size that is asked for."""
+"""Ratio of areas up to which a photo counts as having the requested size."""
 
 CORNERS = (2, 2)
 """Film points that tell the eight ways of reading a film apart."""
@@ -34,7 +34,7 @@ class Case:
     """A photo whose truth is known.
 
     source: its file, or its place in a data set. backward: the true map of the film that reads right, in pixels.
-    size: (height, width) to which the photo is resized; its own if None. held: gives the photo where it is in memory.
+    size: (height, width) to which the photo is resized; its own if None. held: returns the photo, if in memory.
     """
 
     name: str
@@ -44,16 +44,16 @@ class Case:
     held: Callable[[], UInt8[np.ndarray, "h w 3"]] | None = None
 
     def photo(self) -> UInt8[np.ndarray, "h w 3"]:
-        """The photo itself, RGB; the caller's own, unless it is lent."""
+        """The photo itself, RGB; a copy for the caller, unless it is lent."""
         if self.held is not None:
             return self.held()
         photo = read_photo(self.source) if isinstance(self.source, Path) else photo_of(self.source)
         return photo if self.size is None else resized(photo, self.size)
 
     def at(self, megapixels: float) -> Case:
-        """The case with its photo resized to so many megapixels, and its truth with it; as it is, if it is near that.
+        """The case with its photo, and its truth, resized to this many megapixels; unchanged if it is near that.
 
-        Near is within SAME_SIZE: a photo that is resized for nothing is only blurred.
+        Near is within SAME_SIZE: resizing a photo for nothing would only blur it.
         """
         height, width = self.photo().shape[:2]
         area = 1e6 * megapixels / (height * width)
@@ -64,11 +64,11 @@ class Case:
         return replace(self, backward=truth, size=size, held=None)
 
     def in_memory(self) -> Case:
-        """The case with its photo read once for all; it gives copies of it."""
+        """The case with its photo read once and kept; it gives copies of it."""
         return replace(self, held=self.photo().copy)
 
     def lending(self, photo: UInt8[np.ndarray, "h w 3"]) -> Case:
-        """The case with this photo, which it gives as it is: no copy takes memory."""
+        """The case with this photo, which it returns as it is: no copy is made."""
         return replace(self, held=lambda: photo)
 
     def film_size(self) -> tuple[int, int]:
@@ -89,7 +89,7 @@ class Case:
 
 
 def photo_cases(folder: Path) -> list[Case]:
-    """The photos with truth of a folder.
+    """The photos with truth in a folder.
 
     Raises:
         DataError: there are none, or one is incomplete.
@@ -98,7 +98,7 @@ def photo_cases(folder: Path) -> list[Case]:
 
 
 def sample_cases(folders: Sequence[Path]) -> list[Case]:
-    """The samples of some data sets.
+    """The samples of one or more data sets.
 
     Raises:
         DataError: a data set that cannot be read.
@@ -120,7 +120,7 @@ def true_shape(case: Case, px: int) -> TrueShape:
     """The 3D map of a sample at px x px.
 
     Raises:
-        DataError: the case is no sample of a data set.
+        DataError: the case is not a sample of a data set.
     """
     if isinstance(case.source, Path):
         raise DataError(
@@ -134,10 +134,10 @@ def true_shape(case: Case, px: int) -> TrueShape:
 
 
 def read_alike(found: BackwardMap, true: BackwardMap) -> tuple[BackwardMap, Orientation]:
-    """A map turned and mirrored so that it comes nearest to the true one, and the turn that this took.
+    """The map, turned and mirrored to come nearest to the true one, and the orientation that does this.
 
-    Geometry is scored apart from orientation: networks that see a small film as it lies cannot know how it reads,
-    and a film at 45 degrees lies either way.
+    Geometry is scored apart from orientation: networks that see a small film as it lies cannot know how it reads, and a
+    film at 45 degrees lies either way.
     """
     points = true.photo_from_film(film_nodes(CORNERS))
     ways = [Orientation.from_index(index) for index in range(8)]

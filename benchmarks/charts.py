@@ -22,7 +22,7 @@ Picture = UInt8[np.ndarray, "_ _ 3"]
 
 @dataclass(frozen=True)
 class Points:
-    """Points of one kind: x, y, and what is written beside each ("" for nothing); rings instead of dots if hollow."""
+    """Points of one kind: x, y, and the label beside each ("" for none); rings instead of dots if hollow."""
 
     name: str
     xy: tuple[tuple[float, float], ...]
@@ -32,7 +32,7 @@ class Points:
 
 @dataclass(frozen=True)
 class Axis:
-    """What is along an axis, from where to where."""
+    """The title of an axis, and its range."""
 
     title: str
     low: float
@@ -40,7 +40,7 @@ class Axis:
     log: bool = True
 
     def part(self, value: float) -> float:
-        """Where a value lies, from 0 to 1; values beyond the ends at the ends."""
+        """Position of a value on the axis, from 0 to 1; values beyond the ends lie at the ends."""
         low, high, at = (np.log(v) if self.log else v for v in (self.low, self.high, max(value, 1e-12)))
         return float(np.clip((at - low) / (high - low), 0, 1))
 
@@ -70,7 +70,7 @@ class Chart:
 
 
 def scatter(chart: Chart) -> Picture:
-    """The chart; labels move up or down, or to the other side, until they lie on nothing, and a line leads to them."""
+    """The chart; labels move up or down, or to the other side, until they overlap nothing, and a line leads to them."""
     image = Image.new("RGB", (WIDTH, HEIGHT), _PAPER)
     draw = ImageDraw.Draw(image)
     draw.text((_LEFT, 14), chart.title, fill=_INK, font=_font(21))
@@ -167,7 +167,7 @@ def _label(
     colour: str,
     taken: list[tuple[float, float, float, float]],
 ) -> None:
-    """Writes beside a point, as near to it as nothing in ``taken`` lies, and adds the place to that."""
+    """Write a label as near to a point as it can without overlapping ``taken``, and add its place to that."""
     width, height = draw.textlength(text, font=_font(15)), 17
     moves = sorted(range(_TOP - _BOTTOM, _BOTTOM - _TOP, 4), key=abs)
     for y in (at[1] - height / 2 + move for move in moves):

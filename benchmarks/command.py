@@ -1,4 +1,4 @@
-"""The shell of every benchmark's command: options from its words, errors in a line, figures as JSON."""
+"""What is common to every benchmark's command: options from its arguments, errors in one line, figures as JSON."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Found = TypeVar("Found")
 
 BEGINS_ANEW = "what is not written yet is lost, and the same command begins anew"
 GOES_ON = "what is finished is kept, and the same command goes on"
-"""What is true after Ctrl-C, of what is measured in memory and of what is kept in files on the way."""
+"""What a user is told after Ctrl-C: of work that is kept in memory, and of work that is kept in files on the way."""
 
 PICTURES = (".png", ".jpg", ".jpeg")
 """Suffixes of pictures that can be written."""
@@ -37,12 +37,12 @@ def run_command(
     verdict: Callable[[Found], int] = lambda found: 0,
     stopped: str = BEGINS_ANEW,
 ) -> int:
-    """Run ``python -m NAME`` with these words, those of the command line if None; its exit code.
+    """Run ``python -m NAME`` with these arguments, those of the command line if None; return its exit code.
 
-    options: a dataclass, of which tyro makes the command line. run: takes the options and the whole command, as
-    ``benchmarks.machine.describe_run`` wants it. verdict: exit code by what was found, where 2 is that something is
-    not as it has to be. An error that a user can mend, of the options as well, is one line and exit code 1. stopped:
-    what is true of the work after Ctrl-C, which is one line, too.
+    options: a dataclass from which tyro makes the command line. run: takes the options and the whole command, as
+    ``benchmarks.machine.describe_run`` wants it. verdict: returns the exit code for the result; 2 means that something
+    is not as it has to be. An error that a user can mend, in the options as well, is one line and exit code 1. stopped:
+    what a user is told about the work after Ctrl-C, also in one line.
     """
     words = list(sys.argv[1:] if arguments is None else arguments)
     command = f"python -m {name}"
@@ -53,10 +53,10 @@ def run_command(
 
 
 def require_picture(config: Any, name: str) -> None:
-    """Refuse the option of a picture to write, if one is named, that has another suffix than ``PICTURES``.
+    """Refuse the option of a picture to write if it is set and its suffix is not in ``PICTURES``.
 
     Raises:
-        ConfigError: it has.
+        ConfigError: the suffix is another one.
     """
     path: Path | None = getattr(config, name)
     if path is not None and path.suffix.lower() not in PICTURES:
@@ -65,13 +65,13 @@ def require_picture(config: Any, name: str) -> None:
 
 
 def write_picture(path: Path, picture: UInt8[np.ndarray, "h w 3"]) -> None:
-    """Write a picture; its folder is made."""
+    """Write a picture, creating its folder."""
     make_folder(path.parent, "--picture")
     write_rgb(path, picture)
 
 
 def write_figures(path: Path, command: list[str], figures: Mapping[str, Any]) -> None:
-    """Figures as a JSON file, with the command and the machine that made them; its folder is made."""
+    """Write figures as a JSON file, with the command and the machine that made them, creating its folder."""
     make_folder(path.parent, "--json")
     write_bytes(path, (json.dumps({"run": describe_run(command), **figures}, indent=1) + "\n").encode())
 

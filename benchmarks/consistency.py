@@ -1,8 +1,8 @@
 """Whether the truth of a data set agrees with itself: ``python -m benchmarks.consistency --json OUT --samples 200``.
 
-Read back from shards, as a trainer reads them: the 3D map projected by the camera hits its pixel; the uv map and the
-backward map are inverse; and no pixel at the film's edge, or at a fold, mixes film with anything else. Errors are in
-pixels of the photo.
+They are read back from shards, as a trainer reads them: the 3D map projected by the camera hits its pixel; the uv map
+and the backward map are inverse; and no pixel at the film's edge, or at a fold, mixes film with anything else. Errors
+are in pixels of the photo.
 """
 
 from __future__ import annotations
@@ -33,15 +33,15 @@ BOUNDS = {"projection_max_px": 0.05, "inverse_max_px": 0.1, "mixed_pixels": 0}
 """Required of every film pixel."""
 
 MIXED_PX = 0.5
-"""A value at the edge that is further off than this is no rounding: it is a mixture, or another pixel's."""
+"""An edge value that is off by more than this is not due to rounding: it is a mixture, or another pixel's value."""
 
 STRETCH, SLACK_MM = 1.5, 0.2
-"""No chord between neighbours is longer than the film between them, but for stretched film and rounding."""
+"""No chord between neighbours is longer than the film between them, except for stretch and rounding."""
 
 
 @dataclass(frozen=True, eq=False)
 class Truth:
-    """What a sample says of its film, decoded.
+    """The decoded truth of a sample's film.
 
     mask, uv, xyz: maps; backward: into the photo, as is camera. size_mm: (height, width).
     """
@@ -56,7 +56,7 @@ class Truth:
 
 @dataclass(frozen=True, eq=False)
 class Errors:
-    """Of one sample. projection, inverse: photo pixels, for each film pixel. mixed: wrong ones of the edge pixels."""
+    """Of one sample. projection, inverse: in photo pixels, for each film pixel. mixed: number of wrong edge pixels."""
 
     projection: Float[np.ndarray, " n"]
     inverse: Float[np.ndarray, " n"]
@@ -84,7 +84,7 @@ def truth_of(shard: Shard, k: int) -> Truth:
 
 
 def errors_of(truth: Truth) -> Errors:
-    """How far the maps of a sample are from agreeing."""
+    """How far the maps of a sample disagree."""
     mask, size = truth.mask, truth.camera.size
     centres = rescale_points(pixel_centres(mask.shape), mask.shape, size)
     projection, inverse = np.zeros(mask.shape), np.zeros(mask.shape)
@@ -112,8 +112,8 @@ def edge_pixels(truth: Truth) -> Bool[np.ndarray, "h w"]:
 def stretched(truth: Truth) -> Bool[np.ndarray, "h w"]:
     """Pixels whose 3D point is further from a neighbour's than the film between the two is long.
 
-    The film does not stretch, so a chord cannot be longer than the film. A 3D point mixed with background still lies
-    on its ray, where projection finds nothing wrong; this does.
+    The film does not stretch, so a chord cannot be longer than the film. A 3D point mixed with background still lies on
+    its ray, so its projection is right; this check finds it.
     """
     found = np.zeros(truth.mask.shape, bool)
     on_film_mm = truth.uv * np.array(truth.size_mm[1::-1])
@@ -127,12 +127,12 @@ def stretched(truth: Truth) -> Bool[np.ndarray, "h w"]:
 
 
 def _neighbours() -> tuple[tuple[int, int], ...]:
-    """One of each pair of ways to the four direct neighbours."""
+    """One of each pair of directions to the four direct neighbours."""
     return (0, 1), (1, 0)
 
 
 def _pair(values: np.ndarray, rows: int, cols: int) -> tuple[np.ndarray, np.ndarray]:
-    """Views of all pixels that have a neighbour so many rows and columns further, and of those."""
+    """Views of all pixels that have a neighbour this many rows and columns further on, and of those neighbours."""
     h, w = values.shape[:2]
     return values[: h - rows, : w - cols], values[rows:, cols:]
 
@@ -156,11 +156,11 @@ class Options:
     json_path: Annotated[Path, tyro.conf.arg(name="json")]
     """File for the figures."""
     samples: int = 200
-    """How many."""
+    """How many samples."""
     size: int = 256
     """Side of their photos in pixels."""
     data: Path | None = None
-    """A data set that is there already."""
+    """An existing data set to check."""
     workers: int = 2
     """Processes that make the samples."""
     sources: tyro.conf.OmitArgPrefixes[SourceConfig] = field(default_factory=SourceConfig)

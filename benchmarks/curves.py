@@ -47,7 +47,7 @@ def read_curves(path: Path) -> dict[str, Curve]:
 
 
 def charts(curves: dict[str, Curve]) -> list[Chart]:
-    """One chart of the losses and one of the errors on samples held out, of those that are errors in percent."""
+    """One chart of the losses and one of the held-out errors, of those that are in percent."""
     losses = {name.removeprefix("train_"): c for name, c in curves.items() if name.startswith("train_")}
     positive = {name: curve for name, curve in losses.items() if min(y for _, y in curve) > 0}
     tests = {

@@ -1,4 +1,4 @@
-"""Photos damaged at random, with the truth that is left of them."""
+"""Photos damaged at random, with the truth that remains."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from hybrid.draw import resized
 from hybrid.rectify.trust import REFERENCE_PX
 
 SMALLEST_PX, LARGEST_PX = 64.0**2, 100e6
-"""Areas that photos are resized to."""
+"""Range of areas to which photos are resized."""
 
 LATTICE = (33, 33)
 """Film points, edges included, over which errors are taken."""
@@ -23,8 +23,8 @@ LATTICE = (33, 33)
 
 @dataclass(frozen=True, eq=False)
 class Damaged:
-    """A photo and its true map. scale: pixels for each pixel of the photo before. before_px: the longer side of that.
-    kinds: what was done."""
+    """A photo and its true map. scale: pixels for each pixel of the original photo. before_px: longer side of the
+    original. kinds: the kinds of damage."""
 
     photo: UInt8[np.ndarray, "h w 3"]
     backward: BackwardMap
@@ -34,7 +34,7 @@ class Damaged:
 
     @property
     def to_reference(self) -> float:
-        """Pixels of the photo before, were its longer side REFERENCE_PX, for each pixel of this one."""
+        """Pixels of the original photo, scaled to a longer side of REFERENCE_PX, for each pixel of this one."""
         return REFERENCE_PX / self.before_px / self.scale
 
     def visible_share(self) -> float:
@@ -77,7 +77,7 @@ def _jpeg(it: Damaged, rng: np.random.Generator) -> Damaged:
 
 
 def _cover(it: Damaged, rng: np.random.Generator) -> Damaged:
-    """Up to three patches of one colour, together up to a third of the photo."""
+    """Up to three patches of one colour each, together up to a third of the photo."""
     photo, (height, width) = it.photo.copy(), it.photo.shape[:2]
     for _ in range(int(rng.integers(1, 4))):
         x, y = rng.uniform(0, width), rng.uniform(0, height)
@@ -97,7 +97,7 @@ def _crop(it: Damaged, rng: np.random.Generator) -> Damaged:
 
 
 def _rotate(it: Damaged, rng: np.random.Generator) -> Damaged:
-    """Turned by any angle about the middle, the frame as it was."""
+    """Turned by any angle about the middle, with the frame unchanged."""
     height, width = it.photo.shape[:2]
     angle = rng.uniform(0, 2 * np.pi)
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
@@ -109,7 +109,7 @@ def _rotate(it: Damaged, rng: np.random.Generator) -> Damaged:
 
 
 def _resize(it: Damaged, rng: np.random.Generator) -> Damaged:
-    """Any area from 64 x 64 pixels to 100 megapixels, evenly by its logarithm."""
+    """Any area from 64 x 64 pixels to 100 megapixels, uniform in its logarithm."""
     height, width = it.photo.shape[:2]
     factor = float(np.exp(rng.uniform(np.log(SMALLEST_PX), np.log(LARGEST_PX)))) / (height * width)
     size = (max(2, round(height * factor**0.5)), max(2, round(width * factor**0.5)))
@@ -128,14 +128,14 @@ DAMAGES: dict[str, Damage] = {
     "jpeg": _jpeg,
     "resize": _resize,
 }
-"""In the order in which they happen to a photo."""
+"""In the order in which they are applied to a photo."""
 
 CUT_OFF = "cut off"
 """A file that ends too soon: damage to the bytes, not to the picture."""
 
 
 def cut_file(photo: UInt8[np.ndarray, "h w 3"], rng: np.random.Generator) -> bytes:
-    """A JPEG or PNG of the photo that ends somewhere before its end."""
+    """A JPEG or PNG of the photo, truncated somewhere."""
     suffix = ".jpg" if rng.random() < 0.7 else ".png"
     _, coded = cv2.imencode(suffix, photo[::2, ::2])
     return coded.tobytes()[: int(rng.uniform(0, 0.995) * coded.size)]

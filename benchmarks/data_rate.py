@@ -1,8 +1,8 @@
 """How fast samples are made: ``python -m benchmarks.data_rate --json OUT [--ct DIR --hdri DIR] [--quick]``.
 
-Samples a second of two worker processes through the generator's own path (films as tasks, coded samples, shards on
-disk), for photos of 1080 px with maps of 448 and of 256 px with maps of 256; memory after 2,000 samples against 200;
-processor seconds by part; rays for a sample, and rays a second against what Open3D reaches here.
+It measures samples a second from two worker processes on the generator's own path (films as tasks, coded samples,
+shards on disk), for photos of 1080 px with maps of 448 and of 256 px with maps of 256; memory after 2,000 samples
+against 200; processor seconds by part; rays for a sample, and rays a second against what Open3D reaches here.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from hybrid.mesh.raycast import FilmCaster
 
 WORKERS = 2
 SHARD = 64
-"""Samples in a shard here: few, so that closing shards is part of what is timed."""
+"""Samples in a shard here: few, so that closing shards is timed, too."""
 
 REQUIRED = {"rate_1080": 5.0, "rate_256": 20.0, "rss_growth": 0.05}
 
@@ -53,8 +53,8 @@ PARTS: dict[str, tuple[str, ...]] = {
     "truth": ("_glare", "_albedo", "_uncovered", "view_parameters"),
     "write": ("sample_bytes", "write_shard"),
 }
-"""Functions whose time, with all that they call, is a part. Hardly any is called within another: ``put_over`` and
-``at_photo_scale`` are, for less than a hundredth of the time."""
+"""Functions whose time, with all that they call, is a part. Hardly any calls another: ``put_over`` and
+``at_photo_scale`` do, for less than a hundredth of the time."""
 
 
 @dataclass(frozen=True)
@@ -64,11 +64,11 @@ class Options:
     json_path: Annotated[Path, tyro.conf.arg(name="json")]
     """File for the figures."""
     quick: bool = False
-    """Shorter, of fewer phantoms, and memory after 128 samples only."""
+    """A shorter run, with fewer phantoms, and memory measured after 128 samples only."""
     seconds: float = 40.0
-    """That each rate is measured for."""
+    """Duration of each rate measurement."""
     sources: tyro.conf.OmitArgPrefixes[SourceConfig] = field(default_factory=SourceConfig)
-    """CT volumes and environments; without them all is embedded."""
+    """CT volumes and environments; without them, everything is built in."""
 
     def __post_init__(self) -> None:
         require_at_least(self, 0, "seconds")
@@ -109,7 +109,7 @@ def measured(options: Options) -> dict[str, Any]:
 
 
 def touch_sources(config: SourceConfig) -> None:
-    """Load or make every volume in this process: they are kept from then on, and are neither rate nor growth."""
+    """Load or make every volume in this process: they are kept from then on, and count as neither rate nor growth."""
     for seed in range(40 * (config.phantoms[1] - config.phantoms[0]) // 4):
         draw_volume(config, np.random.default_rng(seed))
 
@@ -117,11 +117,11 @@ def touch_sources(config: SourceConfig) -> None:
 def rate(those: Workers, config: SampleConfig, seconds: float, marks: tuple[int, ...] = ()) -> dict[str, Any]:
     """Samples a second in a steady state, and the resident memory of all processes after ``marks`` samples.
 
-    core_seconds: processor time of all processes for a sample. Where other work runs on the machine the rate says
-    little; two idle cores make at most 2 / core_seconds.
+    core_seconds: processor time of all processes for a sample. The rate says little where other work runs on the
+    machine; two idle cores make at most 2 / core_seconds.
     """
     films = those.in_order(film_bytes, ((1, number, config) for number in count()))
-    list(islice(films, 3 * WORKERS))  # imports, first allocations, and a queue that is full
+    list(islice(films, 3 * WORKERS))  # imports, first allocations, and filling the queue
     stream, memory, made = chain.from_iterable(films), {}, 0
     with tempfile.TemporaryDirectory() as folder:
         began, busy = time.perf_counter(), processor_seconds()
@@ -165,7 +165,7 @@ def _resident_kib(pid: int) -> int:
 
 
 def parts(config: SampleConfig, films: int) -> dict[str, Any]:
-    """Processor seconds for a sample by part, in this process alone; rays cast and how fast."""
+    """Processor seconds for a sample by part, in this process alone; rays cast and their rate."""
     list(_written(config, films))  # makes the phantoms
     profile = cProfile.Profile(time.process_time)
     rays = _RayCount()
@@ -197,7 +197,7 @@ def _written(config: SampleConfig, films: int) -> Iterator[int]:
 
 
 class _RayCount:
-    """Counts the rays that all casters cast while it is entered."""
+    """Counts the rays that all casters cast while the context is active."""
 
     def __init__(self) -> None:
         self.cast = 0
@@ -217,7 +217,7 @@ class _RayCount:
 
 
 def _seconds(stats: pstats.Stats, function: str) -> float:
-    """Cumulative seconds of the functions of this project of one name; 'name module' tells methods apart."""
+    """Cumulative seconds of this project's functions of one name; 'name module' tells methods apart."""
     name, _, module = function.partition(" ")
     total = 0.0
     table: dict[Any, Any] = stats.stats  # type: ignore[attr-defined]

@@ -1,7 +1,8 @@
 """Photos with truth, changed around their film: what it may lie on or beside, and how it may lie in the frame.
 
-The film itself stays as it was photographed. What networks were trained with behind films (hybrid/learn/behind.py) is
-drawn by other rules: of these changes only the hard shadow and the round corners are much alike.
+The film itself stays as it was photographed. The things that networks are trained with behind films
+(hybrid/learn/behind.py) are drawn by other rules: of these changes only the hard shadow and the round corners are much
+alike.
 """
 
 from __future__ import annotations
@@ -40,20 +41,20 @@ class Sheet:
 
     @cached_property
     def box(self) -> Float[np.ndarray, "2 2"]:
-        """Of its photo points the least and the largest x and y."""
+        """The least and the largest x and y of its photo points."""
         return np.stack([self.nodes.min(axis=(0, 1)), self.nodes.max(axis=(0, 1))])
 
     @cached_property
     def ground(self) -> UInt8[np.ndarray, "h w"]:
-        """Share, of 255, of each pixel that shows no film."""
+        """Share, of 255, of ground (not film) in each pixel."""
         return ground_of(BackwardMap(self.nodes).outline(), self.photo.shape[:2])
 
     def on(self, other: Picture, share: UInt8[np.ndarray, "h w"] | None = None) -> Picture:
-        """The photo with another picture in place of its ground, or of a share of that."""
+        """The photo with another picture in place of its ground, or of a share of it."""
         return mixed(self.photo, other, self.ground if share is None else self.seen(share))
 
     def seen(self, share: UInt8[np.ndarray, "h w"]) -> UInt8[np.ndarray, "h w"]:
-        """What of a share of each pixel is ground."""
+        """The part of a share of each pixel that is ground."""
         return cv2.multiply(self.ground, share, scale=1 / 255)
 
 
@@ -69,7 +70,7 @@ def _on(picture: Callable[[Sheet, np.random.Generator], Picture]) -> Change:
 
 
 def _plain(sheet: Sheet, colour: Float[np.ndarray, "3"], rng: np.random.Generator) -> Picture:
-    """One colour, with a little noise, as a surface without marks comes out."""
+    """One colour with a little noise, like a surface without marks."""
     noisy = np.asarray(colour) + rng.normal(0, 1.5, sheet.photo.shape)
     return np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
 
@@ -82,7 +83,7 @@ def _as_black(sheet: Sheet, rng: np.random.Generator) -> Picture:
 
 
 def _cloth(crossed: bool, sheet: Sheet, rng: np.random.Generator) -> Picture:
-    """A table cloth of two colours, in perspective: striped, or chequered."""
+    """A table cloth of two colours, in perspective: striped or chequered."""
     h, w = sheet.photo.shape[:2]
     turn, period = rng.uniform(0, np.pi), max(h, w) * rng.uniform(0.04, 0.15)
     y, x = np.mgrid[:h, :w] / max(h, w) - 0.5
@@ -95,7 +96,7 @@ def _cloth(crossed: bool, sheet: Sheet, rng: np.random.Generator) -> Picture:
 
 
 def _page(sheet: Sheet, rng: np.random.Generator) -> Picture:
-    """Lines of print, as of a report that lies below."""
+    """Lines of print, like a report below the film."""
     h, w = sheet.photo.shape[:2]
     page = np.full((h, w, 3), rng.uniform(190, 250), np.uint8)
     letters = list("abcdefghiklmnoprstuvwxyz  ")
@@ -111,7 +112,7 @@ def _page(sheet: Sheet, rng: np.random.Generator) -> Picture:
 
 
 def _below(grey: tuple[float, float]) -> Change:
-    """A sheet of plain paper, of a grey between two, below the film and a little larger."""
+    """A sheet of plain paper below the film and a little larger, of a grey within a range."""
 
     def change(sheet: Sheet, other: Sheet, rng: np.random.Generator) -> Damaged:
         points = sheet.nodes.reshape(-1, 2).astype(np.float32)
@@ -126,7 +127,7 @@ def _below(grey: tuple[float, float]) -> Change:
 
 
 def _beside(sides: int) -> Change:
-    """Another film, bent and lit as it was in its own photo, on so many sides of this one, with or without a gap."""
+    """Another film, bent and lit as in its own photo, on this many sides of this one, with or without a gap."""
 
     def change(sheet: Sheet, other: Sheet, rng: np.random.Generator) -> Damaged:
         size, (low, high) = sheet.photo.shape[:2], sheet.box
@@ -146,7 +147,7 @@ def _beside(sides: int) -> Change:
 
 
 def _hard_shadow(sheet: Sheet, other: Sheet, rng: np.random.Generator) -> Damaged:
-    """The film's own shadow, as a small lamp throws it on a wall behind."""
+    """The film's own shadow, as a small lamp casts it on a wall behind."""
     outline, middle = sheet.backward.outline(), sheet.box.mean(axis=0)
     turn, size = rng.uniform(0, 2 * np.pi), float(np.hypot(*np.ptp(sheet.box, axis=0))) / np.sqrt(2)
     shear = np.eye(2) * rng.uniform(1.0, 1.2) + rng.normal(0, 0.03, (2, 2))
@@ -158,7 +159,7 @@ def _hard_shadow(sheet: Sheet, other: Sheet, rng: np.random.Generator) -> Damage
 
 
 def _rounded(sheet: Sheet, other: Sheet, rng: np.random.Generator) -> Damaged:
-    """Its corners rounded, as those of films from a box are: the ground near them is seen there."""
+    """Its corners rounded, as those of films from a box are: the ground near them shows there."""
     down, across = sheet.backward.mean_film_pixels()
     radius = rng.uniform(0.015, 0.04) * max(down, across)
     corners, size = RoundCorners(radius / across, radius / down), (sheet.photo.shape[0], sheet.photo.shape[1])
@@ -179,7 +180,7 @@ def _rounded(sheet: Sheet, other: Sheet, rng: np.random.Generator) -> Damaged:
 
 
 def _framed(moved: Float[np.ndarray, "2 3"], size: tuple[int, int], sheet: Sheet) -> Damaged:
-    """The photo moved within a frame of ``size`` (h, w); beyond its border goes on what is there, ever more blurred."""
+    """The photo moved within a frame of ``size`` (h, w); beyond its border the edge goes on, ever more blurred."""
     shown, frame = _for_opencv(moved), size[::-1]
     mean = tuple(float(c) for c in sheet.photo.mean(axis=(0, 1)))
     held = np.full(sheet.photo.shape[:2], 255, np.uint8)
@@ -195,13 +196,13 @@ def _framed(moved: Float[np.ndarray, "2 3"], size: tuple[int, int], sheet: Sheet
 
 
 def _for_opencv(moved: Float[np.ndarray, "2 3"]) -> Float[np.ndarray, "2 3"]:
-    """An affine map between photo points as one between OpenCV's points."""
+    """Convert an affine map between photo points to one between OpenCV's points."""
     origin = opencv_from_photo(np.zeros(2))
     return np.column_stack([moved[:, :2], moved[:, 2] + origin - moved[:, :2] @ origin])
 
 
 def _frame(taller: float, wider: float) -> Change:
-    """A frame so many times as tall and as wide, the photo somewhere in it."""
+    """A frame this many times as tall and as wide, with the photo somewhere in it."""
 
     def change(sheet: Sheet, other: Sheet, rng: np.random.Generator) -> Damaged:
         h, w = sheet.photo.shape[:2]
@@ -213,7 +214,7 @@ def _frame(taller: float, wider: float) -> Change:
 
 
 def _turned(sheet: Sheet, other: Sheet, rng: np.random.Generator) -> Damaged:
-    """Turned by 45 degrees and made smaller so that it fits."""
+    """Turned by 45 degrees and scaled down to fit."""
     middle = np.array(sheet.photo.shape[1::-1]) / 2
     turn = 0.72 * np.sqrt(0.5) * np.array([[1.0, -1.0], [1.0, 1.0]])
     size = (sheet.photo.shape[0], sheet.photo.shape[1])
@@ -221,7 +222,7 @@ def _turned(sheet: Sheet, other: Sheet, rng: np.random.Generator) -> Damaged:
 
 
 def _moved(sheet: Sheet, other: Sheet, rng: np.random.Generator) -> Damaged:
-    """Blurred along a line, as by a hand that was not still."""
+    """Blurred along a line, as by an unsteady hand."""
     length = max(3, round(max(sheet.photo.shape[:2]) * rng.uniform(0.005, 0.012)) | 1)
     turn = rng.uniform(0, np.pi)
     kernel = np.zeros((length, length), np.float32)

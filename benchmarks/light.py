@@ -1,10 +1,10 @@
 """How well light is removed: ``python -m benchmarks.light [--photos DIR] [--data DIR] --json OUT [--pictures DIR]``.
 
 Photos are flattened with their true map, so that geometry plays no part, or by the whole pipeline (``--end-to-end``,
-photos only). The film is compared with its print after one gain and offset: photos of a folder with textures/ at
-512 x 512, samples of a data set at the pixels of their maps, where the truth is stored. Beside it stand the best that
-simpler means could do if they knew the print: one gain and offset, one monotone curve, a smooth local gain and offset,
-and that with a curve.
+photos only). The film is compared with its print after one gain and offset: photos of a folder with textures/ at 512 x
+512, samples of a data set at the pixels of their maps, where the truth is stored. For comparison, it reports the best
+that simpler means could do if they knew the print: one gain and offset, one monotone curve, a smooth local gain and
+offset, and that with a curve.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ Grey = Float[np.ndarray, "h w"]
 
 @dataclass(frozen=True, eq=False)
 class Compared:
-    """A picture against the truth, display grey, where ``seen``."""
+    """Pictures and truth in display grey, compared where ``seen``."""
 
     lit: Grey
     film: Grey
@@ -65,10 +65,10 @@ class Compared:
 
 @dataclass(frozen=True)
 class LightScore:
-    """dB (and SSIM) against the print after one gain and offset, of the photo with its light, of the film, and of what
-    the best curve, local gain and offset, and both would make of the photo.
+    """dB (and SSIM) against the print after one gain and offset, of the photo with its light, of the film, and of the
+    photo after the best curve, local gain and offset, and both.
 
-    glare_both, glare_any: pixels that are glare by truth and result, and by either; None without truth.
+    glare_both, glare_any: pixels that are glare in both truth and result, and in either; None without truth.
     milliseconds: least of a few runs of the light stage alone; None end to end.
     """
 
@@ -91,7 +91,7 @@ class LightScore:
 
 
 def flat_size(backward: BackwardMap, aspect: float) -> tuple[int, int]:
-    """Size (h, w) of the film in which the photo's pixels are kept. aspect: height over width."""
+    """Size (h, w) of the film that keeps the photo's pixels. aspect: height over width."""
     down, across = backward.mean_film_pixels()
     width = max(across, down / aspect)
     width *= min(1.0, MAX_SIDE_PX / max(width, width * aspect))
@@ -99,7 +99,7 @@ def flat_size(backward: BackwardMap, aspect: float) -> tuple[int, int]:
 
 
 def score_photo(truth: TruePhoto, rectifier: Rectifier | None) -> tuple[LightScore, Compared] | None:
-    """One photo with textures; None where the pipeline finds no film."""
+    """Score one photo with textures; None where the pipeline finds no film."""
     printed = truth.read_print()
     if rectifier is None:
         size = flat_size(truth.backward, printed.shape[0] / printed.shape[1])
@@ -120,7 +120,7 @@ def score_photo(truth: TruePhoto, rectifier: Rectifier | None) -> tuple[LightSco
 
 
 def score_sample(place: Place) -> tuple[LightScore, Compared]:
-    """One sample of a data set."""
+    """Score one sample of a data set."""
     shard, k = place
     record, backward, photo = shard.record(k), film_of(place), photo_of(place)
     size = flat_size(backward, record["size_mm"][0] / record["size_mm"][1])
@@ -154,7 +154,7 @@ def reader() -> LevelReader:
 
 
 def timed(image: UInt8[np.ndarray, "h w 3"], valid: Bool[np.ndarray, "h w"]) -> tuple[Deillumination, float]:
-    """The film without its light, and the least milliseconds of a few runs."""
+    """The film without its light, and the fewest milliseconds of a few runs."""
     least, light = np.inf, deilluminate(image, valid, reader())
     for _ in range(RUNS):
         start = time.perf_counter()
@@ -204,7 +204,7 @@ def similarity(a: Grey, b: Grey, seen: Bool[np.ndarray, "h w"]) -> float:
 
 
 def affine(x: Grey, y: Grey, seen: Bool[np.ndarray, "h w"]) -> Grey:
-    """x after the best gain, which is not negative, and offset."""
+    """x after the best non-negative gain and offset."""
     spread = float(np.var(x[seen]))
     gain = max(float(np.mean((x[seen] - x[seen].mean()) * (y[seen] - y[seen].mean()))) / max(spread, 1e-12), 0.0)
     return gain * (x - x[seen].mean()) + y[seen].mean()
@@ -221,7 +221,7 @@ def best_curve(x: Grey, y: Grey, seen: Bool[np.ndarray, "h w"]) -> Grey:
 
 
 def best_local(x: Grey, y: Grey, seen: Bool[np.ndarray, "h w"]) -> Grey:
-    """x after a smooth local gain and offset: windowed regression on y, its coefficients smoothed as well."""
+    """x after a smooth local gain and offset: windowed regression on y, with smoothed coefficients."""
     weight = seen.astype(np.float64)
     sigma = LOCAL_SHARE * max(x.shape)
 
@@ -235,7 +235,7 @@ def best_local(x: Grey, y: Grey, seen: Bool[np.ndarray, "h w"]) -> Grey:
 
 
 def summarise(scores: Sequence[LightScore]) -> dict[str, Any]:
-    """Medians and means of all figures, how much film gains over lit, and the pooled overlap of glare."""
+    """Medians and means of all figures, the gain of film over lit, and the pooled overlap of glare."""
     names = ("lit", "film", "lit_ssim", "film_ssim", "best_curve", "best_local", "best_both")
     summary: dict[str, Any] = {"count": len(scores)}
     for name in names:
@@ -265,7 +265,7 @@ class Options:
     """Data set made by data_gen.generate."""
 
     every: int = 1
-    """Of the data set, every so many samples."""
+    """Take every so many samples of the data set."""
 
     end_to_end: bool = False
     """Flatten the photos by the whole pipeline, not with their true maps."""
@@ -278,7 +278,7 @@ class Options:
 
 
 def measure(options: Options) -> Iterator[tuple[str, LightScore, Compared]]:
-    """Every photo and sample, with the set that it is of."""
+    """Every photo and sample, with the name of its set."""
     if options.photos is None and options.data is None:
         do = "Name --photos or --data."
         raise ConfigError(describe(what="benchmarks.light", got="nothing to measure", do=do))

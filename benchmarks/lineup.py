@@ -1,8 +1,8 @@
-"""Who runs in ``benchmarks.run``: the floor, the scanner, the paper's networks, ``hybrid`` and its parts.
+"""The methods in ``benchmarks.run``: the floor, the scanner, the paper's networks, ``hybrid`` and its parts.
 
-The paper's networks run twice over. As wide as published, with random weights: their run time, and no error
-(``benchmarks.published``). With the weights that there are, in the folder that is named or in the package: their error,
-and the run time of a network of that width. Each row says which it is.
+The paper's networks run twice. As wide as published, with random weights: this gives their run time, and no error
+(``benchmarks.published``). With trained weights, from the named folder or the package: this gives their error, and the
+run time of a network of that width. Each row says which it is.
 """
 
 from __future__ import annotations
@@ -31,12 +31,12 @@ from hybrid.rectify.refine import RefineConfig
 from hybrid.rectify.repeat import RepeatConfig
 
 Maker = Callable[[Path | None], Method | None]
-"""Makes a method from a folder of weights; None where it needs some that are not there."""
+"""Makes a method from a folder of weights; None where it needs weights that are not there."""
 
 TOLD = "told the true map"
 
 MAIN = "hybrid"
-"""The pipeline as it comes."""
+"""The pipeline with its default options."""
 
 EFFORTS: dict[str, tuple[str, RectifyConfig]] = {
     "hybrid_fast": ("hybrid, fast", RectifyConfig.of("fast")),
@@ -46,7 +46,7 @@ EFFORTS: dict[str, tuple[str, RectifyConfig]] = {
 """The pipeline at its efforts, by name: label and options. One line each; all run at every size."""
 
 UNREAD = PathConfig(min_mass=2.0)
-"""No probability reaches 2: the network runs, and nothing that it says counts."""
+"""No probability reaches 2: the network runs, and its output does not count."""
 
 CONFIGURATIONS: dict[str, tuple[str, RectifyConfig]] = {
     "hybrid_two_looks": ("hybrid, two looks", RectifyConfig(predict=PredictConfig(looks=2))),
@@ -78,14 +78,14 @@ CONFIGURATIONS: dict[str, tuple[str, RectifyConfig]] = {
 """The pipeline with one thing changed, by name: label and options. These run at the first size only."""
 
 OWN = frozenset({"filmnet_one_look", "filmnet", *EFFORTS, *CONFIGURATIONS})
-"""What is of this project; all others are rivals, but the floor."""
+"""What belongs to this project; all others are rivals, except the floor."""
 
 
 # ---------------------------------------------------------------- floor and scanner
 
 
 def remap(weights: Path | None) -> Method:
-    """The floor: one bilinear lookup by OpenCV through a map that is there already, to a film of the common size."""
+    """The floor: one bilinear lookup by OpenCV through a given map, to a film of the common size."""
 
     def given(case: Case) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         at = opencv_from_photo(case.backward.dense(case.film_size()))
@@ -135,14 +135,14 @@ LINEUP: dict[str, Maker] = {
     "filmnet": METHODS["filmnet"],
     **{name: _pipeline(name, label, config) for name, (label, config) in (EFFORTS | CONFIGURATIONS).items()},
 }
-"""All that is compared, in the order of the tables."""
+"""All methods that are compared, in the order of the tables."""
 
 
 def lineup(added: tuple[Path, ...] = ()) -> dict[str, Maker]:
-    """All methods, with those of the files that were added.
+    """All methods, including those of the files that were added.
 
     Raises:
-        ConfigError: a file that is no Python module with a table METHODS, or a name that is taken.
+        ConfigError: a file is not a Python module with a table METHODS, or a name is taken.
     """
     everyone = dict(LINEUP)
     for path in added:

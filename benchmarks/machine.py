@@ -1,4 +1,4 @@
-"""On what, with what, and by which command a figure was made: stored beside every result."""
+"""How a figure was made: machine, versions and command, stored beside every result."""
 
 from __future__ import annotations
 
@@ -40,14 +40,14 @@ def describe_run(command: list[str]) -> dict[str, Any]:
 
 
 def shown_sources(*paths: Path | None) -> str:
-    """Folders and files that decide results, as they are shown in reports; empty without any."""
+    """Folders and files that determine results, as shown in reports; empty if there are none."""
     return relative_command([str(path.absolute()) for path in paths if path is not None])
 
 
 def relative_command(command: list[str]) -> str:
-    """The command in one line, without this machine's folders: paths are as seen from the working directory.
+    """The command in one line, without this machine's folders: paths are relative to the working directory.
 
-    Of a path further away than beside it, only the last name is left.
+    Of a path further away than beside it, only the last name is kept.
     """
     return " ".join(_relative(word) for word in command)
 
@@ -63,9 +63,10 @@ def _relative(word: str) -> str:
 
 @cache
 def commit() -> str | None:
-    """The commit that this process's code is at, with a digest of what is changed since; None outside a repository.
+    """The commit of this process's code, with a digest of uncommitted changes; None outside a repository.
 
-    It is asked for once: what a process runs it has loaded by then, and others may go on working on the tree.
+    It is read only once: by then the process has loaded the code that it runs, while others may go on working on the
+    tree.
     """
     head = _git("rev-parse", "--short=12", "HEAD")
     changed = None if head is None else _git("diff", "HEAD")
@@ -73,30 +74,30 @@ def commit() -> str | None:
 
 
 def shown_contents(shown: Path | None, *unnamed: Path) -> str:
-    """A file or folder as ``shown_sources`` has it, and a digest of its contents and of further files, whose names
-    decide nothing; empty without any."""
+    """A file or folder as ``shown_sources`` gives it, and a digest of its contents and of further files, whose names do
+    not matter; empty if there are none."""
     return " ".join(filter(None, (shown_sources(shown), _digest_of(shown, *unnamed))))
 
 
 def shown_data(*paths: Path | None) -> str:
-    """Photos and data sets as ``shown_sources`` has them, each with a digest of its contents; empty without any."""
+    """Photos and data sets as ``shown_sources`` gives them, each with a digest of its contents; empty without any."""
     return " ".join(shown_contents(path) for path in paths if path is not None)
 
 
 def used_machine() -> str:
-    """Processor and versions of the packages, in a line: times of others are not put together."""
+    """Processor and package versions in one line: times from other machines are not combined with these."""
     return ", ".join((processor(), *(f"{name} {version_of(name)}" for name in PACKAGES)))
 
 
 def _digest_of(*paths: Path | None) -> str:
-    """A short digest of the contents of files and folders; empty without any."""
+    """A short digest of the contents of files and folders; empty if there are none."""
     files = [file for path in paths if path is not None for file in ([path] if path.is_file() else path.rglob("*"))]
     contents = [_sha256_of(file) for file in sorted(files) if file.is_file()]
     return hashlib.sha256(b"".join(contents)).hexdigest()[:8] if contents else ""
 
 
 def _sha256_of(file: Path) -> bytes:
-    """Read piece by piece: data sets are larger than memory may be."""
+    """Read piece by piece: data sets may be larger than memory."""
     with file.open("rb") as opened:
         return hashlib.file_digest(opened, "sha256").digest()
 
@@ -128,7 +129,7 @@ def memory_gib() -> float | None:
 
 
 def load() -> float | None:
-    """Processes that wanted a processor over the last 15 minutes, this one among them; None where it is not told."""
+    """Average number of runnable processes over the last 15 minutes, this one included; None where it is not known."""
     return round(os.getloadavg()[2], 1) if hasattr(os, "getloadavg") else None
 
 
@@ -141,7 +142,7 @@ def version_of(package: str) -> str | None:
 
 
 def use_threads(count: int) -> None:
-    """From now on OpenCV, torch and the linear algebra libraries use at most ``count`` threads in this process."""
+    """Limit OpenCV, torch and the linear algebra libraries to ``count`` threads in this process from now on."""
     import cv2
     import torch
     from threadpoolctl import threadpool_limits
@@ -154,7 +155,7 @@ def use_threads(count: int) -> None:
 def memory_mib(which: Literal["VmRSS", "VmHWM"]) -> float | None:
     """Memory of this process: in use now (VmRSS) or at most so far (VmHWM); None where the system does not say.
 
-    getrusage's maximum is not taken: on Linux a new process starts with that of the process which started it.
+    getrusage's maximum is not taken: on Linux a new process inherits it from the process that started it.
     """
     try:
         lines = Path("/proc/self/status").read_text().splitlines()
@@ -164,7 +165,7 @@ def memory_mib(which: Literal["VmRSS", "VmHWM"]) -> float | None:
 
 
 def threads() -> dict[str, int | str | None]:
-    """Threads that the numerical libraries may use; torch is asked only where it is loaded already."""
+    """Threads that the numerical libraries may use; torch is asked only if it is loaded already."""
     import cv2
 
     torch = sys.modules.get("torch")

@@ -1,4 +1,4 @@
-"""One method on one photo: seconds of the whole call and of its parts, then how right it is."""
+"""One method on one photo: seconds of the whole call and of its parts, and its errors."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ from hybrid.learn.weights import parameter_count
 from hybrid.metrics import psnr_after_gain_offset
 
 PRINT_SIZE = (512, 512)
-"""Size (height, width) at which film and print are compared, both scaled by pixel area."""
+"""Size (height, width) at which film and print are compared, both scaled by area averaging."""
 
 MEMORY_LIMIT_S = 300.0
-"""A process that measures memory and takes longer is ended, and its figure left out."""
+"""A process that takes longer to measure memory is killed, and its figure left out."""
 
 
 def measure(method: Method, case: Case, megapixels: float, repeats: int, warm: bool) -> Measured:
-    """Call a method on a photo; ``warm`` if it was called at this size before, so that no call is thrown away."""
+    """Time a method on a photo; unless ``warm`` (it was called at this size before), a first call is not counted."""
     given, photo, size = method.given(case), case.photo(), case.film_size()
     if not warm:
         flattened(method, given, photo, size)
@@ -64,7 +64,7 @@ def measure(method: Method, case: Case, megapixels: float, repeats: int, warm: b
 
 
 def film_score(case: Case, result: Flattened) -> FilmScore | None:
-    """The flat pictures against the print, turned as the map says; None where the print is not known."""
+    """The flat pictures against the print, oriented by the map; None where the print is not known."""
     if not isinstance(case.source, Path) or result.image is None or result.backward is None:
         return None
     way = read_alike(result.backward, case.backward)[1]
@@ -78,8 +78,8 @@ def film_score(case: Case, result: Flattened) -> FilmScore | None:
 
 
 def sides_off(case: Case, result: Flattened) -> float | None:
-    """How far the flat film's ratio of sides is from the sheet's, as the logarithm's size: the end-point error, of film
-    coordinates, does not show it."""
+    """How far the flat film's ratio of sides is from the sheet's, as the logarithm's size: the end-point error does not
+    show it, as it is taken at film coordinates."""
     if result.image is None or result.backward is None:
         return None
     way = read_alike(result.backward, case.backward)[1]
@@ -96,11 +96,11 @@ def at_print_size(grey: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "a b"]:
 
 
 def peak_memory(load: Callable[[], Case], make: Callable[[], Method], megapixels: float, threads: int) -> Memory | None:
-    """What one call of a method takes at most, in a process that has done nothing before.
+    """The most memory that one call of a method takes, in a process that has done nothing before.
 
-    load, make: are pickled into the process. The photo is read before the first look at the memory and the method
-    made after it, so that its weights count as its own and the photo does not, whatever else the method is given. None
-    where the process dies or the system does not say.
+    load, make: are pickled into the process. Memory is first read after the photo is loaded and before the method is
+    made, so that its weights count as its own and the photo does not, whatever else the method is given. None where the
+    process dies or the system does not say.
     """
     context = multiprocessing.get_context("spawn")
     receiving, sending = context.Pipe(duplex=False)
@@ -135,7 +135,7 @@ def _call_once(
 def forward_time(name: str, network: Any, device: str, batch: int, repeats: int) -> Forward:
     """Seconds of a network's forward pass on a device; the first call is not counted.
 
-    network: with a configuration that says the side of its square input.
+    network: its configuration gives the side of its square input.
     """
     network, px = network.to(device).eval(), network.config.input_px
     images = torch.rand(batch, 3, px, px, device=device, generator=torch.Generator(device).manual_seed(0))

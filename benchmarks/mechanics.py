@@ -1,4 +1,4 @@
-"""Bending problems with known answers, and what the solver makes of them."""
+"""Bending problems with known answers, and the solver's errors on them."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def heavy_elastica_tip(gamma: float) -> Float[np.ndarray, "2"]:
 def cantilever(
     length: float, width: float, cells: int, material: FilmMaterial, unit: float
 ) -> tuple[MassSpring, Loads]:
-    """A strip along x that is clamped to the left of x = 0 by one more cell; no force yet."""
+    """A strip along x, clamped to the left of x = 0 by one more cell; no force yet."""
     spacing = length / cells
     sheet = lattice_sheet((width, length + spacing), (2, cells + 1))
     shifted = sheet.bent(sheet.vertices + np.array([0.5 * (length - spacing), 0.0, 0.0]))
@@ -74,7 +74,7 @@ def cantilever(
 
 
 def heavy_strip(gamma: float, cells: int) -> TipError:
-    """A film strip of the length that ``gamma`` asks for, under its own weight."""
+    """A film strip under its own weight, of the length that ``gamma`` requires."""
     film = FilmMaterial()
     per_area = film.density_kg_mm3 * film.thickness_mm * STANDARD_GRAVITY
     length = (gamma * film.bending_stiffness / per_area) ** (1 / 3)

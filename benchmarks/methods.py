@@ -1,4 +1,4 @@
-"""What is compared: each method finds, in a photo, where every film point is seen, and makes the flat film.
+"""The methods that are compared: each finds, in a photo, where every film point is seen, and makes the flat film.
 
 To add a method, write a file with a table ``METHODS`` and name it: ``python -m benchmarks.run --add my_method.py``.
 
@@ -9,8 +9,7 @@ To add a method, write a file with a table ``METHODS`` and name it: ``python -m 
 
     METHODS = {"mine": make}
 
-The photo is then read through the map as it is for everyone. A method that makes its own picture says so by
-``flatten``.
+The photo is then read through the map as for every other method. A method that makes its own picture sets ``flatten``.
 """
 
 from __future__ import annotations
@@ -62,7 +61,7 @@ class Flattened:
     """What a method makes of a photo.
 
     backward: its map, in pixels of the photo; None where it finds no film. image: the flat film with its light, RGB.
-    film: the same without light, display grey in [0, 1], from methods that take it away. parts: seconds, by part.
+    film: the same without light, display grey in [0, 1], from methods that remove it. parts: seconds, by part.
     message: what the method says of the photo. grid: the slices that it found, as ROWSxCOLS. claim: what it says of its
     result; None from methods that say nothing.
     """
@@ -80,13 +79,13 @@ class Flattened:
 class Method:
     """One way from a photo to a backward map, and on to the flat film.
 
-    find: the map, in pixels of the photo, with the print where the method makes one at the map's resolution (a
-    Recovery), or None (or a PhotoError) where no film is found. given: what ``find`` and ``flatten`` take, read from a
-    case before the clock starts: the photo, if nothing else is said. flatten: the whole way; None for those whose photo
-    is read through their map as everyone's. says_up: whether the map is meant to be of the film that reads right, and
-    not of the film as it lies. parameters: of its network. label: for people. training: of its network, in words.
-    unscored: why only its run time means anything; empty for methods that are scored. steady: whether the run time
-    hardly depends on the photo, so that a few calls tell it.
+    find: returns the map, in pixels of the photo, with the print where the method makes one at the map's resolution (a
+    Recovery); returns None (or raises a PhotoError) where no film is found. given: the input of ``find`` and
+    ``flatten``, read from a case before the clock starts: by default the photo. flatten: the whole way; None where the
+    photo is read through the map as for every other method. says_up: whether the map is meant to be of the film that
+    reads right, and not of the film as it lies. parameters: of its network. label: for people. training: of its
+    network, in words. unscored: why only its run time means anything; empty for methods that are scored.
+    steady: whether the run time hardly depends on the photo, so that a few calls are enough.
     """
 
     name: str
@@ -110,16 +109,16 @@ class Method:
 
 
 def map_in(found: BackwardMap | Recovery) -> BackwardMap:
-    """The map alone of what a method found."""
+    """The map alone, from what a method found."""
     return found.backward if isinstance(found, Recovery) else found
 
 
 def flattened(method: Method, given: Any, photo: UInt8[np.ndarray, "h w 3"], size: tuple[int, int]) -> Flattened:
-    """The whole way of a method, to a film of ``size`` (h, w) unless it chooses its own."""
+    """Run a method from photo to film, of ``size`` (h, w) unless it chooses its own."""
     try:
         if method.flatten is not None:
             return method.flatten(given)
-        with one_thread():  # as hybrid does: everyone's photo is read equally fast
+        with one_thread():  # as hybrid does: reading the photo takes all methods equally long
             start = time.perf_counter()
             found = method.find(given)
             until_map = time.perf_counter()
@@ -135,13 +134,13 @@ def flattened(method: Method, given: Any, photo: UInt8[np.ndarray, "h w 3"], siz
 
 
 def weights_path(folder: Path | None, name: str) -> Path | None:
-    """FOLDER/NAME.safetensors, FOLDER/NAME/NAME.safetensors as trainings leave it, or the packaged file; else None."""
+    """FOLDER/NAME.safetensors, FOLDER/NAME/NAME.safetensors as trainings write it, or the packaged file; else None."""
     packaged = packaged_path(name)
     return path_in(folder, name) or (packaged if packaged.exists() else None)
 
 
 def path_in(folder: Path | None, name: str) -> Path | None:
-    """The weights of a preset in a folder alone; None if they are not there."""
+    """The weights of a preset, from a folder only; None if they are not there."""
     if folder is None:
         return None
     places = (folder / f"{name}.safetensors", folder / name / f"{name}.safetensors")
@@ -150,18 +149,18 @@ def path_in(folder: Path | None, name: str) -> Path | None:
 
 @dataclass(frozen=True, eq=False)
 class Trained:
-    """A network with its weights, at the width and input of their file. training: on what, in words."""
+    """A network with its weights, at the width and input size of their file. training: on what, in words."""
 
     network: Any
     training: str
 
     @property
     def parameters(self) -> int:
-        """How many there are."""
+        """Number of parameters."""
         return parameter_count(self.network)
 
     def label(self, of: str) -> str:
-        """What a row with this network is called."""
+        """The name of a row with this network."""
         config = self.network.config
         width = f" at width {config.width:g}" if isinstance(config, PaperConfig) else ""
         return f"{of}, trained{width} ({millions(self.network)})"
@@ -173,7 +172,7 @@ def millions(network: nn.Module) -> str:
 
 
 def trained(folder: Path | None, name: str) -> Trained | None:
-    """The network of a preset; None if it is trained neither in the folder nor in the package.
+    """The network of a preset; None if neither the folder nor the package has its weights.
 
     Raises:
         DataError: the file holds other weights.
@@ -193,13 +192,13 @@ def _loaded(path: Path, name: str) -> Trained:
 
 
 def filmnet(folder: Path | None) -> Method | None:
-    """FilmNet alone: all its looks at the photo, from one side, as refinement starts from them. The packaged one, if
-    the folder has none."""
+    """FilmNet alone: all its looks at the photo, from one side, as refinement starts from them. Uses the packaged one
+    if the folder has none."""
     return _filmnet("filmnet", folder, PredictConfig(sides=(0,)), "hybrid, network alone")
 
 
 def filmnet_one_look(folder: Path | None) -> Method | None:
-    """FilmNet's first look, at the whole photo: one pass of a network, as the paper's have."""
+    """FilmNet's first look, at the whole photo: one pass of a network, as with the paper's."""
     return _filmnet("filmnet_one_look", folder, PredictConfig(looks=1, sides=(0,)), "hybrid, one look of its network")
 
 
@@ -222,7 +221,7 @@ def configured(name: str, config: RectifyConfig, label: str = "") -> Method:
 
 
 def of_rectifier(name: str, rectify: Callable[[Any], RectifyResult], label: str = "") -> Method:
-    """All that a rectifier makes of a photo, with the seconds of its stages."""
+    """Everything a rectifier makes of a photo, with the seconds of its stages."""
 
     def flatten(photo: Any) -> Flattened:
         result = rectify(photo)
@@ -253,7 +252,7 @@ def firenet(folder: Path | None, name: str = "firenet") -> Method | None:
 
 def firenet_uv(folder: Path | None) -> Method | None:
     """FiReNet by its uv map alone: its deformation map needs more training than there was, and costs more than it
-    gives."""
+    gains."""
     known = trained(folder, "firenet")
     if known is None:
         return None
@@ -261,7 +260,7 @@ def firenet_uv(folder: Path | None) -> Method | None:
 
 
 def trained_dewarpnet(folder: Path | None) -> Trained | None:
-    """DewarpNet trained as one, else its two stages put together, else the packaged one; None if there is none."""
+    """DewarpNet trained as one, else its two stages joined, else the packaged one; None if there is none."""
     shape, backward = (path_in(folder, f"dewarpnet_{stage}") for stage in ("shape", "bw"))
     if path_in(folder, "dewarpnet") is not None or shape is None or backward is None:
         return trained(folder, "dewarpnet")
@@ -270,7 +269,7 @@ def trained_dewarpnet(folder: Path | None) -> Trained | None:
 
 
 def dewarpnet(folder: Path | None) -> Method | None:
-    """DewarpNet, given its due: its map read as it is meant, the photo as everyone's."""
+    """DewarpNet, given its due: its map read as it is meant, the photo as for every other method."""
     known = trained_dewarpnet(folder)
     if known is None:
         return None
@@ -293,12 +292,12 @@ def dewarpnet_published(weights: Path | None) -> Method | None:
 
 
 def map_as_published(network: DewarpNet, photo: UInt8[np.ndarray, "h w 3"]) -> BackwardMap:
-    """Where the released inference reads the photo, without the picture that it makes."""
+    """Where the released inference reads the photo; its picture is not made."""
     return published_map(dewarpnet_map(network, photo), (photo.shape[0], photo.shape[1]))
 
 
 def flatten_as_published(network: DewarpNet, photo: UInt8[np.ndarray, "h w 3"]) -> Flattened:
-    """The released inference: the map's mean and resize, and a lookup in double precision at the photo's size."""
+    """The released inference: the map averaged and resized, and a lookup in double precision at the photo's size."""
     backward = dewarpnet_map(network, photo)
     image = published_image(backward, photo)
     found = published_map(backward, (image.shape[0], image.shape[1]))
@@ -348,7 +347,7 @@ def _of_network(
     find: Callable[[Any], BackwardMap | Recovery | None],
     given: Callable[[Case], Any] = photo_of_case,
 ) -> Method:
-    """A method that is a trained network and what finds the map of its answer."""
+    """A method made of a trained network and a function that finds the map from its output."""
     return Method(name, find, given, parameters=known.parameters, label=known.label(label), training=known.training)
 
 
@@ -365,7 +364,7 @@ METHODS: dict[str, Callable[[Path | None], Method | None]] = {
     "net_bw": net_bw,
     "net_uv": net_uv,
 }
-"""How each method is made from a folder of weights; None where neither it nor the package holds its network's."""
+"""How each method is made from a folder of weights; None where neither it nor the package has the network's weights."""
 
 __all__ = [
     "DEWARPNET_DUE",

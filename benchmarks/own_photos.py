@@ -12,13 +12,13 @@ from hybrid.files import write_bytes
 PHOTO_PX, MAP_PX = 1080, 256
 SHARD = 8
 OTHER_FILMS = 1_000_000
-"""Is added to the seed: no data set that somebody trains on has these films by chance."""
+"""Added to the seed: no data set used for training has these films by chance."""
 PHANTOMS_SHOWN = (PHANTOMS, PHANTOMS + 4)
-"""Embedded phantoms that no data set prints that does not name them."""
+"""Embedded phantoms that data sets print only if they name them."""
 
 
 def make_photos(folder: Path, count: int, seed: int) -> Path:
-    """A data set of at least ``count`` photos, each of another film; what is there already is not made again."""
+    """Make a data set of at least ``count`` photos, each of another film, unless it exists already."""
     done = folder / f".made_{count}_{seed}"
     if not done.exists():
         sample = SampleConfig(photos_per_film=1)

@@ -1,4 +1,4 @@
-"""What the page of the benchmarks says, in Markdown, read off the figures: nothing in it is written by hand."""
+"""The text of the benchmark page, in Markdown, made from the figures: nothing in it is written by hand."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from benchmarks.surroundings_records import SurroundingsReport
 
 @dataclass(frozen=True)
 class Results:
-    """What a page is made of. gallery: whether the photos themselves may be shown, and a picture of them is there."""
+    """What a page is made from. gallery: whether the photos may be shown and a picture of them exists."""
 
     run: Report
     stability: StabilityReport | None = None
@@ -46,10 +46,10 @@ def page_text(results: Results) -> str:
     parts = [
         "# Benchmarks\n\n" + _in_short(report),
         "## Time against error\n\n![Seconds against error at each size](images/benchmarks_time_error.png)\n\n"
-        "Left is faster, down is nearer to the truth; rings have a run time and no error.",
+        "Further left is faster, further down is more accurate; rings mark methods with a run time but no error.",
         *(size_section(report, size) for size in report.settings.sizes),
         "## Against each method\n\n" + _duels_text(report),
-        "## Where it loses\n\nEvery rival that is faster or nearer to the truth, also on one kind of photo alone:\n\n"
+        "## Where it loses\n\nEvery rival that is faster or more accurate, be it on one kind of photo only:\n\n"
         + losses_text(report),
         "## Kinds of photos\n\nMedian error, px:\n\n"
         + split_text(report)
@@ -73,25 +73,27 @@ def page_text(results: Results) -> str:
 
 
 def _in_short(report: Report) -> str:
-    """The pipeline at the first size, in a sentence for each effort."""
+    """The pipeline at the first size: a sentence for each effort."""
     size = report.settings.sizes[0]
     rows = {row.method.name: row for row in rows_of(report, size)}
     floor, lines = rows.get(FLOOR), []
     for name in efforts_of(report):
         row = rows[name]
-        found = f"films lost: {row.lost} of {row.photos}"
+        found = f"films not found: {row.lost} of {row.photos}"
         if row.error is not None:
-            found = f"{row.error:.2f} px off on the median photo, {number(row.worst_px, 2)} px on the worst; {found}"
+            found = (
+                f"{row.error:.2f} px of error on the median photo, {number(row.worst_px, 2)} px on the worst; {found}"
+            )
         if row.ok is not None:
-            found += f", called `OK`: {row.ok}, of these off by more than the limit: {row.wrongly_ok}"
+            found += f"; called `OK`: {row.ok}, of which beyond the limit: {row.wrongly_ok}"
         times = "" if floor is None else f", {row.seconds[0] / floor.seconds[0]:.3g} times `cv2.remap` alone"
         lines.append(
             f"`{row.method.label}` on {row.photos} photos of {size:g} megapixels: {found}; {row.seconds[0]:.2g} s "
             f"({row.cpu_seconds:.2g} processor seconds){times}."
         )
     lines.append(
-        "This page is made by a script from its own figures; no line of it is written by hand. How, and what the "
-        "figures mean, stands [at its end](#how-it-is-measured)."
+        "A script makes this page from measured figures; no line of it is written by hand. [How it is "
+        "measured](#how-it-is-measured) says how, and what the figures mean."
     )
     return "\n\n".join([*lines, *_warnings(report)])
 
@@ -103,7 +105,7 @@ def _duels_text(report: Report) -> str:
 
 
 def _own_parts(report: Report) -> list[str]:
-    """What only a run of the pipeline gives."""
+    """The parts that need a run of the pipeline."""
     if MAIN not in efforts_of(report):
         return []
     return [
@@ -120,31 +122,30 @@ def _how(report: Report) -> str:
     trained = [f"{m.label}: {m.training}" for m in report.methods if m.training and m.name in rivals_of(report)]
     timed = sorted(m.label for m in report.methods if m.unscored == TIME_ONLY)
     lines = [
-        f"To make these figures again:\n\n```bash\n{run['command']}\n```\n\nParts of other commands are put beside "
-        "them (`surroundings.json`, `stability.json` and `soak.json` into the same folder); `python -m benchmarks.page "
-        "--out DIR` makes the page.",
+        f"To reproduce these figures:\n\n```bash\n{run['command']}\n```\n\nThe results of the other commands "
+        "(`surroundings.json`, `stability.json` and `soak.json`) go into the same folder; `python -m benchmarks.page "
+        "--out DIR` then makes the page.",
         f"{machine['processor']}, {machine['usable_processors']} usable processors, {machine['memory_gib']} GiB; "
         f"threads for every method: {settings.threads}; Python {run['python']}, {versions}; {_made(run)}.",
-        f"**Equal footing.** {len(report.cases)} photos whose true geometry is known ({settings.source}). Where that "
-        "is known at every point a photo is rendered; the project's check photos, renders of a program that is not its "
-        "own, were looked at while `hybrid` was developed, so other photos are the fairer test. Every method "
-        "sees the same photos in memory and ends with the flat film in memory; the methods take turns on each photo. "
-        "Those that give a map have the photo read through it as `hybrid` reads it, to a film of the size that the "
-        "photo resolves. The floor is one bilinear `cv2.remap` to that film, through a map that is there already. "
-        "Networks of `hybrid` compute in bfloat16 where the processor has instructions for it, the others in single "
-        "precision, as published. "
-        f"Timed calls on each photo: {settings.repeats}, after one "
-        "at each size that does not count; networks of full width once each on two photos. Seconds: median over all "
-        "calls, quartiles in brackets; processor seconds are those of all threads, which other work on the machine "
-        "disturbs less. *Times the floor*: by the clock, by processor seconds in brackets. Memory is the peak of a "
-        "fresh process, beyond what the libraries and the photo hold.",
+        f"**Equal footing.** {len(report.cases)} photos whose true geometry is known ({settings.source}). Only a "
+        "rendered photo has a truth at every point. The project's check photos, rendered by a program that is not its "
+        "own, were looked at while `hybrid` was developed, so other photos are the fairer test. Every method gets the "
+        "same photos in memory and leaves the flat film in memory; the methods take turns on each photo. Where a "
+        "method gives a map, the photo is read through it as `hybrid` does, to a film of the size that the photo "
+        "resolves. The floor is one bilinear `cv2.remap` to that film, through a map that exists already. The networks "
+        "of `hybrid` compute in bfloat16 where the processor has instructions for it, the others in single precision, "
+        f"as published. Timed calls on each photo: {settings.repeats}, after one at each size that does not count; "
+        "networks of full width run once on each of two photos. Seconds: median over all calls, quartiles in brackets; "
+        "processor seconds add up all threads and suffer less from other work on the machine. *Times the floor*: by "
+        "the clock, in brackets by processor seconds. Memory is the peak of a fresh process, beyond what the libraries "
+        "and the photo hold.",
         "**Error.** *End-point error*: mean distance over the film between found and true photo points, in pixels of a "
         "photo of 1080 and in percent of the film's diagonal, whichever side of the film a method takes to be up. "
         "*Distortion*: the same distance on the flat film, in pixels of one of 598,400. *PSNR, SSIM, MS-SSIM*: the "
-        "paper's protocol, raw and (in brackets) de-shifted, which takes the truth to know. *Film*: dB of the film "
-        "against its print after one gain and offset, without the light and (in brackets) with it. *Sides*: by how "
-        "many percent the flat film's ratio of sides is off the sheet's; of methods that are told it nothing. Medians "
-        "over photos; films that were not found are counted, and stay out.",
+        "paper's protocol, raw and (in brackets) de-shifted, which needs the truth. *Film*: dB of the film against its "
+        "print after one gain and offset, without the light and (in brackets) with it. *Sides*: error of the flat "
+        "film's ratio of sides, in percent; none for methods that are given it. Figures are medians over photos; films "
+        "that were not found are counted and left out of them.",
     ]
     limits = sorted({m.claim.limit_px for m in report.measured if m.claim and m.claim.ok and m.claim.limit_px})
     if limits:
@@ -155,48 +156,48 @@ def _how(report: Report) -> str:
         )
     if timed:
         lines.append(
-            f"**Run time of the paper's networks:** {'; '.join(timed)}. As wide as published, with random weights, on "
-            "whose values the time does not depend; for what follows the network, its answer is replaced by the true "
-            "one. These rows have no error."
+            f"**Run time of the paper's networks:** {'; '.join(timed)}. As wide as published, with random weights, as "
+            "run time does not depend on their values; the steps after the network get the true map instead of its "
+            "output. These rows have no error."
         )
     if trained:
         lines.append(
-            f"**Error of the paper's networks:** {'; '.join(trained)}. These rows have the error of the weights that "
-            "there are, which are not the authors', and the run time of a network of that width."
+            f"**Error of the paper's networks:** {'; '.join(trained)}. These rows have the error of this project's "
+            "weights, not of the authors', and the run time of a network of that width."
         )
     return "\n\n".join(lines)
 
 
 def _made(run: dict[str, Any]) -> str:
-    """With which code and when: parts of the page may be older than others."""
+    """The commit and the date, as some parts of the page may be older than others."""
     return f"commit {run['commit']}; {run['time_utc'][:10]}"
 
 
 def _warnings(report: Report) -> list[str]:
-    """What the figures of this run cannot tell."""
+    """What this run's figures cannot show."""
     settings, machine = report.settings, report.run["machine"]
     upscaled = [f"{s:g}" for s in settings.sizes if any(s * 1e6 > 1.25 * c.size[0] * c.size[1] for c in report.cases)]
     lines, wanted = [], machine.get("load")
     if wanted is not None and wanted > machine["usable_processors"] + 1:
         lines.append(
             f"**The machine was busy**: {wanted:g} processes shared {machine['usable_processors']} processors, so "
-            "seconds by the clock are several times too long and scatter; only processor seconds can be compared."
+            "seconds by the clock are several times too long and scatter; compare processor seconds only."
         )
     if upscaled:
         lines.append(
-            f"Photos of {', '.join(upscaled)} megapixels are smaller ones scaled up, and their truth with them: good "
-            "for run time and memory, but they hold no more detail."
+            f"Photos of {', '.join(upscaled)} megapixels are smaller ones scaled up, along with their truth: right for "
+            "run time and memory, but without more detail."
         )
     return lines
 
 
 def _surroundings_text(surroundings: SurroundingsReport) -> str:
-    alone = "what refinement starts from"
+    alone = "the map that refinement starts from"
     if surroundings.sides > 1:
-        alone = f"the mean of what it sees from {surroundings.sides} sides; refinement starts from one"
+        alone = f"the mean of its maps from {surroundings.sides} sides; refinement starts from one of them"
     return (
-        "Photos with truth, changed around their film, which stays as it was photographed. Errors are geometric means, "
-        "over the films found, of end-point errors in pixels of the photo before it was changed, had it 1080. "
+        "Photos with truth, changed around the film, which stays as it was photographed. Errors are geometric means, "
+        "over the films found, of end-point errors in pixels of the photo before the change, scaled to 1080. "
         f"The network alone: {alone}.\n\n"
         f"```bash\n{surroundings.run['command']}\n```\n\n{_made(surroundings.run).capitalize()}.\n\n"
         + surroundings_table(surroundings)
@@ -210,11 +211,11 @@ def _stability_text(stability: StabilityReport) -> str:
     ]
     counts = stability.counts()
     verdict = (
-        f"Of {len(stability.photos)} damaged photos {counts['ok']} were reported ok, {counts['unsure']} flattened with "
-        f"a warning ({stability.cautious} of these were right after all), {counts['refused']} refused with a reason. "
-        f"Crashes: {counts['crash']}; hangs: {counts['hang']}; NaN: {counts['nan']}; reported ok but more than "
-        f"{stability.truthful_px:g} px off: {counts['untruthful']}; refused though a right map was there: "
-        f"{counts['lost']}."
+        f"Of {len(stability.photos)} damaged photos {counts['ok']} were reported ok, {counts['unsure']} were flattened "
+        f"with a warning ({stability.cautious} of these were right after all), and {counts['refused']} were refused "
+        f"with a reason. Crashes: {counts['crash']}; hangs: {counts['hang']}; NaN: {counts['nan']}; reported ok but "
+        f"more than {stability.truthful_px:g} px off: {counts['untruthful']}; refused although a right map had been "
+        f"found: {counts['lost']}."
     )
     damages = [
         [d.damage, str(d.photos), str(d.ok), str(d.unsure), str(d.refused), str(d.failed)]
@@ -225,19 +226,19 @@ def _stability_text(stability: StabilityReport) -> str:
         + table(("part", "what", "tried", "refused", "failed", "worst residual"), rows)
         + f"\n\n{verdict}\n\n"
         + table(("damage", "photos", "ok", "unsure", "refused", "failed"), damages)
-        + "\n\n*Failed* is whatever must not be: a crash, a hang, NaN, an untruth, or a refusal though a right map was "
-        "there."
+        + "\n\n*Failed* counts what must not happen: a crash, a hang, NaN, an untruthful status, or a refusal although "
+        "a right map had been found."
     )
 
 
 def _soak_text(soak: SoakReport) -> str:
     return (
         f"```bash\n{soak.run['command']}\n```\n\n{_made(soak.run).capitalize()}.\n\n"
-        f"{soak.photos} photos of {soak.photo_px} px again and again, {soak.films} films: "
+        f"{soak.photos} photos of {soak.photo_px} px, rectified over and over, {soak.films} films in all: "
         f"memory {soak.memory_mib[0]:.0f} MiB after {soak.settled} films, "
         f"{soak.memory_mib[-1]:.0f} MiB at the end ({100 * soak.memory_growth():+.1f} %); a film takes "
         f"{100 * soak.time_drift():+.1f} % longer in the last fifth than in the first (processor seconds); "
-        f"{soak.different} results differ from those of the same photo before."
+        f"{soak.different} results differ from earlier ones of the same photo."
     )
 
 

@@ -16,9 +16,9 @@ SCORES = ("psnr", "ssim", "ms_ssim")
 class Table:
     """A table of the paper.
 
-    kinds: which of our scores it holds ("raw": of the unwarped photo; "deshifted": without the mean shift, which
-    takes the truth to know; "map": of the backward map as an image). rows: methods by name, with a label.
-    published: the paper's figures by method and kind, from its own test set.
+    kinds: which of our scores it holds ("raw": of the unwarped photo; "deshifted": without the mean shift, which only
+    the truth tells; "map": of the backward map as an image). rows: methods by name, with a label. published: the
+    paper's figures by method and kind, from its own test set.
     """
 
     title: str
@@ -76,7 +76,7 @@ network it is."""
 
 
 def table_text(table: Table, rows: Mapping[str, Mapping[str, Any]]) -> str:
-    """The table with ours beside the paper's; rows: summaries by method (benchmarks.tables)."""
+    """The table with our figures beside the paper's; rows: summaries by method (benchmarks.tables)."""
     pairs = "".join(f" | {kind + ', dB SSIM MS-SSIM':<25} {'paper':<20}" for kind in table.kinds)
     head = f"{'':<25}{pairs} | {'px mean':>8} {'median':>7} {'%':>6} {'lost':>5} {'up':>6} {'ms':>8} {'M':>6}"
     lines = [f"{table.title} ({_counts(rows)} photos)", head]

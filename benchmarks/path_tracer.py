@@ -1,8 +1,8 @@
-"""A film scene handed to Mitsuba 3: the mesh, the thin sheet's BSDF, lamps, room and camera; and its linear radiance.
+"""A film scene for Mitsuba 3: the mesh, the thin sheet's BSDF, lamps, room and camera; and its linear radiance.
 
 The BSDF is written a second time here, in Mitsuba's own terms (its microfacet distribution and Fresnel equations), so
-that only the equations of data_gen/shade.py are common to both. Needs the extra ``bench`` and LLVM 17 or newer, which
-Mitsuba loads (15 fails on some processors: "Cannot select fminimum"); DRJIT_LIBLLVM_PATH names its library if need be.
+that it shares only the equations with data_gen/shade.py. Needs the extra ``bench`` and LLVM 17 or newer, which Mitsuba
+loads (15 fails on some processors: "Cannot select fminimum"); DRJIT_LIBLLVM_PATH names its library if need be.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ _TABLE = 256
 
 @dataclass(frozen=True)
 class TraceConfig:
-    """samples: per pixel. max_depth: surfaces that light may meet, the lamp counted (2: light straight from lamps).
+    """samples: per pixel. max_depth: surfaces that light may meet, the lamp included (2: light straight from lamps).
 
-    self_shadows: of the film; without them light comes straight from the lamps whatever the depth.
+    self_shadows: of the film; without them light comes straight from the lamps at any depth.
     """
 
     samples: int = 256
@@ -44,15 +44,15 @@ class TraceConfig:
 
 
 LEAST_LLVM = (17,)
-"""The version from which LLVM compiles the maximum of two numbers for x86 as Mitsuba asks for it."""
+"""The first version in which LLVM can compile Mitsuba's maximum of two numbers for x86."""
 
 
 @lru_cache(maxsize=1)
 def mitsuba(threads: int = 1) -> Any:
-    """The module with its vectorised CPU variant set and the film's BSDF known.
+    """The module with its vectorised CPU variant set and the film's BSDF registered.
 
     Raises:
-        ConfigError: no Mitsuba, which only an installation with the extra ``bench`` has, or an LLVM that is too old.
+        ConfigError: Mitsuba is missing (it comes with the extra ``bench``), or LLVM is too old.
     """
     try:
         import drjit  # pyright: ignore[reportMissingImports]  (an extra, "bench")
@@ -62,7 +62,7 @@ def mitsuba(threads: int = 1) -> Any:
 
     mi.set_variant("llvm_ad_rgb")
     version = drjit.detail.llvm_version()
-    if version < LEAST_LLVM:  # it would end the process while it compiles the first scene
+    if version < LEAST_LLVM:  # compiling the first scene would kill the process
         do = "Install a later LLVM, or let DRJIT_LIBLLVM_PATH name its libLLVM.so."
         raise ConfigError(describe(what="path tracer", got=f"LLVM {version}", allowed=f">= {LEAST_LLVM}", do=do))
     drjit.set_thread_count(threads)

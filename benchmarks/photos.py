@@ -54,7 +54,7 @@ class TruePhoto:
 
 
 def load_photos(folder: Path) -> list[TruePhoto]:
-    """All photos with truth in a folder, by name; DataError where there is none or one is incomplete."""
+    """All photos with truth in a folder, by name; DataError if there are none or one is incomplete."""
     truths = sorted(folder.glob("*.npz"))
     if not truths:
         do = "Name a folder that holds NAME.jpg, NAME.npz with the true lattice, and textures/."

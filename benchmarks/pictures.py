@@ -24,11 +24,11 @@ from hybrid.records import RectifyResult
 
 TILE_PX = 420
 ERROR_RANGE_PX = 10.0
-"""End-point error (1080 px) that is drawn brightest in the gallery."""
+"""End-point error (in a photo of 1080 px) that is drawn brightest in the gallery."""
 
 
 def write_pictures(report: Report, folder: Path) -> None:
-    """The charts of a report into a folder."""
+    """Write the charts of a report into a folder."""
     make_folder(folder, "--out")
     write_rgb(folder / "time_error.png", time_against_error(report))
     write_rgb(folder / "bend.png", error_against_bend(report))
@@ -36,7 +36,7 @@ def write_pictures(report: Report, folder: Path) -> None:
 
 
 def write_gallery(report: Report, cases: Sequence[Case], weights: Path | None, count: int, folder: Path) -> None:
-    """So many photos from the best to the worst of ``hybrid``, which runs on them again; nothing, if it was not run."""
+    """Draw this many photos, from ``hybrid``'s best to its worst, on which it runs again; nothing if it was not run."""
     chosen = best_to_worst(report, count)
     if chosen:
         make_folder(folder, "--out")
@@ -76,12 +76,12 @@ def time_against_error(report: Report) -> Picture:
 
 
 def _short(method: MethodNote) -> str:
-    """A method's label without what stands in brackets: the page's tables say that."""
+    """A method's label without the part in brackets: the page's tables show that."""
     return method.label.partition(" (")[0]
 
 
 def error_against_bend(report: Report) -> Picture:
-    """Each photo of the first size: how far it is bent against the error of each method."""
+    """Each photo of the first size: its bend against the error of each method."""
     bend = {case.name: case.bend_deg for case in report.cases if case.bend_deg is not None}
     size = report.settings.sizes[0]
     points = []

@@ -1,6 +1,6 @@
-"""Random problems for single parts of the code: splines, uv maps, grids. Each ends well, or is refused for a reason.
+"""Random problems for single parts of the code: splines, uv maps, grids. Each must be solved, or refused for a reason.
 
-An outcome is a ``Solved`` with its residual, a refusal, or a failure: an exception that is no refusal, a number that is
+An outcome (``End``) is a residual, a refusal, or a failure: an exception that is no refusal, a number that is
 not finite, a law that is broken.
 """
 
@@ -25,10 +25,10 @@ from hybrid.rectify.invert import NotInverted, fit_backward
 from hybrid.rectify.tps import affine_basis, choose_smoothing, fit_tps, fit_tps_robust
 
 SHOWN = 8
-"""Failures that are described."""
+"""Number of failures that are described."""
 
 ROUNDING = 1e-6
-"""By which a fit may miss a law of exact arithmetic, relative to the spread of what is fitted."""
+"""How much a fit may violate a law of exact arithmetic, relative to the spread of the fitted values."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ Problem = Callable[[np.random.Generator], End]
 
 
 def ended(problem: Problem, seed: int) -> End:
-    """A problem's end; any exception but the project's own is a failure."""
+    """Run a problem; any exception but the project's own is a failure."""
     try:
         with np.errstate(all="ignore"):
             return problem(np.random.default_rng(seed))
@@ -56,7 +56,7 @@ def ended(problem: Problem, seed: int) -> End:
 
 
 def part_of(name: str, what: str, unit: str, ends: Iterable[End]) -> Part:
-    """Many ends in numbers."""
+    """Summarise many ends in numbers."""
     found = list(ends)
     failures = [end.failure for end in found if end.failure]
     refusals = Counter(end.refusal for end in found if end.refusal)
@@ -89,10 +89,10 @@ def solver(rng: np.random.Generator) -> End:
 
 
 def spline(rng: np.random.Generator) -> End:
-    """4 to 400 points, some of them repeated, nearly so, or on a line, at any scale, a part of them wrong.
+    """4 to 400 points, some of them repeated, nearly so, or on a line, at any scale, some of them wrong.
 
     A spline explains its points at least as well as the best affine map, which does not bend at all. The residual: what
-    an interpolating one leaves; where points repeat, that is their disagreement.
+    an interpolating spline leaves; where points repeat, that is their disagreement.
     """
     points = _random_points(rng)
     values = points @ rng.normal(size=(2, 2)) + 0.2 * np.ptp(points) * np.sin(points / max(np.ptp(points), 1e-9))
@@ -111,7 +111,7 @@ def spline(rng: np.random.Generator) -> End:
     if not np.isfinite(residuals).all():
         return End(failure=f"{kind}: not finite")
     if kind == "robust":
-        return End()  # what it leaves out is not to be explained
+        return End()  # a robust fit need not explain what it rejects
     spline_rms, affine_rms = _rms(residuals), _rms(_affine_residuals(points, values))
     if spline_rms > affine_rms + ROUNDING * spread:
         return End(failure=f"{kind}: residual {spline_rms:.3g} above the affine map's {affine_rms:.3g}")
@@ -146,9 +146,9 @@ def _rms(values: np.ndarray) -> float:
 
 
 def inversion(rng: np.random.Generator) -> End:
-    """uv maps of random sheets with noise, holes, wrong pixels and NaN, down to nonsense.
+    """uv maps of random sheets with noise, holes, wrong pixels and NaN, up to nonsense.
 
-    The residual counts for maps with no more than noise: error in % of the film's diagonal.
+    The residual counts only for maps with no defect but noise: error in % of the film's diagonal.
     """
     true = random_sheet(rng)
     points = pixel_centres((32, 32)) * (1080 / 32)
@@ -199,8 +199,8 @@ def _lattice(true: BackwardMap) -> Float[np.ndarray, "9 9 2"]:
 def grid(rng: np.random.Generator) -> End:
     """Combs of lines of any number, contrast and noise, and pictures without any.
 
-    The residual: how far a found line lies from the nearest that was drawn, in % of the film. A comb that refinement
-    would believe by itself, where nothing is drawn or with another number of cells than were drawn, is a failure.
+    The residual: how far a found line lies from the nearest drawn one, in % of the film. It is a failure if a comb is
+    found that refinement would believe by itself, where nothing is drawn or with the wrong number of cells.
     """
     height, width = (int(n) for n in rng.integers(40, 700, 2))
     image = rng.normal(rng.uniform(10, 120), 10 ** rng.uniform(-1, 1.2), (height, width)).astype(np.float32)
@@ -239,6 +239,6 @@ PROBLEMS: dict[str, tuple[Problem, str, str]] = {
     "inversion": (inversion, "uv maps with noise, holes, wrong pixels, NaN, nonsense", "% of the film (noise only)"),
     "grid": (grid, "combs of lines in noise, and pictures without", "% of the film"),
 }
-"""Name: problem, what is tried, unit of the residual."""
+"""Name: problem, description, unit of the residual."""
 
 __all__ = ["PROBLEMS", "End", "ended", "part_of", "random_sheet"]

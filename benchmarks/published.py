@@ -1,8 +1,8 @@
 """The paper's networks as wide as published, and DewarpNet as released: their run time.
 
-It does not depend on the values of the weights, so these are random. What follows the network does depend on what the
-network says (recovery looks at film pixels, resampling at places in the photo), so the network is waited for and its
-answer exchanged for the true one. Such a method has a run time and no error.
+It does not depend on the values of the weights, so these are random. What follows the network does depend on its output
+(recovery looks at film pixels, resampling at places in the photo), so the network runs and its output is then replaced
+by the true one. Such a method has a run time and no error.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ TIME_ONLY = "time only: random weights"
 
 
 class Prompted(nn.Module):
-    """A network that is waited for; then another answer is given in its place."""
+    """Runs a network, then returns another answer in place of its output."""
 
     def __init__(self, network: Any, answer: Any) -> None:
         nn.Module.__init__(self)  # not the network's own: nothing is to be built
@@ -53,11 +53,11 @@ class Prompted(nn.Module):
 
 
 class PromptedFiReNet(Prompted, FiReNet):
-    """FiReNet, to all who look at types."""
+    """FiReNet, for code that checks types."""
 
 
 class PromptedDewarpNet(Prompted, DewarpNet):
-    """DewarpNet, to all who look at types."""
+    """DewarpNet, for code that checks types."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +69,7 @@ class Prompt:
 
 
 def true_squeezed_answer(case: Case) -> BackwardOutput:
-    """The true map on DewarpNet's nodes, of a photo that is squeezed into the network's square, as released."""
+    """The true map on DewarpNet's nodes, of a photo squeezed into the network's square, as released."""
     size = case.photo().shape[:2]
     return BackwardOutput(map_batch([rescale_points(_true_nodes(case, NODES), size, (1, 1)).astype(np.float32)]))
 
@@ -118,7 +118,7 @@ def full_firenet(weights: Path | None) -> Method:
 
 
 def full_dewarpnet(weights: Path | None) -> Method:
-    """DewarpNet given its due: its map read rightly, the photo as everyone's."""
+    """DewarpNet, given its due: its map read as it is meant, the photo as for every other method."""
     network = DewarpNet(DewarpNetConfig()).eval()
     return _timed(
         "dewarpnet_full",

@@ -1,10 +1,10 @@
 """The shading against a path tracer: ``python -m benchmarks.radiance --json OUT [--hdri DIR] [--picture PNG]``.
 
 For each scene the same bent film, lamps, room, camera and BSDF (benchmarks/path_tracer.py) are traced by Mitsuba and
-shaded by data_gen. Compared is linear RGB of the pixels well inside the film: the mean of |model - traced| / traced.
-``shading``: traced with light straight from lamps and room, as if the film hid none of it from itself: the error of the
-shading. ``shadows``: with the film's shadows on itself. ``full``: with light between parts of the film too.
-``noise``: the same figure between the means of two halves of the trace, whose share in ``shading`` it is.
+shaded by data_gen. The benchmark compares linear RGB of the pixels well inside the film: the mean of |model - traced| /
+traced. ``shading``: traced with light straight from lamps and room, as if the film cast no shadow on itself: the error
+of the shading. ``shadows``: with the film's shadows on itself. ``full``: with light between parts of the film too.
+``noise``: the same figure between the means of two halves of the trace, to show how much of ``shading`` is noise.
 Needs the extras ``data`` and ``bench``.
 """
 
@@ -39,7 +39,7 @@ from hybrid.mesh.raycast import FilmCaster
 SIZE_MM = (430.0, 350.0)
 SUPERSAMPLE = 4
 BOUND = 0.05
-"""Mean relative difference that a scene may have."""
+"""Largest mean relative difference that a scene may have."""
 
 
 @dataclass(frozen=True)
@@ -49,15 +49,15 @@ class Options:
     json_path: Annotated[Path, tyro.conf.arg(name="json")]
     """File for the figures."""
     hdri: Path | None = None
-    """Folder of environments in place of procedural rooms."""
+    """Folder of environments to use in place of procedural rooms."""
     picture: Path | None = None
-    """File for both side by side."""
+    """File for a picture of both side by side."""
     side: int = 48
-    """Of the traced photo in pixels."""
+    """Side of the traced photo in pixels."""
     samples: int = 2048
     """Per pixel."""
     only: tuple[str, ...] = ()
-    """The scenes with one of these words in their names; all if none is named."""
+    """Only scenes with one of these words in their names; all if none is given."""
 
     def __post_init__(self) -> None:
         require_at_least(self, 1, "side", "samples")
@@ -100,7 +100,7 @@ def camera_at(tilt_deg: float, side: int) -> Camera:
 
 
 def cases() -> list[Case]:
-    """Matt to mirror-like, rooms, boxes and lamps of each kind, rolled and waved."""
+    """Matt to mirror-like films, rooms, boxes and lamps of each kind, rolled and waved."""
     matt = Material(0.6, 0.3, 0.0, 0.005, 0.6, 1.5)
     satin, sleeve = replace(matt, roughness=0.3), replace(matt, roughness=0.1, surfaces=3)
     published = Material(0.25, 0.7, 0.0, 0.002, 0.95, 1.45)
@@ -185,7 +185,7 @@ def compare(case: Case, rooms: Sequence[Environment], options: Options) -> tuple
 def shaded(
     film: FilmMesh, scene: Scene, room: Environment, camera: Camera, grey: float
 ) -> tuple[Float[np.ndarray, "h w 3"], Bool[np.ndarray, "h w"]]:
-    """The model's radiance averaged over each pixel, and the pixels that are film two pixels around."""
+    """The model's radiance averaged over each pixel, and the pixels with nothing but film within two pixels."""
     light = film_light(film, scene, prefilter(room))
     fine = camera.resized((camera.size[0] * SUPERSAMPLE, camera.size[1] * SUPERSAMPLE))
     mask, uv = FilmCaster(film).uv_map(fine)
@@ -203,10 +203,10 @@ def difference(model: np.ndarray, traced: np.ndarray, inside: np.ndarray) -> flo
 
 
 def measured(options: Options) -> dict[str, Any]:
-    """The figures of every scene; the pictures are written.
+    """The figures of every scene; also writes the pictures.
 
     Raises:
-        ConfigError: no scene of such a name; Mitsuba, its LLVM or Open3D is not there.
+        ConfigError: no scene has such a name; Mitsuba, its LLVM or Open3D is missing.
     """
     check_open3d()
     mitsuba()

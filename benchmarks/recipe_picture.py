@@ -12,7 +12,7 @@ from hybrid.mesh.film import FilmMesh
 TILE_PX = 300
 _LIGHT = np.array([0.4, -0.5, -0.77])
 _LINES = 8
-"""Every how many cells of the drawn surface a line is drawn."""
+"""Number of cells of the drawn surface between two lines."""
 
 
 def picture_of(film: FilmMesh, title: str, size_mm: float) -> UInt8[np.ndarray, "h w 3"]:

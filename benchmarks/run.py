@@ -1,9 +1,9 @@
 """Run time against error: ``python -m benchmarks.run [--photos DIR] [--data SHARDS] --out DIR``.
 
 Every method sees the same photos at the same sizes on the same threads, one after the other on each photo, so that a
-machine that slows down slows all. Before it is timed, each is called once at each size. Every result is kept in OUT as
-it comes: a run that was cut off goes on with the same command. Without --photos and --data it makes its own photos.
-OUT gets run.json, the pictures, and with --page the page that is made of both.
+machine that slows down slows all of them. Before it is timed, each method is called once at each size. Every result is
+kept in OUT as it comes: a run that was cut off continues with the same command. Without --photos and --data it makes
+its own photos. It writes run.json and the pictures to OUT, and with --page the page made from both.
 """
 
 from __future__ import annotations
@@ -45,12 +45,12 @@ NETWORKS: dict[str, Callable[[], nn.Module]] = {
 """Networks as wide as published, whose forward pass is timed alone."""
 
 STEADY_PHOTOS = 2
-"""On how many photos of each size a method is timed, once each, whose run time hardly depends on the photo."""
+"""Number of photos of each size, with one timed call each, for methods whose run time hardly depends on the photo."""
 
 CUDA_BATCHES = (1, 32)
 
 FEWEST_PASSES = 5
-"""Of each network alone; the quickest counts, since whatever else the machine does only makes it slower."""
+"""Fewest passes of each network alone; the quickest counts, since any other load on the machine only slows it."""
 
 
 @dataclass(frozen=True)
@@ -64,31 +64,31 @@ class Options:
     """Folder of photos with truth (NAME.jpg, NAME.npz, textures/)."""
 
     data: tuple[Path, ...] = ()
-    """Data sets, of which some samples are taken."""
+    """Data sets from which some samples are taken."""
 
     sizes: tuple[float, ...] = (1.0, 3.0, 12.0, 48.0)
     """Megapixels to which the photos are resized; a photo within a quarter of that stays as it is."""
 
     counts: tuple[int, ...] = (8, 4, 2, 2)
-    """How many photos are looked at, for each size."""
+    """How many photos are used for each size."""
 
     repeats: int = 3
     """Timed calls of each method on each photo."""
 
     methods: tuple[str, ...] = ()
-    """Which methods; all if not said. Configurations of hybrid are measured at the first size only."""
+    """Which methods; all by default. Configurations of hybrid are measured at the first size only."""
 
     add: tuple[Path, ...] = ()
-    """Files of further methods; benchmarks/methods.py says what they hold."""
+    """Files with further methods; benchmarks/methods.py describes their format."""
 
     weights: Path | None = None
     """Folder of NAME.safetensors or NAME/NAME.safetensors; what it lacks is taken from the package, if that has it."""
 
     threads: int = 2
-    """That every method may use."""
+    """Threads that every method may use."""
 
     seed: int = 0
-    """Of the photos that are made where none are named."""
+    """Seed of the photos that are made where none are named."""
 
     networks: tuple[str, ...] = tuple(NETWORKS)
     """Networks that are timed alone."""
@@ -97,7 +97,7 @@ class Options:
     """Whether they are timed on a GPU as well, where one is at hand: one photo and 32 at a time."""
 
     memory: tuple[float, ...] = (12.0,)
-    """Megapixels at which peak memory is measured, each method in a process of its own; none for no sizes."""
+    """Megapixels at which peak memory is measured, each method in a process of its own; give none to skip it."""
 
     gallery: int = 3
     """How many photos are drawn, from best to worst; 0 for photos that must not be published."""
@@ -128,7 +128,7 @@ class Options:
 
 
 def run(options: Options, command: list[str]) -> Report:
-    """Measure what is not measured yet; write and return the report."""
+    """Measure what has not been measured yet; write and return the report."""
     settings = _settings(options)
     keep_settings(
         options.out / "run_settings.json",
@@ -161,12 +161,12 @@ def run(options: Options, command: list[str]) -> Report:
     if options.page is None:
         write_pictures(report, options.out / "pictures")
     else:
-        write_page(options.page, options.out)  # draws them as well
+        write_page(options.page, options.out)  # draws the pictures as well
     return report
 
 
 def load_cases(options: Options) -> list[Case]:
-    """All photos that are named, or those that are made for this.
+    """All photos that are named, or those made for this run.
 
     Raises:
         ConfigError: two have the same name.
@@ -181,10 +181,10 @@ def load_cases(options: Options) -> list[Case]:
 
 
 def make_methods(options: Options) -> dict[str, Method]:
-    """The methods that are named, or all but those whose weights are not there.
+    """The methods that are named, or all whose weights are there.
 
     Raises:
-        ConfigError: one that is named needs weights that are not there.
+        ConfigError: a named method needs weights that are not there.
     """
     known = lineup(options.add)
     made = {name: known[name](options.weights) for name in options.methods or known}

@@ -1,8 +1,8 @@
 """The scanner that phones have: the sheet's four corners, found by OpenCV, and one homography.
 
-Edges and thresholds of three grey pictures give closed shapes; those that are nearly a convex quadrilateral compete
-on size and on how much of their sides lies on edges; the winner's sides are fitted once more to the strongest edge
-near them. What such an app cannot do is to follow a bend.
+Edges and thresholds of three grey pictures give closed shapes. Those that are nearly a convex quadrilateral compete on
+size and on how much of their sides lies on edges. The winner's sides are fitted once more to the strongest edge near
+them. Such an app cannot follow a bend.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from hybrid.coords import FILM_CORNERS, film_nodes, node_centres_1d, photo_from_
 from hybrid.draw import resized
 
 WORK_PX = 640
-"""Longer side of the copy in which the corners are looked for, as on a phone's preview."""
+"""Longer side of the copy in which the corners are searched for, as on a phone's preview."""
 
 MIN_SHARE, MAX_SHARE = 0.08, 0.98
-"""Of the photo's area that a sheet may take up."""
+"""Range of the photo's area that a sheet may take up."""
 
 CANNY = ((20, 60), (50, 150), (100, 250))
 """Thresholds of the edge pictures, from faint to strong edges."""
@@ -31,7 +31,7 @@ MAX_COSINE = 0.55
 
 SIDE_POINTS = 60
 SEARCH_PX = 6
-"""Points along each side that are fitted to the strongest edge, and how far from the side it may lie."""
+"""Points along each side that are fitted to the strongest edge, and how far from the side this edge may lie."""
 
 NODES = (33, 33)
 
@@ -68,7 +68,7 @@ def true_corners(backward: BackwardMap) -> Corners:
 
 
 def scan(photo: UInt8[np.ndarray, "H W 3"]) -> BackwardMap | None:
-    """Photo to map, as an app does it."""
+    """From photo to map, as an app does it."""
     corners = find_corners(photo)
     return None if corners is None else map_of_corners(corners)
 
@@ -122,14 +122,14 @@ def _quadrilaterals(picture: UInt8[np.ndarray, "h w"]) -> Iterator[Float[np.ndar
 
 
 def _cosines(corners: Float[np.ndarray, "4 2"]) -> Float[np.ndarray, "4"]:
-    """Of the angles at the corners."""
+    """Absolute cosines of the angles at the corners."""
     ahead, back = np.roll(corners, -1, axis=0) - corners, np.roll(corners, 1, axis=0) - corners
     lengths = np.linalg.norm(ahead, axis=1) * np.linalg.norm(back, axis=1)
     return np.abs((ahead * back).sum(axis=1)) / np.maximum(lengths, 1e-9)
 
 
 def _worth(corners: Float[np.ndarray, "4 2"], edges: Bool[np.ndarray, "h w"]) -> float:
-    """How much of the outline lies on edges, times the root of its area: of nested outlines the larger sheet."""
+    """How much of the outline lies on edges, times the root of its area: the larger of nested outlines wins."""
     t = node_centres_1d(100)[:, None]
     ends = np.roll(corners, -1, axis=0)
     points = np.concatenate([(1 - t) * a + t * b for a, b in zip(corners, ends, strict=True)])
@@ -146,7 +146,7 @@ def _clockwise(corners: Float[np.ndarray, "4 2"]) -> Float[np.ndarray, "4 2"]:
 
 
 def _refined(corners: Float[np.ndarray, "4 2"], grey: UInt8[np.ndarray, "h w"]) -> Float[np.ndarray, "4 2"]:
-    """Each side fitted to the strongest edge near it, and the corners where the sides meet; as they were, if far."""
+    """Each side fitted to the strongest edge near it, and the corners where the sides meet; unchanged if far off."""
     lines = [_fitted_side(a, b, grey) for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True)]
     meet = np.cross(np.roll(lines, 1, axis=0), lines)
     with np.errstate(divide="ignore", invalid="ignore"):

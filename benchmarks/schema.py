@@ -1,4 +1,4 @@
-"""JSON files whose shape is said once, by frozen dataclasses: their JSON Schema, a check, and reading them back."""
+"""JSON files whose shape is defined once, by frozen dataclasses: their JSON Schema, a check, and reading them back."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def schema_of(kind: Any) -> dict[str, Any]:
 
 
 def problems(value: Any, schema: Mapping[str, Any], at: str = "$") -> list[str]:
-    """Where a JSON value is not as the schema says; empty if it is. Knows the words that ``schema_of`` writes."""
+    """Where a JSON value violates the schema; empty if nowhere. Knows the keywords that ``schema_of`` writes."""
     if "anyOf" in schema:
         tried = [problems(value, one, at) for one in schema["anyOf"]]
         return [] if not all(tried) else min(tried, key=len)
@@ -82,16 +82,16 @@ def problems(value: Any, schema: Mapping[str, Any], at: str = "$") -> list[str]:
 
 
 def write_record(path: Path, record: Any) -> None:
-    """A dataclass as a JSON file, whole or not at all; its folder is made."""
+    """Write a dataclass as a JSON file, whole or not at all, creating its folder."""
     make_folder(path.parent, "--out or --json")
     write_bytes(path, (json.dumps(asdict(record), indent=1, allow_nan=False) + "\n").encode())
 
 
 def keep_settings(path: Path, settings: Any, *results: Path) -> None:
-    """Writes what decides the results beside them. results: their folders; until one holds any, all settings will do.
+    """Write what determines the results beside them. results: their folders; until one holds any, all settings will do.
 
     Raises:
-        ConfigError: results that were made otherwise are there; they are not put together with others.
+        ConfigError: there are results made with other settings, which are not combined with new ones.
     """
     any_there = any(True for folder in results for _ in folder.glob("*.json"))
     if any_there and path.exists() and read_record(path, type(settings)) != settings:
@@ -101,7 +101,7 @@ def keep_settings(path: Path, settings: Any, *results: Path) -> None:
 
 
 def read_record(path: Path, kind: type[Record]) -> Record:
-    """What ``write_record`` wrote.
+    """Read what ``write_record`` wrote.
 
     Raises:
         DataError: no such file, no JSON, or JSON of another shape.
@@ -118,9 +118,9 @@ def read_record(path: Path, kind: type[Record]) -> Record:
 
 
 def kept(path: Path, kind: type[Record], make: Callable[[], Record | None]) -> Record | None:
-    """What lies in a file, or else what is made now and laid there: how a run that was cut off goes on.
+    """Read a file, or else make its contents now and write them there: how a run that was cut off continues.
 
-    A file of another shape is made again; None is not written, and tried again the next time.
+    A file of another shape is made again; None is not written, and is tried again the next time.
     """
     if path.exists():
         try:
@@ -134,7 +134,7 @@ def kept(path: Path, kind: type[Record], make: Callable[[], Record | None]) -> R
 
 
 def _built(value: Any, kind: Any) -> Any:
-    """A JSON value as the type that the schema was made of."""
+    """A JSON value as the type from which the schema was made."""
     if is_dataclass(kind) and isinstance(kind, type):
         hints = get_type_hints(kind)
         return kind(**{name: _built(item, hints[name]) for name, item in value.items()})

@@ -1,4 +1,4 @@
-"""How a method did on one photo, and on many."""
+"""The scores of a method on one photo, and on many."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ LATTICE = (33, 33)
 """Film points, edges included, over which the end-point error is taken."""
 
 MAP_RANGE = 255.0
-"""Values of a backward map taken as an image: the photo's sides are this long (the paper's B rows)."""
+"""Values of a backward map taken as an image: the photo's sides have this length (the paper's B rows)."""
 
 
 @dataclass(frozen=True)
 class MapScore:
-    """How near a found map comes to the true one, read from whatever side it is meant to be up.
+    """How near a found map comes to the true one, turned and mirrored to match it best.
 
-    end_point_px, end_point_p95_px: mean and 95th percentile over the film of the distance of found from true photo
+    end_point_px, end_point_p95_px: mean and 95th percentile over the film of the distance between found and true photo
     points, for a photo of REFERENCE_PX. end_point_percent: the mean in percent of the film's diagonal as it is seen.
-    distortion_px: hybrid.metrics.local_distortion. paper: scores of the unwarped photo. map: of the backward map as
-    an image. up: whether the map is of the film that reads right, neither turned nor mirrored.
+    distortion_px: hybrid.metrics.local_distortion. paper: scores of the unwarped photo. map: of the backward map as an
+    image. up: whether the map is of the film that reads right, neither turned nor mirrored.
     """
 
     end_point_px: float
@@ -46,7 +46,7 @@ class MapScore:
 
 @dataclass(frozen=True)
 class CaseScore:
-    """What was measured on one photo. seconds: from what is given to the map. score: None where the film is lost."""
+    """Measurements on one photo. seconds: from the method's input to the map. score: None where the film is lost."""
 
     name: str
     seconds: float
@@ -63,7 +63,7 @@ def score(method: Method, case: Case) -> CaseScore:
 
 
 def score_map(found: BackwardMap, true: BackwardMap, photo: UInt8[np.ndarray, "h w 3"]) -> MapScore:
-    """A map against the true one of the same photo; the inputs stay as they are."""
+    """Score a map against the true one of the same photo; the inputs are not changed."""
     size = (photo.shape[0], photo.shape[1])
     seen, way = read_alike(found, true)
     errors = end_point_error(seen, true.lattice(LATTICE))

@@ -1,8 +1,8 @@
 """What the film solver is worth: ``python -m benchmarks.simulate --json OUT [--picture PNG] [--quick]``.
 
-Strain and drift of a hanging sheet, analytic bending problems, developability of the recipes, units, determinism,
-thousands of random scenes, and speed with where the time goes. Run it with ``OMP_NUM_THREADS=1``: the matrices are too
-narrow to gain from threads, and waiting threads disturb each other where cores are shared.
+It checks strain and drift of a hanging sheet, analytic bending problems, developability of the recipes, units,
+determinism, thousands of random scenes, and speed with where the time goes. Run it with ``OMP_NUM_THREADS=1``: the
+matrices are too narrow to gain from threads, and waiting threads disturb each other where cores are shared.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from hybrid.mesh.solver import Frame, SettleConfig, StepConfig, at_rest, settle,
 
 SIDE_MM = 430.0
 RECIPE_FRAME = 7
-"""Which frame of a recipe is measured and drawn."""
+"""The frame of a recipe that is measured and drawn."""
 
 
 def hanging_loads(side: int, tilt_rad: float, unit: float = 1e-3) -> tuple[MassSpring, Loads]:
@@ -154,7 +154,7 @@ def determinism() -> dict[str, bool]:
 
 
 def stress(count: int, largest: int) -> dict[str, Any]:
-    """Random scenes; failures are listed with their seed."""
+    """Run random scenes; failures are listed with their seed."""
     results: list[StressResult] = [run_scene(seed, largest) for seed in tqdm(range(count), desc="stress", unit="scene")]
     failed = [asdict(result) for result in results if result.failure]
     messages = {result.outcome: result.message for result in results}
@@ -204,7 +204,7 @@ def _some_frames(network: MassSpring, frame: Frame, loads: Loads, config: StepCo
 
 
 def _shares(profile: cProfile.Profile) -> dict[str, float]:
-    """Share of the time of the functions that take most, with what they call."""
+    """Share of the time of the functions that take most, including what they call."""
     stats: dict[Any, Any] = pstats.Stats(profile).stats  # type: ignore[attr-defined]
     spent: dict[str, float] = {}
     for (path, _, name), (_, _, _, cumulative, _) in stats.items():
@@ -227,7 +227,7 @@ class Options:
     scenes: int = 2000
     """Number of random scenes."""
     only: tuple[str, ...] = ()
-    """Names of the checks to run, none for all."""
+    """Names of the checks to run; all if none is given."""
 
     def __post_init__(self) -> None:
         require_at_least(self, 1, "scenes")
@@ -293,11 +293,11 @@ BOUNDS: dict[str, tuple[tuple[str, Callable[[Any], bool]], ...]] = {
     "determinism": (("identical", bool),),
     "stress": (("failures", lambda x: x == 0),),
 }
-"""What has to hold of the figures of each check."""
+"""Bounds on the figures of each check."""
 
 
 def broken_bounds(figures: dict[str, Any]) -> list[str]:
-    """The figures that are out of bounds, of those checks that were made."""
+    """The figures that are out of bounds, of the checks that were run."""
     return [
         f"{check}.{name}: {figures[check][name]}"
         for check, bounds in BOUNDS.items()
@@ -314,7 +314,7 @@ def _verdict(figures: dict[str, Any]) -> int:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """The command; 0 if the bounds of the solver are kept, 2 otherwise."""
+    """The command; 0 if the solver keeps its bounds, 2 otherwise."""
     return run_command("benchmarks.simulate", Options, run, arguments, _verdict)
 
 

@@ -1,7 +1,7 @@
 """A thousand films in one process: ``python -m benchmarks.soak --out DIR [--films 1000]``.
 
-Memory must stay flat, the time of a film must not creep up, and a photo must give the same bits whenever it comes. One
-process from first to last is what is tested, so a run that was cut off starts again.
+Memory must stay flat, the time of a film must not creep up, and a photo must give the same bits whenever it comes. The
+test needs one process from first to last, so a run that was cut off starts again.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ MEMORY_BOUND = 0.02
 """Largest growth of memory that counts as flat."""
 
 DRIFT_BOUND = 0.25
-"""Largest growth of a film's time over the run that counts as steady; a shared machine's own changes are less."""
+"""Largest growth of a film's time over the run that counts as steady; variations of a shared machine are smaller."""
 
 LOOKS = 100
-"""Readings of memory over the run."""
+"""Number of memory readings over the run."""
 
 
 @dataclass(frozen=True)
@@ -48,10 +48,10 @@ class Options:
     """Data sets whose photos are used; without any, some are made."""
 
     films: int = 1000
-    """How many."""
+    """How many films."""
 
     photos: int = 8
-    """Different photos, which come in turn."""
+    """How many different photos, which take turns."""
 
     photo_px: int = 360
     """Side that they are scaled to: small, so that a thousand take minutes."""
@@ -60,7 +60,7 @@ class Options:
     """Processor threads that may be used."""
 
     seed: int = 0
-    """Of the photos that are made."""
+    """Seed of the photos that are made."""
 
     weights: Path | None = None
     """A FilmNet file in place of the packaged one."""
@@ -92,7 +92,7 @@ def soak(
 
 
 def digest(result: RectifyResult) -> str:
-    """Of every bit of a result, but not of its run times."""
+    """A digest of every bit of a result except its run times."""
     arrays = [result.film, result.rectified, result.glare, result.covered, result.confidence]
     arrays += [None if result.backward is None else result.backward.nodes]
     arrays += [None] * 2 if result.grid is None else [result.grid.vertices, result.grid.vertices_photo]

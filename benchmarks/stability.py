@@ -1,10 +1,10 @@
 """What breaks: ``python -m benchmarks.stability --out DIR [--damaged 500]``.
 
-Random problems for the solver, the spline, the inversion and the grid; then photos damaged at random, each rectified
-in a process that is watched: it may refuse with a reason, but neither die, nor hang, nor give a number that is not
-finite, nor call a film flattened whose points lie elsewhere (it may say that it is not sure), nor refuse one whose
-points it knows. Every result is kept in DIR as it comes: a run that was cut off goes on with the same command, but not
-with results of another commit.
+It tries random problems for the solver, the spline, the inversion and the grid, then photos damaged at random, each
+rectified in a process that is watched: it may refuse with a reason, but it must not die, hang, return a number that is
+not finite, call a film flattened whose points lie elsewhere (it may say that it is not sure), or refuse one whose
+points it knows. Every result is kept in DIR as it comes: a run that was cut off continues with the same command, but
+not with results of another commit.
 """
 
 from __future__ import annotations
@@ -40,18 +40,18 @@ from hybrid.rectify.survey import SurveyConfig
 
 TRUTHFUL_PX = 5.0
 """Largest end-point error of a film that is reported ok, in pixels of REFERENCE_PX for the longer side of the photo
-before it was damaged; in one that was shrunk so far that its own pixels are larger, one of those."""
+before it was damaged; if the photo was shrunk so far that its own pixels are larger, one of those."""
 
 LIMIT_S, LIMIT_S_PER_MEGAPIXEL = 120.0, 6.0
-"""After these a photo counts as hanging; a hundred times what it takes, for busy machines."""
+"""Time limit after which a photo counts as hanging; a hundred times what it takes, to allow for busy machines."""
 
 CUT_SHARE = 0.1
-"""Of the damaged photos that are files which end too soon."""
+"""Share of the damaged photos that are truncated files."""
 
 OWN_PHOTOS = 12
 
 WHOLE = 0.75
-"""Share of the sheet in the photo from which a refusal may be called a loss."""
+"""Share of the sheet in the photo from which a refusal may count as a loss."""
 
 NOTHING_REFUSED = SurveyConfig(
     min_mask_share=0.0,
@@ -63,13 +63,13 @@ NOTHING_REFUSED = SurveyConfig(
     min_skewness=-np.inf,
     max_stretch=np.inf,
 )
-"""What the network sees is taken for a film whatever it looks like; a map that turns over is none even so."""
+"""Takes what the network sees for a film whatever it looks like; a map that turns over is still refused."""
 
 Rectify = Callable[..., RectifyResult]
 """From a photo or its path."""
 
 FindAnyway = Callable[[np.ndarray], BackwardMap | None]
-"""From a photo to the map that would be given, were the photo not refused; None for no map at all."""
+"""From a photo to the map that would be returned if the photo were not refused; None if there is no map at all."""
 
 
 @dataclass(frozen=True)
@@ -83,16 +83,16 @@ class Options:
     """Data sets whose photos are damaged; without any, some are made."""
 
     damaged: int = 40
-    """Photos to damage."""
+    """How many photos to damage."""
 
     problems: int = 200
-    """Problems for each part."""
+    """How many problems for each part."""
 
     seed: int = 0
-    """Of problems and damage."""
+    """Seed of problems and damage."""
 
     threads: int = 2
-    """That rectifying may use."""
+    """Threads that rectifying may use."""
 
     weights: Path | None = None
     """Another network than the packaged one."""
@@ -105,11 +105,11 @@ class Options:
 
 
 def run(options: Options, command: list[str]) -> StabilityReport:
-    """Try everything that was not tried yet; write and return the report.
+    """Try everything that has not been tried yet; write and return the report.
 
     Raises:
         ConfigError: the results in ``options.out`` were made with other settings, at another commit, or elsewhere.
-        DataError: photos or weights that cannot be read.
+        DataError: photos or weights cannot be read.
     """
     source = shown_data(*options.data) or "made for this"
     made_by = source, shown_contents(options.weights), commit(), used_machine()
@@ -135,12 +135,12 @@ def _part(options: Options, name: str) -> Part:
     return found
 
 
-# ---------------------------------------------------------------- photos, in a process that is watched
+# ---------------------------------------------------------------- photos, in a watched process
 
 
 def _readable_photos(options: Options) -> tuple[Path, ...]:
-    """Folders of the photos. They and the weights are read once before any result is made: in the process that is
-    watched, what cannot be read ends every photo as a crash."""
+    """Folders of the photos. They and the weights are read once before any result is made: in the watched process, what
+    cannot be read would end every photo as a crash."""
     folders = options.data or (make_photos(options.out / "photos", OWN_PHOTOS, options.seed),)
     sample_cases(folders)
     Rectifier(RectifyConfig(weights=options.weights))
@@ -162,7 +162,7 @@ def _photos(options: Options, folders: tuple[Path, ...]) -> list[DamagedPhoto]:
 
 
 class _Watched:
-    """A process that rectifies damaged photos; a new one takes its place when it dies or hangs."""
+    """A process that rectifies damaged photos; it is replaced by a new one when it dies or hangs."""
 
     def __init__(self, folders: tuple[Path, ...], options: Options) -> None:
         self._arguments = (folders, options)
@@ -203,7 +203,7 @@ class _Watched:
         return ours
 
     def end(self) -> None:
-        """End the process, whatever it does."""
+        """End the process, whatever it is doing."""
         if self._process is not None:
             self._process.kill()
             self._process.join()
@@ -211,7 +211,7 @@ class _Watched:
 
 
 def _serve(folders: tuple[Path, ...], options: Options, line: Connection) -> None:
-    """Answer numbers with what is tried and then with how it ended."""
+    """Answer each number with what is tried and then with how it ended."""
     use_threads(options.threads)
     cases, rectifier = sample_cases(folders), Rectifier(RectifyConfig(weights=options.weights))
     find_anyway = partial(_map_anyway, Rectifier(RectifyConfig(weights=options.weights, survey=NOTHING_REFUSED)))
@@ -263,20 +263,20 @@ def _rectified(number: int, it: Damaged, rectify: Rectify, find_anyway: FindAnyw
 
 
 def _error_and_limit(found: BackwardMap, it: Damaged) -> tuple[float, float]:
-    """Error of a map over what is in the photo, and the largest that is called right, in pixels of REFERENCE_PX."""
+    """Error of a map over the film in the photo, and the largest that counts as right, in pixels of REFERENCE_PX."""
     seen, _ = read_alike(found, it.backward)
     error = it.to_reference * visible_error_px(seen, it.backward, (it.photo.shape[0], it.photo.shape[1]))
     return min(error, 1e9), max(TRUTHFUL_PX, it.to_reference)
 
 
 def _finite(result: RectifyResult) -> bool:
-    """Whether all numbers of a result are numbers, and grey is within its range."""
+    """Whether all numbers of a result are finite, and grey is within its range."""
     arrays = [a for a in (result.film, result.confidence) if a is not None]
     return len(arrays) == 2 and all(np.isfinite(a).all() and a.min() >= 0 and a.max() <= 1 for a in arrays)
 
 
 def _cut_off(number: int, case: Case, rectify: Rectify, rng: np.random.Generator) -> DamagedPhoto:
-    """A file that ends too soon is refused; were it read, then only because no pixel is missing."""
+    """A truncated file has to be refused; it could only be read if no pixel were missing."""
     photo, start = case.photo(), time.perf_counter()
     size = (photo.shape[0], photo.shape[1])
     with tempfile.TemporaryDirectory() as folder:

@@ -1,4 +1,4 @@
-"""Random scenes that try to break the solver: each must end in a shape or in a readable refusal, and gain no energy."""
+"""Random scenes that try to break the solver: each must end in a shape or a readable refusal, and gain no energy."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from hybrid.mesh.network import MassSpring, clamped, mass_spring
 from hybrid.mesh.solver import Frame, StepConfig, at_rest, mechanical_energy, steady_force, step
 
 STEPS = 4
-"""Time steps of a scene."""
+"""Number of time steps of a scene."""
 
 ENERGY_ROUNDING = 1e-9
-"""Growth of energy that is rounding, as a share of the largest energy at play."""
+"""Growth of energy that counts as rounding, as a share of the largest energy at play."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +34,7 @@ class StressScene:
 
 @dataclass(frozen=True)
 class StressResult:
-    """How a scene ended: ``outcome`` is the last frame's status or the refusal's type; ``failure`` is empty if well.
+    """How a scene ended: ``outcome`` is the last frame's status or the refusal's type; ``failure`` is empty if none.
 
     growth: the largest growth of energy in a step, as a share of the largest energy at play.
     """
@@ -69,7 +69,7 @@ def run_scene(seed: int, largest: int = 65) -> StressResult:
 
 
 def outcomes(results: list[StressResult]) -> dict[str, int]:
-    """How many scenes ended in what way."""
+    """How many scenes ended in each way."""
     return dict(sorted(Counter(result.outcome for result in results).items()))
 
 
@@ -77,7 +77,7 @@ def random_scene(rng: np.random.Generator, largest: int) -> StressScene:
     """Stiffness over nine decades, steps from 1e-4 to 1 s, forces to 1000 g, meshes from 2 x 2; flat to collapsed.
 
     Raises:
-        ConfigError: a lattice with triangles that have no area (one scene in twenty asks for that).
+        ConfigError: a lattice has triangles without area (one scene in twenty asks for that).
     """
     film = _random_film(rng, largest)
     material = FilmMaterial(
@@ -101,7 +101,7 @@ def random_scene(rng: np.random.Generator, largest: int) -> StressScene:
 
 
 def _energy_growth(scene: StressScene, before: Frame, after: Frame) -> float:
-    """Growth of energy in a step, relative. A lagged force is held as it was, so that all work is in the energy."""
+    """Relative growth of energy in a step. A lagged force is held constant, so that all its work is in the energy."""
     held = replace(scene.loads, force_n=steady_force(scene.network, before, scene.loads), rest_curvature=(0.0, 0.0))
     had, has = (mechanical_energy(scene.network, frame, held) for frame in (before, after))
     work = np.abs(held.force_n * np.maximum(np.abs(before.mesh.vertices), np.abs(after.mesh.vertices)).reshape(-1, 3))
@@ -127,7 +127,7 @@ def _random_film(rng: np.random.Generator, largest: int) -> FilmMesh:
 
 
 def _random_state(film: FilmMesh, rng: np.random.Generator) -> np.ndarray:
-    """Flat, crumpled, folded onto itself, collapsed to a line or to a point."""
+    """Flat, crumpled, folded onto itself, or collapsed to a line or a point."""
     flat, size = film.vertices, float(np.hypot(*film.size_mm))
     kind = rng.choice(["flat", "crumpled", "folded", "line", "point"], p=[0.5, 0.2, 0.1, 0.1, 0.1])
     if kind == "crumpled":

@@ -1,4 +1,4 @@
-"""What ``benchmarks.stability`` and ``benchmarks.soak`` find, as it lies in their JSON files."""
+"""Results of ``benchmarks.stability`` and ``benchmarks.soak``, as stored in their JSON files."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from statistics import median
 from typing import Any
 
 OUTCOMES = ("ok", "unsure", "refused", "untruthful", "lost", "nan", "crash", "hang")
-"""How a damaged photo can end: flattened and right, flattened with a warning, refused with reason; or, as it should
+"""How a damaged photo can end: flattened and right, flattened with a warning, refused with a reason; or, as it should
 not: called right but off, refused though it was there and right, not a number, dead, hanging."""
 
 GOOD = OUTCOMES[:3]
@@ -16,9 +16,9 @@ GOOD = OUTCOMES[:3]
 
 @dataclass(frozen=True)
 class StressSettings:
-    """What decides the results; those of others are not put together. How many there are does not count.
+    """What determines the results; results of other settings are not combined. The number of results does not count.
 
-    source: data sets, with digests of their contents. machine: processor and packages, which decide seconds and the
+    source: data sets, with digests of their contents. machine: processor and packages, which determine seconds and the
     last bits.
     """
 
@@ -81,7 +81,7 @@ class DamageCount:
 
 @dataclass(frozen=True)
 class StabilityReport:
-    """A whole run of ``benchmarks.stability``. truthful_px: end-point error above which "ok" is no true status."""
+    """A whole run of ``benchmarks.stability``. truthful_px: end-point error above which "ok" is not a true status."""
 
     run: dict[str, Any]
     seed: int
@@ -90,12 +90,12 @@ class StabilityReport:
     photos: tuple[DamagedPhoto, ...]
 
     def counts(self) -> dict[str, int]:
-        """How many photos ended in what way."""
+        """How many photos ended in each way."""
         found = Counter(photo.outcome for photo in self.photos)
         return {outcome: found[outcome] for outcome in OUTCOMES}
 
     def by_damage(self) -> list[DamageCount]:
-        """The same for each kind of damage; a photo counts for each that was done to it."""
+        """The same for each kind of damage; a photo counts for each kind that was done to it."""
         kinds = sorted({kind for photo in self.photos for kind in photo.damage})
         rows = []
         for kind in kinds:
@@ -107,13 +107,13 @@ class StabilityReport:
 
     @property
     def cautious(self) -> int:
-        """Films given with a warning that was not needed: their error is small."""
+        """Films returned with a warning that was not needed: their error is small."""
         unsure = [photo for photo in self.photos if photo.outcome == "unsure"]
         return sum((photo.end_point_px or 0.0) <= (photo.allowed_px or 0.0) for photo in unsure)
 
     @property
     def failures(self) -> int:
-        """All that ended as nothing should."""
+        """Number of problems and photos that ended as none should."""
         good = sum(count for outcome, count in self.counts().items() if outcome in GOOD)
         return sum(part.failed for part in self.parts) + len(self.photos) - good
 
@@ -122,8 +122,8 @@ class StabilityReport:
 class SoakReport:
     """Many films in one process.
 
-    settled: films after which memory is first looked at. memory_mib: in use, at equal steps from there to the end.
-    cpu_seconds: of every film. different: results that are not, to the bit, what the same photo gave before.
+    settled: films after which memory is first read. memory_mib: in use, at equal steps from there to the end.
+    cpu_seconds: of every film. different: results that differ in any bit from what the same photo gave before.
     """
 
     run: dict[str, Any]
@@ -136,12 +136,12 @@ class SoakReport:
     different: int
 
     def memory_growth(self) -> float:
-        """Memory at the end against after settling, less 1: medians of the last and the first tenth of the looks."""
+        """Memory at the end over that after settling, less 1: medians of the last and the first tenth of readings."""
         tenth = max(len(self.memory_mib) // 10, 1)
         return median(self.memory_mib[-tenth:]) / median(self.memory_mib[:tenth]) - 1
 
     def time_drift(self) -> float:
-        """Processor seconds of a film in the last fifth against the first, less 1: medians."""
+        """Processor seconds of a film in the last fifth over those in the first, less 1: medians."""
         fifth = max(len(self.cpu_seconds) // 5, 1)
         return median(self.cpu_seconds[-fifth:]) / median(self.cpu_seconds[:fifth]) - 1
 

@@ -1,8 +1,8 @@
 """What a film lies on, and what that costs: ``python -m benchmarks.surroundings --photos DIR [DIR ...] --json OUT``.
 
 Photos with truth are changed around their film (grounds.py), which stays as it was, and flattened again: by the network
-alone, as refinement starts from it, and by the whole pipeline. Errors are mean end-point errors in pixels of the photo
-before, had it 1080. The JSON file, named surroundings.json, may lie beside run.json for ``benchmarks.page``.
+alone, as refinement starts from it, and by the whole pipeline. Errors are mean end-point errors in pixels of the
+original photo, scaled to 1080. The JSON file, named surroundings.json, may lie beside run.json for ``benchmarks.page``.
 """
 
 from __future__ import annotations
@@ -38,12 +38,12 @@ from hybrid.pipeline import Rectifier
 from hybrid.workers import shared_out
 
 SHOWN = 2
-"""Photos of each change that are drawn."""
+"""Number of photos of each change that are drawn."""
 
 
 @dataclass(frozen=True)
 class Options:
-    """Change photos with truth around their film, and see what it costs."""
+    """Change photos with truth around their film, and measure the effect."""
 
     json_path: Annotated[Path, tyro.conf.arg(name="json")]
     """File for the figures."""
@@ -55,25 +55,25 @@ class Options:
     """Data sets made by data_gen.generate."""
 
     only: tuple[str, ...] = ()
-    """Names of changes; all if none is named."""
+    """Names of changes; all if none is given."""
 
     every: int = 1
-    """Of the photos, every so many."""
+    """Take every so many of the photos."""
 
     network_alone: bool = False
-    """Leave the whole pipeline out."""
+    """Skip the whole pipeline."""
 
     effort: Effort = "default"
-    """How much work a photo is worth."""
+    """How much work to spend on a photo."""
 
     weights: Path | None = None
-    """Another network than the packaged one."""
+    """A network to use in place of the packaged one."""
 
     workers: int = 2
     """Photos flattened at a time, each by a process."""
 
     pictures: Path | None = None
-    """Folder for surroundings.jpg: some of the changed photos, with what was found in them."""
+    """Folder for surroundings.jpg, which shows some of the changed photos with what was found in them."""
 
     def __post_init__(self) -> None:
         require_at_least(self, 1, "every", "workers")
@@ -88,7 +88,7 @@ class Options:
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """A case, one whose film is laid beside it, and the change."""
+    """A case, another whose film is laid beside it, and the change."""
 
     change: str
     case: Case
@@ -110,13 +110,13 @@ class Rectifiers:
 
     @staticmethod
     def of(config: RectifyConfig) -> Rectifiers:
-        """Those of the options."""
+        """The rectifiers for the options."""
         predict = replace(config.predict, sides=config.predict.sides[:1])
         return Rectifiers(Rectifier(replace(config, predict=predict)), Rectifier(config))
 
 
 def tried(whole: bool, rectifiers: Rectifiers, task: Task) -> Ended:
-    """A changed photo, flattened."""
+    """Flatten a changed photo."""
     it = task.made()
 
     def error_px(found: BackwardMap | None) -> float | None:
@@ -136,10 +136,10 @@ def tried(whole: bool, rectifiers: Rectifiers, task: Task) -> Ended:
 
 
 def tasks_of(options: Options) -> list[Task]:
-    """Every photo with every change; beside it lies the next photo's film.
+    """Every photo with every change; the next photo's film is laid beside it.
 
     Raises:
-        ConfigError: no photos are named. DataError: they cannot be read, or are fewer than two.
+        ConfigError: no photos are named. DataError: they cannot be read, or there are fewer than two.
     """
     if not options.photos and not options.data:
         do = "Name --photos or --data."
@@ -157,7 +157,7 @@ def tasks_of(options: Options) -> list[Task]:
 
 
 def counted(ended: Sequence[Ended]) -> tuple[ChangeCount, ...]:
-    """The photos of each change together, in the order of the changes."""
+    """Counts of the photos of each change, in the order of the changes."""
     names = dict.fromkeys(one.change for one in ended)
     return tuple(_count(name, [one for one in ended if one.change == name]) for name in names)
 
@@ -210,7 +210,7 @@ def _each(options: Options, tasks: Sequence[Task], config: RectifyConfig) -> Ite
 
 
 def _draw(folder: Path, tasks: Sequence[Task], rectifier: Rectifier) -> None:
-    """Some photos of each change, with what is found in them."""
+    """Draw some photos of each change, with what is found in them."""
     make_folder(folder, "--pictures")
     tiles, captions = [], []
     for name in dict.fromkeys(task.change for task in tasks):

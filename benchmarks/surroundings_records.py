@@ -1,4 +1,4 @@
-"""What ``benchmarks.surroundings`` finds, as it lies in its JSON file."""
+"""Results of ``benchmarks.surroundings``, as stored in its JSON file."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 class Ended:
     """One changed photo: errors of the network alone and of the film, None where none was found; its status.
 
-    wrong: called ``OK``, and further off than that allows.
+    wrong: called ``OK``, but further off than that allows.
     """
 
     change: str
@@ -43,8 +43,8 @@ class ChangeCount:
 class SurroundingsReport:
     """A whole run.
 
-    run: benchmarks.machine.describe_run. whole: whether the pipeline was run, too. sides: of how many sides of the film
-    the network's map is the mean; four in reports of before.
+    run: benchmarks.machine.describe_run. whole: whether the pipeline was run, too. sides: number of sides of the film
+    over which the network's map is averaged; four in older reports.
     """
 
     run: dict[str, Any]

@@ -1,8 +1,8 @@
 """The paper's three tables: ``python -m benchmarks.tables --data TEST_SHARDS --json OUT [--weights DIR]``.
 
 Every method sees the same photos, one at a time, on the same threads. Its map is scored by the paper's protocol
-(hybrid.metrics.paper_protocol, raw and de-shifted) and by its end-point error, whatever side of the film it takes to
-be up; photos in which it finds no film are counted and stay out of the means. Methods whose weights are not in the
+(hybrid.metrics.paper_protocol, raw and de-shifted) and by its end-point error, whichever side of the film it takes to
+be up; photos in which it finds no film are counted and left out of the means. Methods whose weights are not in the
 folder are listed as not trained. The paper's figures, from its own test set, stand beside ours.
 """
 
@@ -25,7 +25,7 @@ from benchmarks.scores import CaseScore, score, summarise
 from hybrid.errors import ConfigError, describe
 
 NEEDS_SHAPE = frozenset({"net_bw", "net_uv"})
-"""Methods that are given the true 3D map, which photos outside data sets do not have."""
+"""Methods whose input is the true 3D map, which photos outside data sets do not have."""
 
 
 @dataclass(frozen=True)
@@ -45,10 +45,10 @@ class Options:
     """Folder of photos with truth (NAME.jpg, NAME.npz), scored apart; they have no 3D maps for table 2."""
 
     methods: tuple[str, ...] = tuple(METHODS)
-    """Which methods, all if not said."""
+    """Which methods; all by default."""
 
     count: int | None = None
-    """Only the first so many samples."""
+    """Take only the first so many samples."""
 
     def __post_init__(self) -> None:
         unknown = [name for name in self.methods if name not in METHODS]
@@ -82,7 +82,7 @@ def score_methods(methods: Mapping[str, Method | None], cases: Sequence[Case]) -
 
 
 def run(options: Options, command: list[str]) -> dict[str, Any]:
-    """Score all methods, print the tables, write the report; the rows of each set of photos."""
+    """Score all methods, print the tables, write the report; return the rows of each set of photos."""
     methods = {name: METHODS[name](options.weights) for name in options.methods}
     sets: dict[str, Any] = {}
     if options.data:

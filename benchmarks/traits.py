@@ -1,4 +1,4 @@
-"""What kind of photo a case is: cell style, light, bend and coverage, for the splits of the figures."""
+"""What kind of photo a case is: cell style, light, bend and coverage, by which figures are split."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def note_of(case: Case) -> CaseNote:
 
 
 def _light_of(meta: Mapping[str, Any]) -> str:
-    """What lights a photo of another renderer, by what that tells of it."""
+    """What lights a photo of another renderer, according to its metadata."""
     behind = "back" in meta.get("light", {}) or meta.get("through", 0) > 0
     return light_of({"box": behind, "lamps": meta.get("lamps")})
 
@@ -63,7 +63,7 @@ def _normals(xyz: Float[np.ndarray, "n n 3"]) -> Float[np.ndarray, "m 3"]:
 
 
 def _bend_deg(normal: Float[np.ndarray, "m 3"]) -> float | None:
-    """The largest angle between normals spread over the film and their mean; None without any."""
+    """The largest angle between normals spread over the film and their mean; None if there are no normals."""
     mean = normal.mean(axis=0, dtype=np.float64) if len(normal) else np.zeros(3)
     length = float(np.linalg.norm(mean))
     return float(np.degrees(np.arccos(np.clip(normal @ (mean / length), -1, 1)).max())) if length else None

@@ -1,8 +1,8 @@
 """Whether films that are called ``OK`` are right: ``python -m benchmarks.verdict --data DIR [DIR ...] --json OUT``.
 
-Photos of data sets are rectified, and their errors set against the probability that ``hybrid.rectify.trust`` gives them
-and against the error that it expects. Its weights are fitted anew, too (``verdict_fit.py``), and judged on sheets that
-they were not fitted to.
+Photos of data sets are rectified, and their errors compared with the probability that ``hybrid.rectify.trust`` gives
+them and with the error that it expects. The verdict's weights are also fitted anew (``verdict_fit.py``), and judged on
+sheets that they were not fitted to.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from hybrid.rectify.trust import TrustConfig, chance_right, expected_error_px, f
 from hybrid.workers import shared_out
 
 BINS = (0.0, 0.5, 0.8, 0.9, 0.95, 0.97, np.nextafter(1.0, 2.0))
-"""Bounds of the probabilities of which films are counted together."""
+"""Bounds of the bins of probability in which films are counted."""
 
 
 @dataclass(frozen=True)
@@ -47,10 +47,10 @@ class Options:
     """File for all figures, and the signs of each film."""
 
     effort: Effort = "default"
-    """How much work a photo is worth."""
+    """How much work to spend on a photo."""
 
     every: int = 1
-    """Of the photos, every so many."""
+    """Take every so many of the photos."""
 
     workers: int = 2
     """Photos judged at a time, each by a process."""
@@ -71,14 +71,14 @@ class Rectifiers:
 
     @staticmethod
     def of(effort: Effort) -> Rectifiers:
-        """Those of an effort."""
+        """The rectifiers for an effort."""
         config = RectifyConfig.of(effort)
         return Rectifiers(Rectifier(replace(config, tries=0)), Rectifier(config))
 
 
 def judged(rectifiers: Rectifiers, case: Case) -> Judged | None:
-    """The film of a data set's photo; None where none is found. Of one that was refined again, what it was at first is
-    told, too."""
+    """The film of a data set's photo; None where none is found. A film that was refined again includes its first
+    result."""
     photo = case.photo()
     found = _judged(rectifiers.whole(photo), case)
     if found is None or not found.signs.doubted:
@@ -102,10 +102,10 @@ def _record(case: Case) -> dict[str, Any]:
 
 
 def _sheet(case: Case) -> str:
-    """Which sheet, bent once, a data set's photo is of; far data sets of one name are told apart by their seed.
+    """Which sheet, bent once, a data set's photo shows; distant data sets of one name are told apart by their seed.
 
     Raises:
-        DataError: it is of none that data_gen.generate made.
+        DataError: it shows none that data_gen.generate made.
     """
     assert not isinstance(case.source, Path)
     folder, record = case.source[0].path.parent, _record(case)
@@ -138,9 +138,10 @@ def judge_all(options: Options) -> tuple[list[Judged], int]:
 
 
 def figures(films: Sequence[Judged], photos: int, trust: TrustConfig) -> dict[str, Any]:
-    """How many films are right, called ``OK``, and called so wrongly, with the options' weights and with such as were
-    fitted to other sheets; how often those of some probability are right; the error, in what was expected (quantiles);
-    and the weights fitted to all films. Of films that were refined again that counts which the options let count."""
+    """How many films are right, called ``OK``, and called so wrongly, with the options' weights and with weights fitted
+    to other sheets; how often films of a given probability are right; the error as a multiple of the expected one
+    (quantiles); and the weights fitted to all films. Of a film that was refined again, the options decide which result
+    counts."""
     counted_films = [one.that_counts(trust) for one in films]
     right = np.array([one.right(trust) for one in counted_films])
     chances = np.array([chance_right(one.signs, trust) for one in counted_films])

@@ -20,26 +20,26 @@ from hybrid.rectify.trust import (
 )
 
 LIMITS = (0.8, 1.0, 1.2)
-"""Limits of the error that the probability is fitted to, in those of the effort: more is learnt of them together."""
+"""Limits of the error to which the probability is fitted, in those of the effort: together they teach more."""
 RIDGE = 3.0
-"""Precision of a weight's prior, of signs in their standard deviations: those that tell alike share what they tell."""
+"""Precision of a weight's prior, with signs in their standard deviations: signs that tell the same share the weight."""
 FOLDS = 8
 STEPS = 60
-"""Reweighted least-squares steps: several times as many as change anything."""
+"""Reweighted least-squares steps: several times as many as it takes to converge."""
 LEAST_DEVIATION = 0.05
-"""Deviations of a logarithm below this count as squares."""
+"""Deviations of a logarithm below this are counted by their squares."""
 
 Scores = Float[np.ndarray, " n"]
 Reweighted = Callable[[Scores], tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]]
-"""Weights and targets of the next least-squares step, by the scores of the last."""
+"""Weights and targets of the next least-squares step, from the scores of the last."""
 
 
 @dataclass(frozen=True)
 class Judged:
     """A film that was found in a photo, and its true mean end-point error in pixels of the photo.
 
-    sheet: names the film, of which there may be several photos. first: what it was at first, if that was in doubt, so
-    that it was refined again.
+    sheet: names the film, of which there may be several photos. first: its first result, if that was in doubt, so that
+    it was refined again.
     """
 
     sheet: str
@@ -49,7 +49,7 @@ class Judged:
     first: Judged | None = None
 
     def that_counts(self, trust: TrustConfig) -> Judged:
-        """The film as it was at first if that leaves no doubt with these options, else as it came to be."""
+        """The first result if these options leave no doubt about it, else the last."""
         return self.first if self.first is not None and film_verdict(self.first.signs, trust).ok else self
 
     def right(self, trust: TrustConfig) -> bool:
@@ -73,7 +73,7 @@ def fit_chance(films: Sequence[Judged], trust: TrustConfig) -> ChanceConfig:
 
 
 def fit_error(films: Sequence[Judged]) -> ErrorConfig:
-    """The error to be expected: the least absolute deviations of its logarithm."""
+    """The error that is expected: least absolute deviations of its logarithm."""
     films = _refinements(films)
     logs = np.log([max(one.error_px / one.signs.film_px, 1e-6) for one in films])
 
@@ -84,7 +84,7 @@ def fit_error(films: Sequence[Judged]) -> ErrorConfig:
 
 
 def trust_of_others(films: Sequence[Judged], trust: TrustConfig) -> list[TrustConfig]:
-    """For each film the options with weights that were fitted to other sheets."""
+    """For each film, the options with weights fitted to other sheets."""
     number = {sheet: k % FOLDS for k, sheet in enumerate(sorted({one.sheet for one in films}))}
     fitted = [
         replace(trust, chance=fit_chance(others, trust), error=fit_error(others))
@@ -94,8 +94,8 @@ def trust_of_others(films: Sequence[Judged], trust: TrustConfig) -> list[TrustCo
 
 
 def _refinements(films: Sequence[Judged]) -> list[Judged]:
-    """What films were at first and what they came to be; but for photos that are the flat film themselves, of which
-    nothing else is asked."""
+    """The first and last results of films, except for photos that are the flat film themselves, of which nothing else
+    is asked."""
     every = [one for film in films for one in (film.first, film) if one is not None]
     return [one for one in every if not one.signs.flat]
 

@@ -12,7 +12,7 @@ from PIL import Image, ImageDraw, ImageFont
 PANEL_WIDTH, PANEL_HEIGHT = 480, 330
 BINS = 36
 MOST_BARS = 9
-"""More kinds than these are summed up as others."""
+"""Kinds beyond this number are summed up as others."""
 
 _INK, _FAINT, _LINE, _FILL, _MARK, _PAPER = "#22272e", "#6e7781", "#e4e7eb", "#4c8eda", "#d1495b", "#ffffff"
 _LEFT, _RIGHT, _TOP, _BOTTOM = 26, 454, 62, 286

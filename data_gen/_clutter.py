@@ -44,7 +44,7 @@ class Sprite:
 
     levels: square root of reflectance in 8 bit, then coverage; the same at half the size and so on.
     size_mm: (height, width). rise_mm: above its ground.
-    glow: radiance of a white pixel of it if it shines itself, relative to a well-lit white wall; else 0.
+    glow: radiance of a white pixel if the thing emits light, relative to a well-lit white wall; else 0.
     """
 
     levels: tuple[UInt8[np.ndarray, "_ _ 4"], ...]
@@ -73,7 +73,7 @@ def sprite(kind: str, variant: int) -> Sprite:
 
 
 def draw_sprites() -> None:
-    """Every picture of every kind; they are kept."""
+    """Draw every picture of every kind and keep them."""
     for kind in _SIZE_MM:
         for variant in range(VARIANTS):
             sprite(kind, variant)

@@ -31,13 +31,13 @@ AXIAL_COSINE = 0.8
 """Gantries tilt by up to 30 degrees (0.87) and patients lie a little askew; coronal and sagittal slices are at 0."""
 
 NOT_SLICES = {"LOCALIZER": "a scout view", "PERFUSION": "a perfusion map, not Hounsfield units", "MIP": "a projection"}
-"""Values of ImageType that tell what a CT image is when it is no slice."""
+"""Values of ImageType that say what a CT image is if it is not a slice."""
 
 HOUNSFIELD_TYPES = {"", "HU", "HU_MOD", "US"}
 """Values of RescaleType that Hounsfield units come with (US: unspecified); others are densities, atomic numbers ..."""
 
 RETIRED_TAGS = {"ImageOrientationPatient": (0x0020, 0x0035), "ImagePositionPatient": (0x0020, 0x0030)}
-"""The same in files of ACR-NEMA, the standard before DICOM."""
+"""The equivalents in files of ACR-NEMA, the standard before DICOM."""
 
 
 class RefusedError(DataError):
@@ -60,7 +60,7 @@ class Frame:
 
 
 def read_frames(content: bytes) -> list[Frame]:
-    """The axial CT frames in the bytes of a file; raises RefusedError with a reason where there are none."""
+    """The axial CT frames in the bytes of a file; raises RefusedError with a reason if there are none."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # pydicom warns of harmless oddities; what matters is checked below
         try:
@@ -77,7 +77,7 @@ def read_frames(content: bytes) -> list[Frame]:
 
 
 def _check(dataset: Any) -> None:
-    """Raises RefusedError where the header already tells that this is no CT slice."""
+    """Raises RefusedError if the header already shows that this is no CT slice."""
     modality = dataset.get("Modality")
     if modality is None and "PixelData" not in dataset:
         raise RefusedError("not a DICOM image, or one with a damaged header")
@@ -100,7 +100,7 @@ def _check(dataset: Any) -> None:
 
 
 def _check_kind(image_type: Any) -> None:
-    """Raises RefusedError where ImageType or FrameType tells of something else than a slice."""
+    """Raises RefusedError if ImageType or FrameType names something other than a slice."""
     for value in image_type if isinstance(image_type, MultiValue) else ():
         if str(value).upper() in NOT_SLICES:
             raise RefusedError(NOT_SLICES[str(value).upper()])
@@ -150,7 +150,7 @@ def _value(dataset: Any, k: int, sequence: str, keyword: str) -> Any:
 
 
 def _numbers(value: Any, count: int, what: str) -> Float[np.ndarray, " n"]:
-    """``count`` finite numbers out of a header, or RefusedError."""
+    """``count`` finite numbers from a header, or RefusedError."""
     try:
         numbers = np.array([float(v) for v in value], dtype=np.float64)
     except (TypeError, ValueError) as error:
@@ -175,7 +175,7 @@ class _Geometry:
 
 
 def _geometry(dataset: Any, k: int) -> _Geometry:
-    """Raises RefusedError where frame ``k`` is no axial slice, or where its header does not say so."""
+    """Raises RefusedError if frame ``k`` is no axial slice, or if its header does not say so."""
     frame_type = _value(dataset, k, "CTImageFrameTypeSequence", "FrameType")
     if frame_type is not None:
         _check_kind(frame_type)
@@ -203,7 +203,7 @@ def _geometry(dataset: Any, k: int) -> _Geometry:
 def _frame(dataset: Any, k: int, stored: np.ndarray, geometry: _Geometry) -> Frame:
     hu = _hounsfield(dataset, k, stored)
     along_row, along_column, spacing = geometry.along_row, geometry.along_column, geometry.spacing_mm
-    if abs(along_row[0]) < abs(along_column[0]):  # turned by a quarter
+    if abs(along_row[0]) < abs(along_column[0]):  # rotated by a quarter turn
         hu, along_row, along_column, spacing = hu.T, along_column, along_row, spacing[::-1]
     hu = hu[:: 1 if along_column[1] > 0 else -1, :: 1 if along_row[0] > 0 else -1]
     series = (
@@ -217,7 +217,7 @@ def _frame(dataset: Any, k: int, stored: np.ndarray, geometry: _Geometry) -> Fra
 
 
 def _hounsfield(dataset: Any, k: int, stored: np.ndarray) -> Int16[np.ndarray, "rows cols"]:
-    """Hounsfield units by modality LUT or rescale; MONOCHROME1 turns the display over, not the units."""
+    """Hounsfield units by modality LUT or rescale; MONOCHROME1 inverts the display, not the units."""
     padding = _padding(dataset, stored)
     if dataset.get("ModalityLUTSequence"):
         values = np.asarray(apply_modality_lut(stored, dataset), dtype=np.float64)

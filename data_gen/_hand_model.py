@@ -1,8 +1,8 @@
 """Hands as relief pictures: a skeleton of tapered capsules in a pose, seen along the camera's axis.
 
-A model is drawn once for each (grip, variant) and kept; placing it in a photo is one affine warp and its light a lookup
-by normal. Frame of a model: millimetres, x from the forearm to the fingers, y across, z towards the camera; the forearm
-leaves through x = left, and the picture's first column repeats beyond it, so an arm never ends within a photo.
+A model is drawn once for each (grip, variant) and kept; placing it in a photo takes one affine warp, lighting it one
+lookup by normal. Frame of a model: millimetres, x from the forearm to the fingers, y across, z towards the camera; the
+forearm leaves through x = left, and the picture's first column repeats beyond it, so an arm never ends within a photo.
 Lengths and widths of bones: means of adults (Buchholz et al. 1992, Ergonomics 35:261), varied by 8 %.
 """
 
@@ -20,11 +20,11 @@ from hybrid.coords import centres_1d
 
 PX_PER_MM = 1.6
 VARIANTS = 6
-"""Different models of each grip, mirrored and turned besides."""
+"""Different models of each grip; they are also mirrored and turned."""
 
 GRIPS = ("pinch", "fist", "fingers", "flat", "point")
-"""pinch: thumb before the film, hand behind. fist: likewise, fingers curled, the film beside the index finger.
-fingers: finger tips before the film. flat: a hand laid on it. point: one finger on it."""
+"""pinch: thumb in front of the film, hand behind. fist: likewise, fingers curled, the film beside the index finger.
+fingers: finger tips in front of the film. flat: a hand laid on it. point: one finger on it."""
 
 _BEHIND = ("pinch", "fist")
 _FINGERS = (  # base of the finger (x, y), direction (deg), lengths of the three phalanges, radius at base and at tip
@@ -40,7 +40,7 @@ class HandModel:
     """Relief of a hand, (h, w) pictures at ``PX_PER_MM``, 8 bit.
 
     shape: as coded_shape makes it.
-    skin: distance inside the outline of what stands before the film, brightness (128: as the skin's), blush, and what
+    skin: distance inside the outline of what is in front of the film, brightness (128: as the skin's), blush, and what
         it is (0 skin, 128 nail, 255 cloth or, for a glove, its cuff).
     anchor: model point (pixels) that lies on the film's rim. inward: angle (rad) of the direction into the film.
     """
@@ -55,7 +55,7 @@ class HandModel:
 class _Bone:
     """A tapered capsule from ``start`` to ``stop`` (mm, xyz).
 
-    front: before the film. nail: it carries one. creases: places along it (0: start) with folds of skin.
+    front: in front of the film. nail: it carries one. creases: places along it (0: start) with folds of skin.
     blend: difference of height (mm) over which it joins its neighbours.
     """
 
@@ -166,7 +166,7 @@ def _finger(
 
 
 def _thumb(grip: str, size: float, rng: np.random.Generator) -> list[_Bone]:
-    """Metacarpal and two phalanges of the thumb: before the film, or beside it where only finger tips reach over."""
+    """Metacarpal and two phalanges of the thumb: over the film, or beside it where only finger tips reach over it."""
     if grip == "pinch":
         joints = [(14, 26, 4), (52, 46, 14), (86, 46 + rng.normal(0, 4), 24), (114, 40 + rng.normal(0, 5), 22)]
     elif grip == "fist":
@@ -194,7 +194,7 @@ def _turned(bone: _Bone, angle: float) -> _Bone:
 
 
 def _draw(canvas: _Canvas, bone: _Bone) -> None:
-    """Joins a capsule to the relief, smoothly where the heights are alike."""
+    """Joins a capsule to the relief, smoothly where the heights are similar."""
     margin = max(bone.radii) + 16
     a, b = bone.start, bone.stop
     box, x, y = canvas.window(np.minimum(a, b)[:2] - margin, np.maximum(a, b)[:2] + margin)
@@ -226,7 +226,7 @@ def _draw(canvas: _Canvas, bone: _Bone) -> None:
 
 
 def _forearm(canvas: _Canvas, rng: np.random.Generator, *, front: bool) -> np.ndarray:
-    """Forearm and, mostly, a sleeve with folds; where there is cloth, as a picture of 0 and 1."""
+    """Draw the forearm and, in most cases, a sleeve with folds; return a mask of the cloth, of 0 and 1."""
     box, x, y = canvas.window(canvas.origin, np.array([30.0, 200.0]))
     arm = 27 + 0.10 * np.maximum(-x, 0) - 0.0006 * x**2
     end = rng.uniform(-70, 0) if rng.random() < 0.75 else -500.0

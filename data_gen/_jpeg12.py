@@ -1,6 +1,6 @@
-"""A decoder plug-in of pydicom for 12-bit JPEG (transfer syntax JPEG Extended), which its own plug-ins refuse.
+"""A pydicom decoder plug-in for 12-bit JPEG (transfer syntax JPEG Extended), which pydicom's own plug-ins refuse.
 
-GDCM decodes such frames exactly as libjpeg-turbo does; pydicom's plug-in for GDCM turns them away unasked.
+GDCM decodes such frames exactly as libjpeg-turbo does; pydicom's plug-in for GDCM rejects them without trying.
 """
 
 from __future__ import annotations
@@ -58,10 +58,10 @@ def decode_frame(source: bytes, runner: Any) -> bytes:
 
 @contextmanager
 def _silent() -> Iterator[None]:
-    """Nothing reaches this process's standard error meanwhile.
+    """Silence this process's standard error.
 
-    GDCM tries its 8-bit JPEG library on each frame first, which prints "Unsupported JPEG data precision 12" past
-    GDCM's own switches, and then decodes with its 12-bit one.
+    GDCM first tries its 8-bit JPEG library on each frame, which prints "Unsupported JPEG data precision 12" whatever
+    GDCM's own switches say; then it decodes with its 12-bit one.
     """
     sys.stderr.flush()
     kept, nowhere = os.dup(STDERR), os.open(os.devnull, os.O_WRONLY)

@@ -34,11 +34,11 @@ FIELDS = (
 
 @dataclass(frozen=True, eq=False)
 class Marks:
-    """What else stands in every cell, None or 0 for nothing.
+    """What else is drawn in every cell, None or 0 for nothing.
 
-    ruler: a scale bar, upright at the right or lying at the bottom; at the left or the top if ``ruler_first``. cross: a
-    plus sign in the middle. wedge: greys at the left edge. ticks_px: length of the strokes at the middles of the four
-    edges.
+    ruler: a scale bar, vertical at the right or horizontal at the bottom; at the left or the top if ``ruler_first``.
+    cross: a plus sign in the middle. wedge: greys at the left edge. ticks_px: length of the strokes at the middles of
+    the four edges.
     """
 
     ruler: Sprite | None
@@ -51,9 +51,9 @@ class Marks:
 
 @dataclass(frozen=True, eq=False)
 class Labels:
-    """The texts of a print, the same on every cell but for their numbers.
+    """The texts of a print, the same in every cell except for their numbers.
 
-    corners: lines for each of CORNERS. values: what stands in for the fields that do not change.
+    corners: lines for each of CORNERS. values: contents of the fields that do not change.
     letters: for top, right, bottom, left; empty for none. style: of TEXT_STYLES. pad_px: distance from the cell's edge.
     first_image: number of the first cell. first_mm: table position of the volume's first slice.
     """
@@ -71,7 +71,7 @@ class Labels:
     first_mm: float
 
     def numbers(self, k: int, position_mm: float, window: tuple[float, float]) -> dict[str, object]:
-        """What the fields of the k-th cell stand for."""
+        """Contents of the k-th cell's fields."""
         moving = {"image": self.first_image + k, "position": self.first_mm + position_mm}
         return {**self.values, **moving, "level": round(window[0]), "width": round(window[1])}
 
@@ -125,7 +125,7 @@ def random_labels(
 
 
 def _random_corners(rng: np.random.Generator) -> tuple[tuple[str, ...], ...]:
-    """One to five lines in most corners; at least one of them counts, as on every real film."""
+    """One to five lines in most corners; at least one line gives image number or position, as on every real film."""
     corners = []
     for chance in (0.9, 0.8, 0.75, 0.5):
         lines = int(rng.integers(1, 6)) if rng.random() < chance else 0
@@ -169,7 +169,7 @@ def _random_ruler(rng: np.random.Generator, cell_px: tuple[int, int], px_per_mm:
 def draw_labels(
     image: Float[np.ndarray, "h w"], cell: tuple[int, int, int, int], labels: Labels, numbers: dict[str, object]
 ) -> None:
-    """Writes the texts of a cell (x, y, width, height) onto the image in place, ``numbers`` in their fields."""
+    """Writes the texts of a cell (x, y, width, height) onto the image in place, fields filled with ``numbers``."""
     x, y, width, height = cell
     pad, inside = labels.pad_px, image[y : y + height, x : x + width]
     _draw_marks(inside, labels.marks, labels)

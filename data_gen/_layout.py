@@ -16,17 +16,17 @@ GRIDS = (
     ((6, 3), 0.01), ((3, 6), 0.01), ((3, 2), 0.01), ((2, 3), 0.01), ((2, 2), 0.02), ((9, 7), 0.01),
     ((4, 2), 0.01), ((2, 4), 0.006), ((1, 2), 0.006), ((2, 1), 0.006),
 )  # fmt: skip
-"""(rows, cols) and how often."""
+"""(rows, cols) and their frequency."""
 
 FORMATS_MM = {
     "35 x 43 cm": ((430.0, 350.0), 0.35), "14 x 17 in": ((431.8, 355.6), 0.3), "11 x 14 in": ((355.6, 279.4), 0.12),
     "10 x 12 in": ((304.8, 254.0), 0.1), "8 x 10 in": ((254.0, 203.2), 0.08), "28 x 35 cm": ((350.0, 280.0), 0.05),
 }  # fmt: skip
-"""Sides of film formats, the longer first, and how often."""
+"""Sides of film formats, the longer first, and their frequency."""
 
 PLACINGS = ("free", "fitted", "centred")
-"""The sheet as large as its square (or nearly square) cells; a format's, cells stretched to fill it; a format's, cells
-square in its middle."""
+"""A sheet as large as its square (or nearly square) cells need; a sheet of a film format, its cells stretched to fill
+it; a sheet of a film format, with square cells in its middle."""
 
 STYLES = ("none", "rules", "gutter")
 
@@ -43,7 +43,7 @@ class PrintConfig:
     footer_share, label_share: chances that a header strip stands below the cells, and that it is bright and its writing
         dark, as on a label.
     clear_share, frame_share: chances, where there are margins, that these are bare film, bright as the print's white
-        (DICOM calls them borders of white density), and that a line is drawn through them all around the grid.
+        (DICOM calls them borders of white density), and that a line is drawn through them around the grid.
     bright_gap_share: chance that gutters are bright.
     scout_share, windows_share, marks_share: chances of a scout view in the first cell, of several windows on one film,
         and of wedges and crosses in the cells.
@@ -87,8 +87,8 @@ class Layout:
     footer: in the bottom one.
     rule_px: thickness of rules or boxes. boxes: a rule around each cell instead of between them.
     outer_rules: rules also along the grid's border. frame_px: thickness of a line around the grid, in the margins; 0
-    for none. frame_at: its place, in parts of the way from the sheet's edges to the grid. film: name of its format, or
-    free.
+    for none. frame_at: its place, as a share of the way from the sheet's edges to the grid. film: name of its format,
+    or free.
     """
 
     rows: int
@@ -188,7 +188,7 @@ def _random_format(rng: np.random.Generator) -> tuple[str, tuple[float, float]]:
 
 
 def _random_margins(rng: np.random.Generator, share: float) -> Float[np.ndarray, " 4"]:
-    """(top, right, bottom, left) as shares of the longer side: usually none, else all alike or each its own."""
+    """(top, right, bottom, left) as shares of the longer side: usually none, else all equal or each different."""
     if rng.random() >= share:
         return np.zeros(4)
     if rng.random() < 0.6:
@@ -202,14 +202,14 @@ def _random_margins(rng: np.random.Generator, share: float) -> Float[np.ndarray,
 def _square_pitch(
     grid: tuple[int, int], sheet: tuple[float, float], margins: Float[np.ndarray, " 4"], aspect: float
 ) -> tuple[float, float]:
-    """The largest cells of height by width ``aspect`` that the sheet takes."""
+    """The largest cells of height by width ``aspect`` that fit on the sheet."""
     down, across = sheet[0] - margins[0] - margins[2], sheet[1] - margins[1] - margins[3]
     pitch = float(min(down / (grid[0] * aspect), across / grid[1]))
     return aspect * pitch, pitch
 
 
 def _fitted_pitch(grid: tuple[int, int], short: float, margins: Float[np.ndarray, " 4"]) -> tuple[float, float]:
-    """Cells that fill a sheet of ``short`` to 1, turned whichever way makes them squarer."""
+    """Cells that fill a sheet of ``short`` to 1, in the orientation that makes them squarer."""
     pitches = []
     for sheet in ((1.0, short), (short, 1.0)):
         down, across = sheet[0] - margins[0] - margins[2], sheet[1] - margins[1] - margins[3]
@@ -220,7 +220,7 @@ def _fitted_pitch(grid: tuple[int, int], short: float, margins: Float[np.ndarray
 def _centred_pitch(
     grid: tuple[int, int], short: float, margins: Float[np.ndarray, " 4"]
 ) -> tuple[tuple[float, float], Float[np.ndarray, " 4"]]:
-    """Square cells in the middle of a sheet turned whichever way makes them larger, and the margins that are left."""
+    """Square cells in the middle of a sheet, in the orientation that makes them larger, and the remaining margins."""
     sheets = ((1.0, short), (short, 1.0))
     sheet = max(sheets, key=lambda sheet: _square_pitch(grid, sheet, margins, 1.0)[0])
     pitch = _square_pitch(grid, sheet, margins, 1.0)

@@ -38,7 +38,7 @@ from data_gen.volumes import CtVolume
 from hybrid.coords import centres_1d
 
 STANDARD_MM = (165.0, 110.0)
-"""Half width and half depth of the trunk that Frame fits to others."""
+"""Half width and half depth of the standard trunk, which Frame fits to others."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +79,7 @@ class _Walls:
 
 
 def body_phantom(rng: np.random.Generator, size: int = 256, slices: int = 30) -> CtVolume:
-    """A made-up chest and abdomen on ``slices`` slices of ``size`` x ``size`` pixels, slice 0 lowest."""
+    """A made-up chest and abdomen in ``slices`` slices of ``size`` x ``size`` pixels, slice 0 lowest."""
     trunk = _random_trunk(rng)
     field_mm = 2 * trunk.radii[0] * rng.uniform(1.06, 1.3)
     warp = random_warp(rng, rng.uniform(2.0, 5.0), rng.uniform(180.0, 350.0), 0.03)
@@ -178,7 +178,7 @@ def _walls(trunk: _Trunk, plane: Plane) -> _Walls:
 
 
 def _rounded(plane: Plane, radii: tuple[float, float], power: float) -> Canvas:
-    """About the distance in mm to an upright cylinder over a superellipse: its level over the level's gradient."""
+    """Approximate distance in mm to an upright cylinder over a superellipse: the level divided by its gradient."""
     a, b = np.abs(plane.x) * np.float32(1 / radii[0]), np.abs(plane.y) * np.float32(1 / radii[1])
     pa, pb = cv2.pow(a, power - 1.0), cv2.pow(b, power - 1.0)  # several times faster than NumPy's
     total = np.maximum(pa * a + pb * b, np.float32(1e-6))
@@ -188,7 +188,7 @@ def _rounded(plane: Plane, radii: tuple[float, float], power: float) -> Canvas:
 
 
 def _draw_belly(canvas: Canvas, trunk: _Trunk, plane: Plane, walls: _Walls, fine: Canvas) -> None:
-    """What lies under the diaphragm, on a copy that is then shown there."""
+    """Draw what lies under the diaphragm on a copy, which is then blended in there."""
     room = ramp(-walls.inner - 1.0) * ramp(0.5 - walls.over)
     tissue = canvas.copy()
     paint_all(tissue, plane, trunk.belly)

@@ -1,4 +1,4 @@
-"""The brain of a made-up head: folded rim, white core, deep parts, fluid, what disease adds."""
+"""The brain of a made-up head: folded rim, white core, deep parts, fluid, and what disease adds."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from data_gen._shapes import Blob, Canvas, Plane, Solid, blend, bounds, paint_al
 class Brain:
     """parts: ventricles, nuclei, vessels. sulci: width of the grooves, 0.25 young to 1.3 old.
 
-    folds: how many grooves around. clot_mm, clot_hu: blood or fluid below the skull, on the left where positive.
+    folds: number of grooves around. clot_mm, clot_hu: blood or fluid below the skull, on the left if positive.
     falx_hu, sinus_hu: of the fold between the halves, and of the vein in its root.
     """
 

@@ -168,7 +168,7 @@ def brain_parts(rng: np.random.Generator) -> tuple[Solid, ...]:
         Blob((23, -7, 5), (6.5, 14, 10), 40.5, -0.3, rough_mm=0.6),
         Blob((10, 6, 7), (7, 11, 8), 39.5, -0.25, rough_mm=0.5),
         Blob((33, -8, 4), (1.1, 19, 12), GREY + 1, -0.05, rough_mm=0.6),
-        Blob((40, -10, 2), (1.5 * w + 0.5, 17, 11), CSF, 0.05, rough_mm=1.2),  # the cleft beside the island
+        Blob((40, -10, 2), (1.5 * w + 0.5, 17, 11), CSF, 0.05, rough_mm=1.2),  # the cleft beside the insula
         Tube((38, -24, -6), (56, -30, 0), 1.1 * w + 0.4, CSF, flat=3.0),
         Tube((42, 6, 8), (58, 14, 16), 1.0 * w + 0.3, CSF, flat=3.0),
     )
@@ -187,7 +187,7 @@ def brain_parts(rng: np.random.Generator) -> tuple[Solid, ...]:
 
 
 def _vessels(rng: np.random.Generator) -> list[Solid]:
-    """Bright after contrast medium, hardly seen without."""
+    """Bright after contrast medium, hardly visible without."""
     hu = float(rng.choice([50.0, rng.uniform(120, 260)], p=[0.7, 0.3]))
     pairs = both(
         Tube((7, -14, -18), (22, -16, -15), 1.3, hu),
@@ -211,7 +211,7 @@ def _calcified(rng: np.random.Generator) -> list[Solid]:
 
 
 def lesions(rng: np.random.Generator) -> tuple[Blob, ...]:
-    """In about half of the heads: a bleeding, an infarct, or a growth in its oedema."""
+    """In about half of the heads: a haemorrhage, an infarct, or a growth with oedema around it."""
     if rng.random() < 0.5:
         return ()
     side, radius = rng.choice([-1.0, 1.0]), rng.uniform(5, 17)

@@ -49,7 +49,7 @@ def skull_distance(skull: Skull, plane: Plane) -> Canvas:
 
 
 def skull_thickness(skull: Skull, plane: Plane, noises: Noises) -> Canvas:
-    """In mm: more behind and in front, little at the temples, with a crest inside at the midline."""
+    """In mm: thick behind and in front, thin at the temples, with a crest inside at the midline."""
     away = np.abs(plane.y) * np.float32(1 / skull.radii[1])
     crest = np.exp(-((plane.x / 9.0) ** 2)) * away
     return np.float32(skull.thick_mm) * (0.75 + 0.35 * away * away + 0.07 * noises.broad + 0.4 * crest)

@@ -150,7 +150,7 @@ def chest_parts(rng: np.random.Generator, frame: Frame) -> list[Solid]:
 
 
 def belly_parts(rng: np.random.Generator, frame: Frame) -> list[Solid]:
-    """Spleen, stomach, kidneys, pancreas, great vessels, gut; the liver is drawn by its room, not here."""
+    """Spleen, stomach, kidneys, pancreas, great vessels, gut; the liver, which fills its room, is drawn elsewhere."""
     hu = frame.blood_hu
     organ, rind = 50.0 + 0.28 * max(hu - 50, 0.0), 38.0 + 0.75 * max(hu - 45.0, 0.0)
     parts: list[Solid] = [

@@ -1,4 +1,4 @@
-"""Things as relief pictures in 8 bit: normals, creases and outline from a height field, and how they reach a photo."""
+"""Things as relief pictures in 8 bit: normals, creases and outline from a height field, and placing them in a photo."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def seen_box(low_high: np.ndarray, forward: np.ndarray, size: tuple[int, int], m
 def warped(
     picture: UInt8[np.ndarray, "h w c"], forward: Float[np.ndarray, "2 3"], box: Box
 ) -> UInt8[np.ndarray, "a b c"]:
-    """The picture within ``box`` of the photo; its rim goes on beyond it."""
+    """The picture within ``box`` of the photo; its rim is repeated beyond it."""
     corners = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]], np.float32)
     seen = (corners @ forward[:, :2].T + forward[:, 2] - [box[1].start, box[0].start]).astype(np.float32)
     matrix = cv2.getAffineTransform(opencv_from_photo(corners), opencv_from_photo(seen))

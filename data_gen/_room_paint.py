@@ -42,7 +42,7 @@ def paint_room(rng: np.random.Generator, rays: Float[np.ndarray, "H W 3"]) -> Fl
     wall_colour = _tint(rng, 0.1 if corridor else 0.25) * (
         rng.uniform(0.6, 0.9) if corridor else rng.uniform(0.15, 0.9)
     )
-    day, dark = rng.random() < 0.6, rng.random() < 0.15  # dark: shutters and lamps are closed, a screen or spot is left
+    day, dark = rng.random() < 0.6, rng.random() < 0.15  # dark: shutters closed, lamps off; a screen or spot is left
     for face, hit in hits.items():
         colour = wall_colour * _tint(rng, 0.06)
         if face == FLOOR:
@@ -143,7 +143,7 @@ def _rectangle(hit: _Hits, a: tuple[float, float], b: tuple[float, float]) -> In
 
 
 def _place(rng: np.random.Generator, span: tuple[float, float], length: float) -> tuple[float, float]:
-    """A random interval of ``length`` inside ``span``, cut to it."""
+    """A random interval of ``length`` inside ``span``, clipped to it."""
     start = rng.uniform(span[0], max(span[1] - length, span[0] + 1e-3))
     return start, min(start + length, span[1])
 
@@ -283,7 +283,7 @@ def _spot(
 
 
 def _noise(rng: np.random.Generator, size: tuple[int, int], cells: int) -> Float[np.ndarray, "H W"]:
-    """Smooth noise of unit variance with about ``cells`` blobs around; it meets itself at the seam."""
+    """Smooth noise of unit variance with about ``cells`` blobs around; it is continuous across the seam."""
     small = rng.standard_normal((max(2, cells // 2) if size[0] > 1 else 1, cells)).astype(np.float32)
     wrapped = np.concatenate([small, small[:, :1]], axis=1)
     return cv2.resize(wrapped, size[::-1], interpolation=cv2.INTER_CUBIC)

@@ -11,7 +11,7 @@ from jaxtyping import Float, Int16
 from data_gen._shapes import Canvas, blend, ramp
 
 DENSE_HU = 300.0
-"""What is denser hardens the beam and starves the detector."""
+"""Anything denser hardens the beam and starves the detector."""
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,7 @@ class Scanner:
 
 
 def scan(canvas: Canvas, rng: np.random.Generator, scanner: Scanner) -> Int16[np.ndarray, "rows cols"]:
-    """What a scanner makes of a slice: blurred, with grain and streaks, cut to 12 bits."""
+    """What a scanner makes of a slice: blurred, with grain and streaks, clipped to 12 bits."""
     white = rng.standard_normal(canvas.shape, dtype=np.float32)
     fine = cv2.GaussianBlur(white, (0, 0), 0.6)
     grain = fine - np.float32(scanner.sharp) * cv2.GaussianBlur(white, (0, 0), 1.6)
@@ -37,7 +37,7 @@ def scan(canvas: Canvas, rng: np.random.Generator, scanner: Scanner) -> Int16[np
     inside = ramp(blurred + 500.0, 400.0)
     dense = ramp(canvas - DENSE_HU, 900.0).mean(axis=1)
     starved = cv2.GaussianBlur(rng.standard_normal(canvas.shape, dtype=np.float32), (31, 1), 9.0, sigmaY=0.5) * 5
-    rows = dense * dense / (dense * dense + np.float32(0.01))  # by the share of a row that is bone, levelling off
+    rows = dense * dense / (dense * dense + np.float32(0.01))  # grows with the share of bone in a row, then levels off
     blurred += inside * rows[:, None] * (np.float32(scanner.starve_hu) * starved - np.float32(scanner.cup_hu))
     blurred += grain * (0.35 + 0.65 * inside)
     return np.clip(np.rint(blurred), -1024, 3071).astype(np.int16)
@@ -71,7 +71,7 @@ class Rest:
 
 
 def draw_rest(canvas: Canvas, rows: Float[np.ndarray, " r"], cols: Float[np.ndarray, " c"], rest: Rest) -> None:
-    """Puts the rest under the patient in place, where there is nothing but air."""
+    """Draws the rest under the patient in place, only over air."""
     if rest.kind == "none":
         return
     x, y = np.meshgrid(cols.astype(np.float32), rows.astype(np.float32))

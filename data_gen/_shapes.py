@@ -44,7 +44,7 @@ class Blob:
         return self.centre, (max(self.radii[0], across), max(self.radii[1], across), self.radii[2])
 
     def distance(self, x: Canvas, y: Canvas, z: Canvas) -> Canvas:
-        """About the distance in mm to the surface, negative inside: the level over its gradient (I. Quilez)."""
+        """Approximate distance in mm to the surface, negative inside: the level over its gradient (I. Quilez)."""
         (cx, cy, cz), (rx, ry, rz) = self.centre, self.radii
         cos, sin = np.float32(np.cos(self.yaw)), np.float32(np.sin(self.yaw))
         dx, dy = x - np.float32(cx), y - np.float32(cy)
@@ -117,7 +117,7 @@ class Plane:
     slack_mm: float
 
     def distance(self, solid: Solid) -> Canvas:
-        """About the distance in mm to the surface of a solid, negative inside (exact on the surface)."""
+        """Approximate distance in mm to the surface of a solid, negative inside (exact on the surface)."""
         return solid.distance(self.x, self.y, self.z)
 
     def cut(self, window: Window) -> Plane:
@@ -129,10 +129,10 @@ class Plane:
         )  # fmt: skip
 
     def window(self, solid: Solid, margin_mm: float = 1.0) -> Window | None:
-        """Rows and columns outside of which the solid cannot be, or None where the slice misses it."""
+        """Rows and columns that bound the solid, or None if the slice misses it."""
         (cx, cy, cz), (rx, ry, rz) = solid.box
         slack = self.slack_mm + solid.shell_mm + 3 * solid.rough_mm + margin_mm
-        if abs(self.z_mm - cz) > rz + slack + 25.0:  # cheap, and true of nearly all: tilts move less than 25 mm
+        if abs(self.z_mm - cz) > rz + slack + 25.0:  # cheap, and enough for nearly all: tilts move less than 25 mm
             return None
         turn = self.rotation
         det = turn[0, 0] * turn[1, 1] - turn[0, 1] * turn[1, 0]
@@ -165,7 +165,7 @@ class Warp:
         x, y = np.meshgrid(cols.astype(np.float32), rows.astype(np.float32))
         turned = [r[0] * x + r[1] * y + r[2] * np.float32(z_mm) for r in self.rotation.astype(np.float32)]
         for wave, phase in zip(self.waves.astype(np.float32), self.phases.astype(np.float32), strict=True):
-            # separable: the sum over axes of waves along rows and columns costs vectors, not images
+            # separable: waves along rows and along columns are computed on vectors, not images
             base_x, base_y = wave[0] * cols.astype(np.float32), wave[1] * rows.astype(np.float32)
             for k in range(3):
                 lift = wave[2] * np.float32(z_mm) + phase[k]
@@ -184,7 +184,7 @@ def random_warp(rng: np.random.Generator, amplitude_mm: float, wavelength_mm: fl
 
 
 def paint(canvas: Canvas, plane: Plane, solid: Solid, soft_mm: float = 0.8) -> None:
-    """Puts a solid over the canvas in place, its rim ``soft_mm`` wide so that slices do not show stairs."""
+    """Paints a solid over the canvas in place, its rim ``soft_mm`` wide so that slices show no staircase edges."""
     window = plane.window(solid)
     if window is None:
         return
@@ -201,7 +201,7 @@ def paint(canvas: Canvas, plane: Plane, solid: Solid, soft_mm: float = 0.8) -> N
 
 
 def paint_all(canvas: Canvas, plane: Plane, solids: Iterable[Solid]) -> None:
-    """Puts solids over the canvas in order, the last on top."""
+    """Paints solids over the canvas in order, the last on top."""
     for solid in solids:
         paint(canvas, plane, solid)
 
@@ -212,13 +212,13 @@ def blend(canvas: Canvas, share: Canvas, hu: Canvas | float | int) -> None:
 
 
 def bounds(mask: Bool[np.ndarray, "rows cols"]) -> Window | None:
-    """The smallest window around what is set, or None."""
+    """The smallest window around the set pixels, or None."""
     rows, cols = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
     return (slice(int(rows[0]), int(rows[-1]) + 1), slice(int(cols[0]), int(cols[-1]) + 1)) if len(rows) else None
 
 
 def ramp(values: Canvas, width: float | int = 1.0) -> Canvas:
-    """0 below 0, 1 above ``width``, a straight line between."""
+    """0 below 0, 1 above ``width``, linear in between."""
     return np.clip(values * np.float32(1.0 / width), 0.0, 1.0)
 
 

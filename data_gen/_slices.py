@@ -30,11 +30,11 @@ Point = tuple[float, float]
 
 @dataclass(frozen=True)
 class Look:
-    """Greys of a print, its windows, how slices are placed.
+    """Greys of a print, its windows, and how slices are placed.
 
     windows: (level, width) of each. deal: of DEALS. clear: margins, if there are any, are bare film, which is bright.
-    fill: share of the cell that the anatomy takes, over 1 where it is zoomed in. offset: of the anatomy's middle, in
-    cells. round_field: black outside the scanner's circle. scout: a scout view stands in the first cell.
+    fill: share of the cell that the anatomy takes, over 1 if it is zoomed in. offset: of the anatomy's middle, in
+    cells. round_field: black outside the scanner's circle. scout: a scout view is in the first cell.
     interpolation: an OpenCV constant.
     """
 
@@ -57,8 +57,8 @@ class Look:
 
 @dataclass(frozen=True, eq=False)
 class Deal:
-    """What stands in the used cells after the scout: positions among the slices (fractions lie between two) and
-    windows by number.
+    """Contents of the used cells after the scout: positions among the slices (fractions lie between two) and windows
+    by number.
     """
 
     positions: Float[np.ndarray, " cells"]
@@ -66,7 +66,7 @@ class Deal:
 
 
 def random_look(rng: np.random.Generator, volume: CtVolume, config: PrintConfig) -> Look:
-    """Greys, windows and placing of one print."""
+    """Greys, windows and slice placement of one print."""
     table = np.array(BODY_WINDOWS if is_body(volume) else HEAD_WINDOWS)
     several = rng.random() < config.windows_share
     chosen = rng.choice(len(table), 2 if several else 1, replace=False, p=table[:, 2] / table[:, 2].sum())
@@ -109,10 +109,10 @@ def deal_slices(rng: np.random.Generator, available: int, count: int, deal: str)
 
 
 def choose_slices(rng: np.random.Generator, available: int, count: int) -> Float[np.ndarray, " count"]:
-    """Slice positions (fractions lie between two slices) at equal distances, the ends of the scan left out.
+    """Equally spaced slice positions (fractions lie between two slices), without the ends of the scan.
 
-    The paper's rule (10 % dropped at each end, equal spacing, random offset), the spacing sometimes much narrower; from
-    either end, rarely in random order.
+    The paper's rule (10 % dropped at each end, equal spacing, random offset), but sometimes with much narrower spacing;
+    slices begin at either end, or rarely come in random order.
     """
     low, high = PAPER_MARGIN * (available - 1), (1 - PAPER_MARGIN) * (available - 1)
     narrow = rng.uniform(0.12, 0.6) if rng.random() < 0.3 else rng.uniform(0.85, 1.0)
@@ -127,7 +127,7 @@ def choose_slices(rng: np.random.Generator, available: int, count: int) -> Float
 
 
 def anatomy(volume: CtVolume) -> tuple[Point, Point]:
-    """Centre (x, y) in voxels and extent (x, y) in mm of the anatomy, thin things such as the table left out."""
+    """Centre (x, y) in voxels and extent (x, y) in mm of the anatomy, without thin things such as the table."""
     rough = (volume.hu[:: max(1, len(volume.hu) // 10), ::4, ::4] > -300).sum(axis=0) > 0
     centre, extent = [], []
     for axis, spacing in ((0, volume.spacing_mm[2]), (1, volume.spacing_mm[1])):
@@ -144,7 +144,7 @@ def anatomy(volume: CtVolume) -> tuple[Point, Point]:
 def draw_slices(
     image: Float[np.ndarray, "h w"], volume: CtVolume, deal: Deal, layout: Layout, look: Look, px_per_mm: float
 ) -> None:
-    """Puts every slice into its cell in place, windowed before it is magnified, as printers do."""
+    """Draws every slice into its cell in place, windowed before it is magnified, as printers do."""
     height, width = layout.cell_px
     scale_x, scale_y = px_per_mm * volume.spacing_mm[2], px_per_mm * volume.spacing_mm[1]
     sign_x, sign_y = (-1.0 if look.mirrored else 1.0), (-1.0 if look.upside_down else 1.0)
@@ -173,7 +173,7 @@ def draw_slices(
 
 
 def _to_grey(hu: Float[np.ndarray, "rows cols"], window: tuple[float, float], look: Look) -> None:
-    """Hounsfield units to greys between the film's base and its white, in place."""
+    """Maps Hounsfield units to greys between the film's base and its white, in place."""
     level, width = window
     gain = (look.white - look.base) / width
     hu *= np.float32(gain)
@@ -187,7 +187,7 @@ def _beyond_the_circle(shape: tuple[int, ...]) -> np.ndarray:
 
 
 def _slice_at(volume: CtVolume, position: float) -> Float[np.ndarray, "rows cols"]:
-    """The slice at a position, mixed from two neighbours where it lies between them; always a new array."""
+    """The slice at a position, interpolated from its two neighbours if it lies between them; always a new array."""
     lower = int(np.clip(np.floor(position), 0, len(volume.hu) - 1))
     share = position - lower
     slice_hu = volume.hu[lower].astype(np.float32)
@@ -199,7 +199,7 @@ def _slice_at(volume: CtVolume, position: float) -> Float[np.ndarray, "rows cols
 def draw_scout(
     image: Float[np.ndarray, "h w"], volume: CtVolume, positions: Float[np.ndarray, " n"], layout: Layout, look: Look
 ) -> None:
-    """The view from the front that the scan was planned on, in the first cell, with the slices' heights as lines."""
+    """Draws the front view that the scan was planned on in the first cell, with the slices' heights as lines."""
     step = max(1, volume.hu.shape[1] // 128)
     view = np.maximum(volume.hu[::-1, ::step], -1000).mean(axis=1, dtype=np.float32)  # the head at the top
     low, high = float(view.min()), float(np.percentile(view, 99.5))

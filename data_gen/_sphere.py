@@ -11,7 +11,7 @@ from jaxtyping import Float
 from hybrid.coords import centres_1d, opencv_from_photo
 
 REMAP_COLUMNS = 2048
-"""OpenCV's remap takes no side longer than 32767, so lists of points are folded into rows."""
+"""OpenCV's remap accepts no side longer than 32767, so lists of points are folded into rows."""
 
 
 @lru_cache(maxsize=8)
@@ -32,9 +32,9 @@ def solid_angles(size: tuple[int, int]) -> Float[np.ndarray, " H"]:
 
 
 class SphereLookup:
-    """Directions made ready for bilinear lookup in any number of equirectangular images.
+    """Directions prepared for bilinear lookup in any number of equirectangular images.
 
-    Directions are unit vectors, z up. Values between pixel centres are bilinear, wrap in azimuth, end at the poles.
+    Directions are unit vectors, z up. Values between pixel centres are bilinear, wrap in azimuth and end at the poles.
     """
 
     def __init__(self, directions: Float[np.ndarray, "*n 3"]) -> None:

@@ -1,4 +1,4 @@
-"""Texts and scale bars of a film: sprites of coverage, cached, put onto a grey canvas."""
+"""Texts and scale bars of a film: cached sprites of coverage, put onto a grey canvas."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ TEXT_STYLES = ("plain", "boxed", "inverted")
 
 @dataclass(frozen=True)
 class Font:
-    """A family of FAMILIES, the height of a capital letter in pixels, the width relative to usual, and strokes."""
+    """A family of FAMILIES, height of a capital letter in pixels, width relative to the usual one, and bold strokes."""
 
     family: str
     height_px: int
@@ -38,7 +38,7 @@ class Font:
 
 @lru_cache(maxsize=512)
 def text_sprite(text: str, font: Font) -> Sprite:
-    """Coverage (0 to 255) of one line of text, cut to its ink; read-only because it is shared."""
+    """Coverage (0 to 255) of one line of text, cropped to its ink; read-only because it is shared."""
     if font.family == "pillow":
         ink = _pillow_ink(text, _pillow_font(font.height_px), 2 * font.height_px)
     elif font.family == "bitmap":
@@ -99,7 +99,7 @@ def _trim(canvas: UInt8[np.ndarray, "H W"]) -> Sprite:
 
 
 def stamp(image: Float[np.ndarray, "H W"], sprite: Sprite, x: int, y: int, grey: float) -> None:
-    """Puts ``grey`` onto the image in place where the sprite, top-left pixel at (x, y), covers it; cut at the rim."""
+    """Puts ``grey`` onto the image in place where the sprite, top-left pixel at (x, y), covers it; clips at the rim."""
     height, width = image.shape
     x0, y0 = max(x, 0), max(y, 0)
     x1, y1 = min(x + sprite.shape[1], width), min(y + sprite.shape[0], height)
@@ -131,7 +131,7 @@ def cross_sprite(arm_px: int, thick_px: int) -> Sprite:
 
 
 def wedge_greys(height_px: int, width_px: int, steps: int, white: float) -> Float[np.ndarray, "h w"]:
-    """A grey wedge, white at the top; of ``steps`` equal steps, or smooth where 0."""
+    """A grey wedge, white at the top; in ``steps`` equal steps, or smooth if 0."""
     ramp = np.linspace(1.0, 0.0, height_px, dtype=np.float32)
     if steps > 1:
         ramp = np.minimum(np.floor(ramp * steps), steps - 1) / np.float32(steps - 1)
@@ -139,7 +139,7 @@ def wedge_greys(height_px: int, width_px: int, steps: int, white: float) -> Floa
 
 
 def ruler_sprite(length_px: float, ticks: int, tick_px: int, thick_px: int, vertical: bool) -> Sprite:
-    """A scale bar with ``ticks`` intervals; every fifth tick is longer, the ends too. Vertical ticks point left."""
+    """A scale bar with ``ticks`` intervals; every fifth tick and the ends are longer. Vertical ticks point left."""
     length = round(length_px)
     canvas = np.zeros((length + thick_px, 2 * tick_px + thick_px), np.uint8)
     canvas[:, -thick_px:] = 255

@@ -1,4 +1,4 @@
-"""What lies behind the film: the record of it, drawn at random."""
+"""What lies behind the film: a record of it, drawn at random."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ SEEDS = 2**31
 
 KINDS = ("room", "table", "wall", "panel", "dark")
 """room: the environment alone. table: below the film, wall: upright behind it, both with things on them.
-panel: a light box with its frame and what is around it. dark: nothing that can be told from the film's own black."""
+panel: a light box with its frame and what is around it. dark: too dark to be told apart from the film's own black."""
 
 
 @dataclass(frozen=True)
 class Backdrop:
     """The background of one photo.
 
-    kind: one of KINDS. material, variant: of the table or wall. gap_mm: between it and the nearest part of the film.
-    turn_deg: of the material's grain. tilt: slopes of the plane against the film's own. tint: factor on the material's
-    colour. things: how many lie on it. blur: out of focus by so many pixels of a photo 1000 px wide.
-    level: of a dark background, relative to the film's base. seed: of everything else.
+    kind: one of KINDS. material, variant: of the table or wall. gap_mm: from it to the nearest part of the film.
+    turn_deg: rotation of the material's grain. tilt: slopes of the plane relative to the film's own. tint: factor on
+    the material's colour. things: how many lie on it. blur: defocus in pixels of a photo 1000 px wide.
+    level: brightness of a dark background, relative to the film's base. seed: of everything else.
     """
 
     kind: str
@@ -40,7 +40,7 @@ class Backdrop:
 
 
 def sample_backdrop(light: Light, rng: np.random.Generator) -> Backdrop:
-    """Light boxes are seen with their panel or masked to the film; otherwise a third shows the room itself."""
+    """Light boxes show their panel or are masked to the film; a third of the other photos show the room itself."""
     if light.light_box:
         kind = str(rng.choice(["panel", "dark"], p=[0.55, 0.45]))
     else:

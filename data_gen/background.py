@@ -1,7 +1,7 @@
 """Linear radiance of what lies behind the film, over the whole photo.
 
-A table or wall is a plane in the film's world, seen through the photo's camera without its slight distortion. What is
-out of focus is drawn small and enlarged.
+A table or wall is a plane in the film's world, seen through the photo's camera without its slight distortion. A
+background that is out of focus is drawn small and enlarged.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ BLUR_REFERENCE = 1000.0
 def background(
     scene: Scene, film: FilmMesh, room: FilteredEnvironment, base: Float[np.ndarray, "3"]
 ) -> Float[np.ndarray, "h w 3"]:
-    """What is behind the film. base: radiance of its unprinted parts, which a dark backdrop comes near."""
+    """What is behind the film. base: radiance of its unprinted parts, which a dark backdrop is close to."""
     backdrop, (height, width) = scene.backdrop, scene.camera.size
     sigma = backdrop.blur * max(height, width) / BLUR_REFERENCE
     if backdrop.kind == "room":  # the environment's own pixels must not show
@@ -135,7 +135,7 @@ def _panel(
     shone = np.ones_like(around)
     place_things(shone, ground, camera, scene.backdrop, rng, (film.size_mm[1] / 2, film.size_mm[0] / 2))
     shone *= bright[..., None] * np.array(box.radiance, np.float32)
-    gloss *= 1 - frame[..., None]  # the wall's, not the frame's
+    gloss *= 1 - frame[..., None]  # that of the wall, not of the frame
     return (around * light + gloss) * (1 - panel[..., None]) + shone * panel[..., None]
 
 

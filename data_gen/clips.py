@@ -29,16 +29,16 @@ KINDS = ("bulldog", "foldback", "peg", "magnet", "tape", "bar")
 """bulldog: sheet-steel jaws. foldback: black spring steel with wire levers. bar: along the whole edge."""
 
 HIDING_OPACITY = 0.5
-"""Tape below it leaves the print readable and does not count as cover in the mask."""
+"""Tape of this opacity or less leaves the print readable and does not count as cover in the mask."""
 
 
 @dataclass(frozen=True)
 class Clip:
     """One holder at the film's rim.
 
-    kind: one of KINDS. edge: place on the rim, 0 to 4 from the top-left corner clockwise. turn_deg: about that place.
-    width_mm: along the rim. reach_mm: how far it covers the film. colour: linear RGB reflectance. metal: share of
-    metallic reflection. opacity: below 1 for tape that is seen through.
+    kind: one of KINDS. edge: place on the rim, 0 to 4 from the top-left corner clockwise. turn_deg: rotation about that
+    place. width_mm: along the rim. reach_mm: how far it covers the film. colour: linear RGB reflectance. metal: share
+    of metallic reflection. opacity: below 1 for see-through tape.
     """
 
     kind: str
@@ -94,13 +94,13 @@ def sample_clips(count: int, rng: np.random.Generator) -> tuple[Clip, ...]:
 
 
 def clip_patch(clip: Clip, place: Place, ball: LitSphere, steel: LitSphere, size: tuple[int, int]) -> Patch | None:
-    """A holder before the film; None outside the photo. steel: the ball of polished metal."""
+    """A holder in front of the film; None outside the photo. steel: the ball of polished metal."""
     shape, paint, anchor = _model(clip)
     angle = np.arctan2(place.inward[1], place.inward[0]) + np.deg2rad(clip.turn_deg)
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     forward = affine(place.px_per_mm / PX_PER_MM * turn, anchor, place.at)
     h, w = shape.shape[:2]
-    far = 40.0 * h if clip.kind == "bar" else 0.0  # its rows are alike and go on beyond the picture
+    far = 40.0 * h if clip.kind == "bar" else 0.0  # its rows are alike and continue beyond the picture
     box = seen_box(np.array([[0, -far], [w, h + far]]), forward, size, 10 * place.px_per_mm)
     if box is None:
         return None
@@ -122,9 +122,9 @@ def clip_patch(clip: Clip, place: Place, ball: LitSphere, steel: LitSphere, size
 
 
 def _model(clip: Clip) -> tuple[UInt8[np.ndarray, "h w 4"], UInt8[np.ndarray, "h w 4"], tuple[float, float]]:
-    """Relief and paint (reflectance coded by its square root, share of metal) of a holder; its point on the rim.
+    """Relief and paint (reflectance coded by its square root, share of metal) of a holder, and its point on the rim.
 
-    Millimetres: x into the film from the rim, y along it.
+    It is drawn in millimetres, with x from the rim into the film and y along the rim.
     """
     reach, half = clip.reach_mm, clip.width_mm / 2
     before = {"bulldog": 22.0, "foldback": 0.75 * clip.width_mm + 10, "peg": 48.0, "bar": 18.0, "tape": reach}.get(

@@ -1,4 +1,4 @@
-"""The film put into the photo: print and light looked up at the film points that pixels see, background behind."""
+"""Put the film into the photo: look up print and light at the film points that pixels see, over the background."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from hybrid.gsdf import light_through
 from hybrid.mesh.raycast import PixelView
 
 LEAST_SAMPLING = 2.0
-"""Print pixels to a photo pixel, along both axes, that a reduced print keeps at least."""
+"""Fewest print pixels per photo pixel, along both axes, that a reduced print keeps."""
 
 _LONGEST = 16384
-"""Points looked up at once: OpenCV's remap takes no side longer than 32767."""
+"""Most points looked up at once: OpenCV's remap takes no side longer than 32767."""
 
 _GREYS = np.arange(256) / 255
 
@@ -27,8 +27,8 @@ _GREYS = np.arange(256) / 255
 class PrintLevels:
     """A print at full resolution, at a half, a quarter and so on, made once for all photos of it.
 
-    Light is averaged where pixels are, so ``reflectance`` is reduced in linear light; ``grey``, the truth about the
-    print, in display grey.
+    A pixel averages light, so ``reflectance`` is reduced in linear light; ``grey``, the true print, is reduced in
+    display grey.
     """
 
     reflectance: tuple[Float32[np.ndarray, "_ _"], ...]
@@ -58,9 +58,9 @@ def at_photo_scale(
 ) -> Float32[np.ndarray, "h w"]:
     """The print as a pixel of the photo sees it: blurred to a photo pixel's mean size, sampled twice as finely.
 
-    film_px: mean height and width of the film in photo pixels. One bilinear lookup of it is then worth the mean over
-    the pixel. Where a film is steeply foreshortened its pixels are larger than the mean and are sampled too sparsely by
-    that ratio, as by a camera with small photosites.
+    film_px: mean height and width of the film in photo pixels. One bilinear lookup then stands for the mean over the
+    pixel. Where a film is steeply foreshortened, a photo pixel covers more of the print than the mean and samples it
+    too sparsely by that ratio, like a camera with small photosites.
     """
     steps = [tuple(n / px for n, px in zip(level.shape, film_px, strict=True)) for level in levels]
     chosen = max([0, *(k for k, step in enumerate(steps) if min(step) >= LEAST_SAMPLING)])
@@ -79,7 +79,7 @@ def _box(width: float) -> Float32[np.ndarray, " n"]:
 def composite(
     view: PixelView, reflectance: Float[np.ndarray, "a b"], light: FilmLight, behind: Float32[np.ndarray, "h w 3"]
 ) -> Float32[np.ndarray, "h w 3"]:
-    """Linear light of the photo: ``behind`` (which is overwritten) with the film put before it.
+    """Linear light of the photo: ``behind`` (which is overwritten) with the film in front of it.
 
     reflectance: linear, at the photo's scale (``at_photo_scale``). A pixel that the film covers in part gets the mean
     colour of the film points seen in it, mixed with what is behind by their share of the pixel.
@@ -107,9 +107,9 @@ def film_radiance_at(
 
 
 def on_film(images: Sequence[Float[np.ndarray, "..."]], uv: Float32[np.ndarray, "h w 2"]) -> list[np.ndarray]:
-    """Bilinear values of film images of any sizes at film points, NaN taken for 0.
+    """Bilinear values of film images of any sizes at film points; NaN counts as 0.
 
-    The points are taken apart once for all images: that costs as much as a lookup.
+    The points are split into coordinates once for all images: that costs as much as a lookup.
     """
     points = cv2.split(cv2.patchNaNs(uv.copy(), 0.0))
     found = []

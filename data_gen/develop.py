@@ -14,19 +14,20 @@ from PIL import Image
 from hybrid.coords import film_centres_1d, srgb_from_linear
 
 _LUT_SIZE = 65536
-"""Entries of a tone curve's table: in the darkest parts of sRGB, where it is steepest, a fifth of a display level."""
+"""Entries of a tone curve's table: one step is a fifth of a display level where sRGB is steepest, in its darkest
+parts."""
 
 _LUT_MAX = 4.0
-"""Tone curves are tabulated up to four times the level that a plain sRGB curve clips."""
+"""Tone curves are tabulated up to four times the level at which a plain sRGB curve clips."""
 
 _NOISE_BLUR = 0.6
-"""Spread, in pixels, of the noise that demosaicking leaves."""
+"""Sigma, in pixels, of the blur that demosaicking gives to noise."""
 
 _LOCAL_PX = 96
-"""Longer side of the picture on which local tone mapping is found."""
+"""Longer side, in pixels, of the picture on which local tone mapping is computed."""
 
 NO_LOCAL_TONE = np.ones((1, 1), np.float32)
-"""Factors over the photo of a camera that does without."""
+"""Factors over the photo of a camera without local tone mapping."""
 
 _NOISE_STD = float(np.sqrt((256**2 - 1) / 24))
 """Standard deviation of the mean of two random bytes."""
@@ -41,13 +42,13 @@ White = float | Float[np.ndarray, "3"]
 
 @dataclass(frozen=True)
 class Lens:
-    """What the camera does to the light, all at random.
+    """What the camera does to the light, all drawn at random.
 
-    exposure: linear level that what is metered as white reaches. temperature: log2 red/blue gain.
+    exposure: linear level to which metered white is exposed. temperature: log2 red/blue gain.
     tint: log2 green gain. tone: 'srgb', 'filmic' or 'punchy'. vignette: loss in the corners. bloom: share of light
-    scattered. local: power by which local tone mapping evens out what is bright and dark over ``local_reach`` of the
-    photo's side; 0 without. defocus_px, motion_px: blur in pixels of a 1000 px photo. sharpen: unsharp amount.
-    noise: of read and shot. jpeg: quality.
+    scattered. local: exponent with which local tone mapping evens out bright and dark parts over ``local_reach`` of the
+    photo's side; 0 for none. defocus_px, motion_px: blur in pixels of a 1000 px photo. sharpen: unsharp amount.
+    noise: strength of read and shot noise. jpeg: quality.
     """
 
     exposure: float
@@ -84,9 +85,9 @@ def sample_lens(rng: np.random.Generator) -> Lens:
 
 
 def local_tone(linear: Float[np.ndarray, "h w 3"], lens: Lens) -> Float32[np.ndarray, "a b"]:
-    """Factors over the photo by which the camera makes what lies in bright parts darker, in dark parts brighter.
+    """Factors over the photo by which the camera darkens bright parts and brightens dark ones.
 
-    Phones do that to show a wide range of light at once: halos run along the edges between such parts.
+    Phones do that to show a wide range of light at once: halos appear along the edges between such parts.
     """
     if lens.local == 0.0:
         return NO_LOCAL_TONE
@@ -124,7 +125,7 @@ def develop(
 
 
 def displayed(radiance: Float[np.ndarray, "h w 3"], lens: Lens, white: White) -> Float32[np.ndarray, "h w 3"]:
-    """Display values in [0, 1] that the camera gives to radiances; blur, noise and vignetting are left aside."""
+    """Display values in [0, 1] that the camera gives to radiances, without blur, noise and vignetting."""
     exposed = radiance * _gains(lens, white).astype(np.float32)
     return _toned(np.ascontiguousarray(exposed, np.float32), lens.tone)
 
@@ -153,9 +154,9 @@ def _lost_along(place: Float[np.ndarray, "*n"], lens: Lens) -> Float[np.ndarray,
 
 
 def _noise(size: tuple[int, int], rng: np.random.Generator) -> Float32[np.ndarray, "h w 3"]:
-    """Noise of unit variance before a demosaicking blur.
+    """Noise that had unit variance before its demosaicking blur.
 
-    The blurred mean of two random bytes: as good as Gaussian (excess kurtosis -0.4), at a fifth of its price.
+    The blurred mean of two random bytes: as good as Gaussian (excess kurtosis -0.4), at a fifth of the cost.
     """
     count = 3 * size[0] * size[1]
     first, second = (np.frombuffer(rng.bytes(count), np.uint8).reshape(*size, 3) for _ in range(2))
@@ -219,7 +220,7 @@ def scattered(linear: np.ndarray, scale: float) -> np.ndarray:
 
 
 def _streak(length_px: float, angle: float) -> Float[np.ndarray, "k k"]:
-    """What a point becomes that moves evenly over this length: a kernel of weights, an odd number of pixels wide."""
+    """Image of a point that moves evenly over this length: a kernel of weights, an odd number of pixels wide."""
     reach = int(np.ceil(length_px / 2))
     pixels, along = np.arange(-reach, reach + 1), (film_centres_1d(64) - 0.5) * length_px
     x, y = (np.maximum(1 - np.abs(along[:, None] * f(angle) - pixels), 0) for f in (np.cos, np.sin))

@@ -1,4 +1,4 @@
-"""CT volumes out of DICOM: folders, zips and files, series apart, everything unusable refused with a reason."""
+"""CT volumes from DICOM folders, zips and files, separated by series; unusable data is refused with a reason."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ EVEN_SHARE = 0.1
 """Slice distances within this share of their median count as even (headers round, couches slip)."""
 
 LARGEST_GAP = 2.5
-"""A gap of up to this many slice distances is bridged; across a wider one the mixture of two slices shows neither."""
+"""Gaps of up to this many slice distances are bridged; across wider ones a mixture of two slices would show neither."""
 
 
 @dataclass(frozen=True)
@@ -51,9 +51,9 @@ class DicomReading:
 
 
 def read_all(path: Path | str) -> DicomReading:
-    """Every axial CT series in a folder (with its folders and zips), a zip or a file; no error where there is none.
+    """Every axial CT series in a folder (with its folders and zips), a zip or a file; no error if there is none.
 
-    Raises DataError only where ``path`` does not exist.
+    Raises DataError only if ``path`` does not exist.
     """
     path = Path(path)
     if not path.exists():
@@ -116,9 +116,9 @@ def _zip_entries(path: Path, refusals: list[Refusal]) -> Iterator[tuple[str, str
 
 
 def _stacks(group: list[tuple[str, Frame]], refusals: list[Refusal], notes: list[str]) -> list[CtVolume]:
-    """The frames of one series, in order from below, as evenly spaced volumes: one, or more where it has wide gaps.
+    """The frames of one series, in order from below, as evenly spaced volumes: one, or more if it has wide gaps.
 
-    A second slice at the same place is left out, and so is what does not hold Hounsfield units.
+    A second slice at the same place is left out, and so is any volume that does not hold Hounsfield units.
     """
     ordered = sorted(group, key=lambda item: item[1].height_mm)
     kept = [ordered[0]]

@@ -1,4 +1,4 @@
-"""What FilmNet makes of a data set's photos, for EdgeNet and BorderNet: ``python -m data_gen.film_maps DATA``."""
+"""FilmNet's maps of a data set's photos, for EdgeNet and BorderNet: ``python -m data_gen.film_maps DATA``."""
 
 from __future__ import annotations
 
@@ -34,17 +34,17 @@ NODES = (33, 33)
 """Nodes of the maps."""
 
 FAR = 0.2
-"""Mean distance from the true map, in parts of the film, from which on a map is not of the film."""
+"""Mean distance from the true map, as a share of the film's longer side, from which on a map is not the film's."""
 
 
 @dataclass(frozen=True)
 class FilmMapsConfig:
-    """Write FilmNet's maps of a data set's photos beside its shards, where trainings of edges and borders find them."""
+    """Write FilmNet's maps of a data set's photos beside its shards, where training of edges and borders finds them."""
 
     data: Annotated[Path, tyro.conf.Positional]
     """Folder of the data set."""
     workers: int = os.cpu_count() or 1
-    """Processes; 0 makes everything in this one."""
+    """Number of processes; 0 does everything in this one."""
 
     def __post_init__(self) -> None:
         require_at_least(self, 0, "workers")
@@ -65,8 +65,8 @@ def write_film_maps(config: FilmMapsConfig) -> Path:
 
 
 def film_map(network: FilmNet, place: Place) -> Float32[np.ndarray, "n m 2"]:
-    """Nodes of the map that FilmNet makes of a sample's photo, turned as the film is seen; NaN where it sees none, or
-    one so far off that its edges are not the film's."""
+    """Nodes of the map that FilmNet finds in a sample's photo, turned as the film is seen; NaN if it finds none, or one
+    so far off that its edges are not the film's."""
     found, true = see(network, Pyramid(photo_of(place)), RectifyConfig(), Clock()).inversion, film_of(place)
     if not isinstance(found, NotInverted):
         seen = film_as_seen(found.backward).resized(NODES)
@@ -77,7 +77,7 @@ def film_map(network: FilmNet, place: Place) -> Float32[np.ndarray, "n m 2"]:
 
 @lru_cache(maxsize=1)
 def _network(folder: Path) -> tuple[FilmNet, list[Place]]:
-    """The network and all samples of a data set; in this process all is done by one thread from now on."""
+    """The network and all samples of a data set; from now on this process uses one thread only."""
     start_worker()
     torch.set_num_threads(1)
     return ready(packaged_film_net()), open_places([folder])

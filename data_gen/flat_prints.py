@@ -1,4 +1,4 @@
-"""Flat prints alone, for networks that see which way is up: ``python -m data_gen.flat_prints --count N --out DIR``."""
+"""Flat prints alone, for networks that tell which way is up: ``python -m data_gen.flat_prints --count N --out DIR``."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ from hybrid.files import write_bytes
 
 @dataclass(frozen=True)
 class FlatPrintsConfig:
-    """Write flat prints as grey JPEG files, and beside each a JSON that says where its slices are."""
+    """Write flat prints as grey JPEG files, each with a JSON file that says where its slices are."""
 
     count: int
-    """Prints to make; those that are there already stay."""
+    """Prints to make; existing ones are kept."""
     out: Path
     """Their folder, one for each seed."""
     seed: int = 0
     """The same seed gives the same prints."""
     workers: int = os.cpu_count() or 1
-    """Processes; 0 makes everything in this one."""
+    """Number of processes; 0 does everything in this one."""
     sources: tyro.conf.OmitArgPrefixes[SourceConfig] = field(default_factory=SourceConfig)
-    """Of CT volumes."""
+    """Sources of CT volumes."""
 
     def __post_init__(self) -> None:
         require_at_least(self, 1, "count")
@@ -40,7 +40,7 @@ class FlatPrintsConfig:
 
 
 def flat_prints(config: FlatPrintsConfig) -> None:
-    """Write the prints that are missing, those with texts only: a film without any may be read either way up.
+    """Write the prints that are missing, those with text only: a film without any may be read either way up.
 
     Raises:
         ConfigError: ``out`` holds prints made with other options, or another run writes there.
@@ -66,7 +66,7 @@ def _write_print(config: FlatPrintsConfig, number: int) -> None:
 
 
 def written_print(seed: int, number: int, sources: SourceConfig) -> FilmPrint:
-    """Print ``number`` of a seed, with texts; no film of a data set of that seed."""
+    """Print ``number`` of a seed, with text; no data set of that seed contains it."""
     rng = np.random.default_rng([seed, number, 1])
     film_print = make_print(draw_volume(sources, rng), rng)
     while not film_print.parameters["text"]:

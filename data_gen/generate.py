@@ -42,24 +42,24 @@ class GenerateConfig:
     count: int
     """Photos to make; a larger count on the same folder extends its data set."""
     out: Path
-    """Folder for the data set; finished shards in it are kept, so a run that was cut off goes on."""
+    """Folder for the data set; finished shards in it are kept, so an interrupted run resumes."""
     seed: int = 0
     """The same seed gives the same bytes."""
     size: int = 256
     """Side of the photos in pixels."""
     map_size: int | None = None
-    """Side of the maps; if not named that of the photos, but at most 448."""
+    """Side of the maps; by default that of the photos, but at most 448."""
     sources: tyro.conf.OmitArgPrefixes[SourceConfig] = field(default_factory=SourceConfig)
-    """Of CT volumes and of light."""
+    """Sources of CT volumes and of light."""
     workers: int = field(default_factory=lambda: os.cpu_count() or 1)
-    """Processes; 0 makes everything in this one."""
+    """Number of processes; 0 does everything in this one."""
     scheduler: str | None = None
     """Address of a Dask scheduler whose workers do the work instead; they need this package and the folders of --ct and
     --hdri at the same paths."""
     shard_size: int = 512
     """Photos in a shard."""
     sample: tyro.conf.Suppress[SampleConfig] = field(default_factory=SampleConfig)
-    """Everything else: in Python only."""
+    """Everything else: set in Python only."""
 
     def __post_init__(self) -> None:
         per_film = self.sample.photos_per_film
@@ -82,7 +82,7 @@ class GenerateConfig:
         return min(self.size, MAX_MAP_SIZE) if self.map_size is None else self.map_size
 
     def sample_config(self) -> SampleConfig:
-        """The samples' configuration with the command's options in it; paths absolute, as other machines need them."""
+        """The samples' configuration with the command's options; paths are absolute, since other machines use them."""
         ct, hdri = (folder and folder.absolute() for folder in (self.sources.ct, self.sources.hdri))
         sources = replace(self.sources, ct=ct, hdri=hdri)
         return replace(self.sample, size=self.size, map_size=self.maps, sources=sources)
@@ -94,7 +94,7 @@ def generate(config: GenerateConfig) -> None:
     Raises:
         ConfigError: a folder that holds a data set made otherwise or that another run writes to; no such cluster; no
         Open3D, which only an installation with the extra ``data`` has.
-        DataError: sources that cannot be read; a disk that is full or fails. What is finished is kept in each case.
+        DataError: sources that cannot be read; a disk that is full or fails. Finished shards are kept in each case.
     """
     check_open3d()
     try:
@@ -146,7 +146,7 @@ def _photos(films: Iterator[list[bytes]], count: int, bar: Any) -> Iterator[byte
 
 
 def _options(config: GenerateConfig, names: dict[str, list[str]]) -> dict[str, Any]:
-    """What dataset.json says besides the count: all that decides the bytes, and no path of this machine."""
+    """What dataset.json says besides the count: everything that decides the bytes, and no path of this machine."""
     made_of = config.sample_config()
     sources = described_sources(made_of.sources, names)
     sample = {name: value for name, value in asdict(made_of).items() if name != "sources"}

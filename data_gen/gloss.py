@@ -14,10 +14,10 @@ import numpy as np
 from jaxtyping import Float
 
 Values = np.ndarray | np.floating
-"""An array, or what numpy makes of one without axes."""
+"""An array, or the scalar that numpy returns for one without axes."""
 
 ALBEDO_COSINES = np.linspace(0.0, 1.0, 33) ** 1.5
-"""Cosines of the view at which directional albedos are tabulated: closer where the Fresnel term is steep."""
+"""Cosines of the view at which directional albedos are tabulated: denser where the Fresnel term is steep."""
 
 _ALBEDO_SAMPLES = 256
 
@@ -27,10 +27,10 @@ GRAZING_MEAN = 1 / 21
 
 @dataclass(frozen=True, eq=False)
 class Gloss:
-    """A rough surface's reflection, integrated.
+    """Integrated reflection of a rough surface.
 
-    alpha: GGX's width. ior: of the film. surfaces: parallel dielectric surfaces above the print.
-    albedo: share of the light towards each of ALBEDO_COSINES that the surface reflects when lit evenly.
+    alpha: GGX's width. ior: of the film. surfaces: number of parallel dielectric surfaces above the print.
+    albedo: share of even light that the surface reflects towards each of ALBEDO_COSINES.
     mean: cosine-weighted mean of albedo. entry: (a, b) with (1 - albedo(c)) / (1 - mean) ~ a + b (1 - c)^5 for light
     that comes in at cosine c; its cosine-weighted mean a + b / 21 is 1.
     """
@@ -75,8 +75,8 @@ def visible_half(
 
     cosine: of the view; it and the point (across, aside) are broadcast against each other.
 
-    Points spread evenly over the disc give half vectors in proportion to what of the surface the eye sees (Heitz
-    2018, Sampling the GGX distribution of visible normals): each then carries the same weight F G1(i).
+    Points spread evenly over the disc give half vectors distributed like the normals that the eye sees (Heitz 2018,
+    Sampling the GGX distribution of visible normals): each then carries the same weight F G1(i).
     """
     sine = np.sqrt(np.maximum(1 - cosine**2, 0.0))
     length = np.sqrt((alpha * sine) ** 2 + cosine**2)

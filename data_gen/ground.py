@@ -21,10 +21,10 @@ from hybrid.mesh.camera import Camera
 from hybrid.mesh.film import FilmMesh
 
 NEAREST_MM = 60.0
-"""What is closer to the camera's plane is not drawn."""
+"""Nothing closer to the camera's plane than this is drawn."""
 
 FARTHEST_MM = 4000.0
-"""Things farther from the film are left out."""
+"""Things farther from the film than this are left out."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +42,7 @@ class Ground:
         return self.origin + mm[..., :1] * self.along + mm[..., 1:] * self.across
 
     def coordinates(self, camera: Camera, shares: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n 2"]:
-        """Points (mm) of the plane seen at places of the photo given in shares of its sides; far where it is missed."""
+        """Points (mm) of the plane seen at places of the photo, in shares of its sides; far away where it is missed."""
         photo = shares * np.array(camera.size[::-1], np.float64)
         rays = camera.ray_directions(photo) @ camera.camera_from_world[:3, :3]
         eye = self.origin - camera.centre_world
@@ -53,7 +53,7 @@ class Ground:
     def pixels(
         self, camera: Camera
     ) -> tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"], Bool[np.ndarray, "h w"]]:
-        """Plane coordinates (mm, float32) of all pixels, and which of them see the plane; distortion left aside."""
+        """Plane coordinates (mm, float32) of all pixels, and which of them see the plane; without lens distortion."""
         k = camera.intrinsics
         x = ((centres_1d(camera.size[1]) - k[0, 2]) / k[0, 0])[None, :]
         y = ((centres_1d(camera.size[0]) - k[1, 2]) / k[1, 1])[:, None]
@@ -123,7 +123,7 @@ _DECODED = ((np.arange(256) / 255) ** 2).astype(np.float32)[None]
 class GroundLight:
     """Radiance of white matt ground and of its gloss, on a coarse lattice over the photo.
 
-    room: by the environment. lamps: by each lamp. gloss: of the environment.
+    room: from the environment. lamps: from each lamp. gloss: reflection of the environment.
     """
 
     room: Float[np.ndarray, "a b 3"]
@@ -131,14 +131,14 @@ class GroundLight:
     gloss: Float[np.ndarray, "a b 3"]
 
     def matt(self) -> Float[np.ndarray, "a b 3"]:
-        """All that white matt ground scatters; what the gloss mirrors is not coloured by the ground."""
+        """All that white matt ground scatters; the gloss is kept apart, since the ground does not colour it."""
         return sum(self.lamps, self.room)
 
 
 def ground_light(
     ground: Ground, camera: Camera, scene: Scene, room: FilteredEnvironment, size: tuple[int, int]
 ) -> GroundLight:
-    """What the ground receives, with nothing upon it, by its sources; ``size``: of the lattice."""
+    """What the ground, with nothing upon it, receives from each source; ``size``: of the lattice."""
     light, turn = scene.light, room_from_film(scene.light).T
     points = ground.world(ground.coordinates(camera, film_centres(size))).astype(np.float32)
     normals = np.broadcast_to(ground.normal.astype(np.float32), points.shape)
@@ -163,7 +163,7 @@ def ground_light(
 
 
 Glow = tuple[Box, Float[np.ndarray, "_ _ 3"]]
-"""Radiance of what shines itself, within a part of the photo."""
+"""Radiance of something that shines by itself, within a part of the photo."""
 
 
 def place_things(
@@ -174,10 +174,10 @@ def place_things(
     rng: np.random.Generator,
     free_mm: tuple[float, float] = (0.0, 0.0),
 ) -> tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"], list[Glow]]:
-    """Draws the backdrop's things into ``reflectance``; the factor of their shadows, the share of the ground that they
-    leave bare, and what shines by itself.
+    """Draw the backdrop's things into ``reflectance``; return the factor of their shadows, the share of the ground that
+    they leave bare, and what shines by itself.
 
-    free_mm: half sides of the part of the plane, about its origin, beside which they lie, as films hang on a light box.
+    free_mm: half sides of the part of the plane about its origin that things lie beside, as films on a light box do.
     """
     shade, bare = (np.ones(camera.size, np.float32) for _ in range(2))
     kinds = {"table": ON_TABLE, "wall": ON_WALL, "panel": ON_PANEL}[backdrop.kind]

@@ -1,6 +1,6 @@
-"""Shadows on the plane behind a film: its own, thrown by each light from its place, and those that cross the film.
+"""Shadows on the plane behind a film: its own, cast by each light from its place, and those that cross the film.
 
-A shadow is the film thrown onto the plane along the light's rays. Its rim is as wide as the light looks from there,
+A shadow is the film projected onto the plane along the light's rays. Its rim is as wide as the light's angular size
 times the film's height above the plane: sharp where the sheet touches, soft where it is lifted.
 """
 
@@ -25,31 +25,31 @@ from hybrid.mesh.film import FilmMesh
 from hybrid.mesh.vectors import unit
 
 NODES = 16
-"""Film points along each side that are thrown onto the plane."""
+"""Film points along each side that are projected onto the plane."""
 
 GRAZING = 0.12
-"""Light that comes in flatter (cosine) throws no shadow that is drawn: it would run over all the plane."""
+"""For light that comes in flatter than this (cosine) no shadow is drawn: it would run across the whole plane."""
 
 RIM_MM = 0.1
 """Sigma of a shadow's rim where the film touches the plane."""
 
 WIDEST_PX = 80.0
-"""Shadows blurred wider than this are left out: nothing shows of them."""
+"""Shadows blurred wider than this are left out: they would not show."""
 
 STEP = 2.5
-"""A shadow is blurred at widths that grow by this factor, and mixed of the two nearest at each place."""
+"""A shadow is blurred at widths that grow by this factor; each place mixes the two nearest."""
 
 PRINT = 0.2
-"""Mean reflectance taken for the print where light passes the film to the plane."""
+"""Mean reflectance assumed for the print where light passes through the film to the plane."""
 
 ROOM_LIGHTS = 6
-"""A room's light throws shadows as so many lights."""
+"""A room casts shadows as at most this many lights."""
 
 NEAR_MM = 120.0
-"""What shadows the film is thrown onto a plane at most this far behind it."""
+"""Shadows that cross the film also fall on a plane at most this far behind it."""
 
 AROUND = 3
-"""Sides of the film over which shadows that cross it are drawn, the film in their middle."""
+"""Shadows that cross the film are drawn over this many of its sides, with the film in the middle."""
 
 _CROSSING_SIDE = 420
 
@@ -57,7 +57,7 @@ _CROSSING_SIDE = 420
 @dataclass(frozen=True, eq=False)
 class _Cast:
     """The film's shadow by one light. way: unit, from the nodes to the light. spread: sigma of the rim per mm of
-    height. share: of its source's light."""
+    height. share: part of its source's light."""
 
     way: Float[np.ndarray, "k k 3"]
     spread: float
@@ -87,10 +87,10 @@ def lit_ground(
 
 
 def through(scene: Scene) -> Float[np.ndarray, "3"]:
-    """Share of the light (RGB) by which the film's shadow is not dark, for a print of mean reflectance PRINT.
+    """Share of the light (RGB) that passes through the film into its shadow, for a print of mean reflectance PRINT.
 
-    Where the ground is seen through the film, too, the film is given both passes of the print (``scene.passes``): so
-    far as it is, the shadow leaves out the first.
+    Where the ground is also seen through the film, the film is given both passes of light through the print
+    (``scene.passes``): to that extent, the shadow leaves out the first.
     """
     material = scene.material
     share = PRINT ** (2.0 - passes(scene)) * (material.transmission + material.clear)
@@ -108,7 +108,7 @@ def lamp_cast(lamp: Lamp, nodes: Float[np.ndarray, "k k 3"]) -> _Cast:
 def room_casts(
     ground: Ground, nodes: Float[np.ndarray, "k k 3"], scene: Scene, room: FilteredEnvironment
 ) -> list[_Cast]:
-    """The film's shadows by the room, taken as a few lights: a sun or windows, and the rest from where it comes."""
+    """The film's shadows cast by the room, taken as a few lights: a sun or windows, and the rest by direction."""
     turn = room_from_film(scene.light)
     ways, shares, sigmas = room_lights(room, turn @ ground.normal, ROOM_LIGHTS)
     return [
@@ -120,7 +120,7 @@ def room_casts(
 def _shadow(
     cast: _Cast, ground: Ground, nodes: Float[np.ndarray, "k k 3"], camera: Camera
 ) -> Float[np.ndarray, "h w"] | None:
-    """Share of the light that comes to the plane by way of the film; None where that is nothing or cannot be drawn."""
+    """Share of the light on its way to the plane that meets the film; None if there is none or it cannot be drawn."""
     cosine = cast.way @ ground.normal
     if cosine.min() < GRAZING or cast.share < 0.01:
         return None
@@ -138,7 +138,7 @@ def _shadow(
 
 
 def _covered(photo: Float[np.ndarray, "k k 2"], size: tuple[int, int]) -> Float[np.ndarray, "h w"]:
-    """Share of each pixel of a photo behind a lattice of photo points: mesh by mesh, since they may overlap."""
+    """Share of each pixel of a photo covered by a lattice of photo points: drawn cell by cell, as cells may overlap."""
     mask = np.zeros(size, np.uint8)
     corners = np.stack([photo[:-1, :-1], photo[:-1, 1:], photo[1:, 1:], photo[1:, :-1]], axis=2).reshape(-1, 4, 2)
     fixed = np.clip(opencv_from_photo(corners) * 16, -(2**19), 2**19).round().astype(np.int32)
@@ -150,7 +150,7 @@ def _covered(photo: Float[np.ndarray, "k k 2"], size: tuple[int, int]) -> Float[
 def _soft(
     mask: Float[np.ndarray, "h w"], photo: Float[np.ndarray, "k k 2"], sigma: Float[np.ndarray, "k k"]
 ) -> Float[np.ndarray, "h w"]:
-    """The mask blurred by a width that changes over the photo: a quadratic through that at some of its points."""
+    """The mask blurred by a width that changes over the photo: a quadratic fitted to the width at some points."""
     low, high = np.clip([sigma.min(), sigma.max()], 0.4, WIDEST_PX)
     steps = int(np.ceil(np.log(high / low) / np.log(STEP)))
     if steps == 0:
@@ -178,7 +178,7 @@ def _crossing(
     size_mm: tuple[float, float],
     camera: Camera,
 ) -> Float[np.ndarray, "h w"]:
-    """Factor of the shadows that lie on the film, beside it: where the plane's points are over the film's sides."""
+    """Factor, beside the film, of the shadows that cross it: the plane's points are given film coordinates."""
     around = tuple(replace(s, at=tuple((np.array(s.at) + (AROUND - 1) / 2) / AROUND)) for s in shadows)
     factor = film_shadow(around, (AROUND * size_mm[0], AROUND * size_mm[1]), _CROSSING_SIDE)
     uv = film_nodes((NODES, NODES)).reshape(-1, 2)

@@ -19,7 +19,7 @@ SKIN_SRGB = np.array(
 """The ten tones of the Monk Skin Tone scale (Monk 2019, skintone.google), as hexadecimal sRGB."""
 
 SKIN_UNDER_WHITE = 0.72
-"""The swatches are printed brighter than skin reflects: light skin sends back about 0.6 of red light."""
+"""The swatches are printed brighter than skin reflects: light skin reflects about 0.6 of red light."""
 
 
 GLOVE_SRGB = np.array([[0.16, 0.38, 0.74], [0.87, 0.87, 0.85], [0.45, 0.35, 0.65]])
@@ -30,9 +30,9 @@ GLOVE_SRGB = np.array([[0.16, 0.38, 0.74], [0.87, 0.87, 0.85], [0.45, 0.35, 0.65
 class Hand:
     """One hand at the film's rim.
 
-    grip, variant: the model. edge: place on the rim, 0 to 4 from the top-left corner clockwise. turn_deg: of the hand
-    about that place. mirrored: a left hand's picture made from a right one's. size: factor on the model's.
-    skin, sleeve: linear RGB reflectance. glove: likewise, of a nitrile glove, or None.
+    grip, variant: the model. edge: place on the rim, 0 to 4 from the top-left corner clockwise. turn_deg: rotation of
+    the hand about that place. mirrored: a left hand's picture made from a right one's. size: factor on the model's.
+    skin, sleeve: linear RGB reflectance. glove: likewise, of a glove, or None.
     """
 
     grip: str
@@ -86,7 +86,7 @@ def skin_reflectance(tone: float, rng: np.random.Generator) -> Float[np.ndarray,
 
 
 def hand_patch(hand: Hand, place: Place, ball: LitSphere, size: tuple[int, int], *, front: bool) -> Patch | None:
-    """The part of a hand before the film, or the whole hand as it is seen beyond the rim; None outside the photo."""
+    """The part of a hand in front of the film, or the whole hand as seen beyond the rim; None outside the photo."""
     model = hand_model(hand.grip, hand.variant)
     forward = _photo_from_model(model, hand, place)
     h, w = model.shape.shape[:2]
@@ -107,7 +107,7 @@ def hand_patch(hand: Hand, place: Place, ball: LitSphere, size: tuple[int, int],
 
 
 def _photo_from_model(model: HandModel, hand: Hand, place: Place) -> Float[np.ndarray, "2 3"]:
-    """Affine map from model pixels to photo points: the anchor to the rim, the model's way in to the film's."""
+    """Affine map from model pixels to photo points: anchor to the rim, the model's inward direction to the film's."""
     scale = place.px_per_mm * hand.size / PX_PER_MM
     flip = np.diag([1.0, -1.0 if hand.mirrored else 1.0])
     inward = -model.inward if hand.mirrored else model.inward

@@ -25,14 +25,14 @@ DISC_SIDES = 24
 """Sides of the polygon of equal area that stands for a disc."""
 
 PATCH_SIZE = 0.27
-"""Half side of a patch over its lamp's distance."""
+"""Half side of a patch, relative to its lamp's distance."""
 
 _TINY = 1e-20
 
 _ANGLE_OVER_SINE = (
     1.57079558, -0.99990356, 0.78329788, -0.64862699, 0.50905460, -0.32393202, 0.13595128, -0.02663715,
 )  # fmt: skip
-"""Coefficients, from the constant on, of the Chebyshev interpolant on [0, 1]."""
+"""Coefficients, constant term first, of the Chebyshev interpolant on [0, 1]."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class Lamp:
 
     kind: 'sphere', or a flat 'disc' or 'rectangle' that shines to one side.
     centre_mm: in the film's world, or from the camera's centre where ``at_camera`` (a flash).
-    axis: unit, to where a flat lamp shines. across: unit, along its first side. half_mm: half its sides, or radii.
+    axis: unit, the way a flat lamp shines. across: unit, along its first side. half_mm: half its sides, or radii.
     radiance: linear RGB.
     """
 
@@ -61,9 +61,9 @@ class Lamp:
         return replace(self, centre_mm=centre, at_camera=False)
 
     def patches(self) -> tuple[Lamp, ...]:
-        """A rectangle cut into pieces small against their distance from the world's origin, the film's place.
+        """A rectangle cut into pieces small relative to their distance from the world's origin, the film's place.
 
-        The closed forms take masking, Fresnel term and horizon at one point of a lamp; the others are left whole.
+        The closed forms evaluate masking, Fresnel term and horizon at one point of a lamp. Other lamps are left whole.
         """
         if self.kind != "rectangle":
             return (self,)
@@ -97,7 +97,7 @@ class Lamp:
 
 def vector_irradiance(lamp: Lamp, points: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
     """Integral of the direction to the lamp over the solid angle it fills: its dot product with a normal is the
-    irradiance for radiance 1 of a lamp all above the horizon. 0 behind a flat lamp."""
+    irradiance from a lamp of radiance 1 that is wholly above the horizon. 0 behind a flat lamp."""
     points = points.astype(np.float32)
     centre = np.array(lamp.centre_mm, np.float32) - points
     if lamp.kind == "sphere":
@@ -113,7 +113,8 @@ def surface_irradiance(
 ) -> tuple[Float[np.ndarray, "*n"], Float[np.ndarray, "*n"]]:
     """Irradiance on surfaces for radiance 1, and the cosine of the lamp's direction, from the vector irradiance.
 
-    A lamp that the horizon cuts is replaced by the sphere of the same vector irradiance, whose integral is closed.
+    A lamp that the horizon cuts is replaced by the sphere of the same vector irradiance, whose integral has a closed
+    form.
     """
     size = np.sqrt(dot(vector, vector)) + np.float32(_TINY)
     cosine = np.clip(dot(vector, normals) / size, -1.0, 1.0)
@@ -145,9 +146,9 @@ def highlight(
     gloss: Gloss,
     alpha: float,
 ) -> Float[np.ndarray, "*n"]:
-    """Radiance towards ``view`` that a glossy surface reflects of a lamp of radiance 1.
+    """Radiance towards ``view`` that a glossy surface reflects from a lamp of radiance 1.
 
-    alpha: width of the lobe, that of the surface or wider where the lattice could not hold it.
+    alpha: width of the lobe, that of the surface or wider where the lattice could not resolve it.
     """
     cosine = np.maximum(dot(normals, view), np.float32(1e-3))
     offset = np.array(lamp.centre_mm, np.float32) - points
@@ -175,7 +176,7 @@ def _sphere_share(
     """Share of the slopes that a bulb at ``offset`` (mm) fills, as a disc of equal area, and its centre's half vector.
 
     The form factor of a disc of radius s at offset d, seen from height 1: (1 - (1 + d^2 - s^2) / sqrt((1 + d^2 +
-    s^2)^2 - 4 s^2 d^2)) / 2, written without its difference of nearly equal numbers.
+    s^2)^2 - 4 s^2 d^2)) / 2, rewritten to avoid the difference of nearly equal numbers.
     """
     half = unit(towards + view)
     n_h, o_h = np.maximum(dot(normals, half), np.float32(1e-3)), np.maximum(dot(view, half), np.float32(1e-3))
@@ -220,7 +221,7 @@ def _edge_sum(outline: Float[np.ndarray, "m *n 3"]) -> Float[np.ndarray, "*n 3"]
 
 
 def _angle_over_sine(cosine: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
-    """arccos(c) / sqrt(1 - c^2): by a polynomial that is within 1e-6 for c >= 0, and pi / sqrt(1 - c^2) less below."""
+    """arccos(c) / sqrt(1 - c^2): a polynomial accurate to 1e-6 for c >= 0, and pi / sqrt(1 - c^2) minus that below."""
     size = np.minimum(np.abs(cosine), np.float32(1))
     value = np.full_like(size, _ANGLE_OVER_SINE[-1])
     for coefficient in _ANGLE_OVER_SINE[-2::-1]:

@@ -1,4 +1,4 @@
-"""What lights a film and how the film answers: records of material and light, drawn at random."""
+"""What lights a film and how it answers: records of material and light, drawn at random."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ FLASH_SHARE = 0.25
 """Share of those in which the phone's flash is one of them."""
 
 MIRRORED_SHARE = 0.85
-"""Share of lamps, but flashes and what stands behind the film, that stand where some point of it mirrors them."""
+"""Share of lamps, except flashes and those behind the film, that are placed where some point of it mirrors them."""
 
 FARTHER = tuple(np.geomspace(1.0, 4.0, 12).tolist())
-"""How many times as far away a lamp may stand as was drawn, so as not to stand between camera and film."""
+"""Factors by which a lamp may be moved farther away than drawn, so that it does not stand between camera and film."""
 
 _FLASH_AT_MM = 500.0
 """Distance at which a flash gives the irradiance that was drawn for it."""
@@ -31,12 +31,12 @@ _FLASH_AT_MM = 500.0
 
 @dataclass(frozen=True)
 class Material:
-    """How the film answers to light (the equations stand in shade.py).
+    """How the film responds to light (the equations are in shade.py).
 
-    diffuse: share that white scatters back, transmission: lets through scattered, clear: lets through straight.
-    haze: share that the sheet itself scatters to each side, whatever is printed. Their sum is at most 1.
-    roughness: GGX's, alpha = roughness^2. ior: refractive index. surfaces: 1, or 3 in a clear sleeve. tint: RGB share
-    that the base lets through: films are clear or bluish.
+    diffuse: share that white scatters back, transmission: share let through scattered, clear: share passed straight.
+    haze: share that the sheet itself scatters to each side, whatever is printed. Their sum, with haze twice, is at most
+    1. roughness: GGX's, alpha = roughness^2. ior: refractive index. surfaces: 1, or 3 in a clear sleeve. tint: RGB
+    share that the base lets through: films are clear or bluish.
     """
 
     diffuse: float
@@ -59,9 +59,9 @@ class LightBox:
     """A bright panel behind the film.
 
     radiance: linear RGB where it is brightest. falloff: share lost far from ``centre``, over ``spread`` of its sides.
-    tubes: waves of brightness across it (0: none), along its height where ``upright``. size: of its sides, relative
-    to the film's. gap_mm: between it and the film. offset: of its middle from the film's, to the right and down as
-    seen, relative to the film's sides; where it is large, the film hangs over.
+    tubes: waves of brightness across it (0: none); tubes run along its height if ``upright``. size: of its sides,
+    relative to the film's. gap_mm: between it and the film. offset: of its middle from the film's, to the right and
+    down as seen, relative to the film's sides; if it is large, the film hangs over.
     """
 
     radiance: Vector
@@ -88,7 +88,7 @@ class Light:
     """What lights the film.
 
     box: a light box behind it, or None. front: factor on the environment's light. turn_deg: azimuth by which the room
-    is turned, lying: film on its back, or on its face where ``face_down``. lamps: near the film, in its world.
+    is turned, lying: the film lies on its back, or on its face if ``face_down``. lamps: near the film, in its world.
     """
 
     front: float
@@ -131,8 +131,8 @@ def room_from_film(light: Light) -> Float[np.ndarray, "3 3"]:
 
 
 CLEAR_SHARE = 0.3
-"""Share of films as most are: clear base, through which what lies behind is seen. None before a dark ground, where they
-would show nothing."""
+"""Share of films made as most are: with a clear base through which the background is seen. None in front of a dark
+background, where they would show nothing."""
 
 BLUE_SHARE = 0.4
 """Share of films with a bluish base."""
@@ -144,7 +144,7 @@ BLUE_BASE = (0.72, 0.88, 1.0)
 def sample_material(rng: np.random.Generator, clear_base: bool = True) -> Material:
     """A random film: a tenth as published (PAPER code), over half with clear reflections, the rest between.
 
-    clear_base: whether it may be one that hardly scatters.
+    clear_base: whether the film may be one that hardly scatters.
     """
     kind = rng.random()
     if kind < 0.1:
@@ -190,7 +190,7 @@ def sample_light(rng: np.random.Generator, light_box_share: float) -> Light:
 
 
 def over_table(light: Light, camera_mm: Vector3) -> Light:
-    """The light, with all of its room turned over where a film lies and would be seen through the table: on its face.
+    """The light, with its room turned over if a lying film would be seen through the table: it then lies on its face.
 
     The phone's flash stays where it is.
     """
@@ -209,8 +209,8 @@ def _turned(lamp: Lamp, turn: Float[np.ndarray, "3 3"]) -> Lamp:
 def some_mirrored(light: Light, film: FilmMesh, camera: Camera, rng: np.random.Generator) -> Light:
     """The light with a share of its lamps turned about the film's middle to where the camera sees them in the film.
 
-    Those that stand behind it stay there, as when a film is held up to a window. None stands in the photo before the
-    film: it is farther away and as much larger, so that it lights the middle as before, or left out.
+    Those behind the film stay there, as when a film is held up to a window. No lamp may stand in the photo in front of
+    the film: it is moved farther away and enlarged as much, so that it lights the middle as before, or left out.
     """
     eye, lamps = camera.centre_world, []
     for lamp in light.lamps:
@@ -226,13 +226,13 @@ def some_mirrored(light: Light, film: FilmMesh, camera: Camera, rng: np.random.G
 
 
 def _farther(lamp: Lamp, times: float) -> Lamp:
-    """The lamp so many times as far from the world's origin, and as much larger."""
+    """The lamp moved so many times as far from the world's origin, and enlarged as much."""
     half = (times * lamp.half_mm[0], times * lamp.half_mm[1])
     return replace(lamp, centre_mm=_vector(times * np.array(lamp.centre_mm)), half_mm=half)
 
 
 def _stands_before(lamp: Lamp, film: FilmMesh, camera: Camera) -> bool:
-    """Whether some of a lamp is in the photo and nearer than the film; never the phone's own."""
+    """Whether part of a lamp is in the photo and nearer than the film; never so for the phone's flash."""
     depth = camera.camera_points(film.vertices.reshape(-1, 3))[:, 2].max()
     centre = camera.camera_points(np.array([lamp.centre_mm]))
     if lamp.at_camera or centre[0, 2] > depth:
@@ -246,7 +246,7 @@ def _stands_before(lamp: Lamp, film: FilmMesh, camera: Camera) -> bool:
 
 
 def _stands_behind(lamp: Lamp, camera_mm: Vector3) -> bool:
-    """Whether a lamp is within 60 degrees of the way from the camera through the film's middle, the world's origin."""
+    """Whether a lamp is within 60 degrees of the ray from the camera through the film's middle, the world's origin."""
     centre = np.array(lamp.centre_mm)
     return bool(centre @ camera_mm < -0.5 * np.linalg.norm(centre) * np.linalg.norm(camera_mm))
 
@@ -294,7 +294,7 @@ def _light_box(rng: np.random.Generator) -> LightBox:
 
 
 def _box_offset(rng: np.random.Generator, size: float) -> float:
-    """Of a light box's middle from the film's, along one side: the film lies anywhere on it, or hangs over a little."""
+    """Offset of a box's middle from the film's along one side: the film lies anywhere on it, or hangs over a little."""
     beyond = min(abs(rng.normal(0, 0.08)), 0.25)
     return float(rng.uniform(-1, 1) * (max(size - 1, 0.0) / 2 + beyond))
 
@@ -349,11 +349,11 @@ def _flash(rng: np.random.Generator) -> Lamp:
 
 
 BRIGHTEST = {"rectangle": 120.0, "disc": 300.0, "sphere": 2000.0}
-"""Radiance over the environment's mean, about 100 cd/m^2 in a room: panels, tubes and windows; reflectors; bulbs."""
+"""Peak radiance over the environment's mean, about 100 cd/m^2 in a room: panels, tubes, windows; reflectors; bulbs."""
 
 
 def _bright(rng: np.random.Generator, lamp: Lamp, kelvin: tuple[float, float]) -> Lamp:
-    """The lamp at a random colour, lighting the film's middle 0.4 to 6 times as an even room does if it can."""
+    """The lamp in a random colour, lighting the film's middle 0.4 to 6 times as much as an even room, if it can."""
     strength = np.exp(rng.uniform(np.log(0.4), np.log(6.0))) * np.pi
     received = float(np.linalg.norm(vector_irradiance(lamp, np.zeros((1, 3)))))
     level = min(strength / received, BRIGHTEST[lamp.kind])

@@ -1,7 +1,7 @@
 """Flat films under many lights, for LightNet to learn from: ``python -m data_gen.lit_films --count N --out DIR``.
 
-A bent film is lit as in ``data_gen.sample``, but photographed in its own coordinates: no ray is cast, and what print
-black and print white look like there is known exactly.
+A bent film is lit as in ``data_gen.sample``, but photographed in its own coordinates: no ray is cast, and the look of
+print black and print white at each point is known exactly.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ FLAT_PX, FILM_PX, LEVEL_PX = 384, 128, 64
 """Sides of the film as it is photographed, as it is stored, and of its levels."""
 
 _PHOTO_SIZE = (384, 384)
-"""Of the photo in which the film would lie; what is behind it is drawn at this size."""
+"""Size of the photo in which the film would lie; what is behind it is drawn at this size."""
 
 
 @dataclass(frozen=True)
@@ -45,17 +45,17 @@ class LitFilmsConfig:
     """Write flat films under many lights, where ``hybrid train --preset light`` finds them."""
 
     count: int
-    """Films to make; those that are there already stay."""
+    """Films to make; existing ones are kept."""
     out: Path
     """Their folder, one for each seed."""
     seed: int = 0
     """The same seed gives the same films."""
     photos: int = 10
-    """Of each film, each in another light."""
+    """Photos of each film, each in a different light."""
     workers: int = os.cpu_count() or 1
-    """Processes; 0 makes everything in this one."""
+    """Number of processes; 0 does everything in this one."""
     sources: tyro.conf.OmitArgPrefixes[SourceConfig] = field(default_factory=SourceConfig)
-    """Of CT volumes and of light."""
+    """Sources of CT volumes and of light."""
 
     def __post_init__(self) -> None:
         require_at_least(self, 1, "count", "photos")
@@ -77,7 +77,7 @@ def lit_films(config: LitFilmsConfig) -> None:
 
 
 def lit_film(seed: int, number: int, photos: int, sources: SourceConfig) -> LitFilm:
-    """Film ``number`` of a seed, photographed flat in several lights; no film of a data set of that seed."""
+    """Film ``number`` of a seed, photographed flat in several lights; no data set of that seed contains it."""
     rng, made_of = np.random.default_rng([seed, number, 2]), SampleConfig(sources=sources)
     film_print = make_print(draw_volume(sources, rng), rng, made_of.prints)
     _, frames = bend(sheet_of(film_print), rng, made_of.bend)
@@ -106,7 +106,7 @@ def _photographed(
     gain, veil = (cv2.resize(x, reflectance.shape, interpolation=cv2.INTER_LINEAR) for x in (light.gain, light.veil))
     linear = gain * reflectance[..., None] + veil
     white = metered(light, np.concatenate([x[::4, ::4].reshape(-1, 3) for x in (linear, behind)]))
-    even = replace(scene, lens=replace(scene.lens, vignette=0.0))  # the light has lost it already
+    even = replace(scene, lens=replace(scene.lens, vignette=0.0))  # the light already includes vignetting
     local = local_tone(linear, even.lens)  # of a photo that the film fills
     code = np.frombuffer(develop(linear, even.lens, white, rng, local), np.uint8)
     photo = rgb_from_bgr(np.asarray(cv2.imdecode(code, cv2.IMREAD_COLOR), np.uint8))
@@ -121,7 +121,7 @@ def _photographed(
 def _with_bloom(
     gain: Float[np.ndarray, "n n 3"], veil: Float[np.ndarray, "n n 3"], linear: Float[np.ndarray, "n n 3"], bloom: float
 ) -> FilmLight:
-    """The light on a film when its lens scatters some: that is lost where it should be, and veils what is around."""
+    """The light on a film when the lens scatters some: that is lost at its own place and veils what is around."""
     if bloom == 0:
         return FilmLight(gain, veil)
     return FilmLight(
@@ -130,7 +130,7 @@ def _with_bloom(
 
 
 def _brightened(light: FilmLight, local: Float[np.ndarray, "a b"]) -> FilmLight:
-    """The light with the factors of a local tone."""
+    """The light multiplied by the factors of a local tone."""
     factor = cv2.resize(local, light.gain.shape[1::-1], interpolation=cv2.INTER_CUBIC)[..., None]
     return FilmLight(light.gain * factor, light.veil * factor)
 

@@ -1,7 +1,7 @@
 """Light as a function of the normal: what a ball shows to the camera, looked up for every other shape.
 
 Sloan et al. 2001, "The lit sphere". The environment is infinitely far and the things are small in the field of view,
-so one direction of view serves for all of them, and a lookup by normal takes the place of two on the sphere.
+so one direction of view serves for all of them, and one lookup by normal replaces two on the sphere.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ BALL = 48
 
 
 PANEL_SHARE = 0.1
-"""Of the half-space behind a hand that a light box shines from: the film and the hand itself hide most of it."""
+"""Share of the half-space behind a hand that a light box shines from: film and hand hide most of it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,14 +51,14 @@ def lit_sphere(
     mirror = 2 * facing * normals - [0.0, 0.0, -1.0]
     fresnel = f0 + (1 - f0) * (1 - facing) ** 5 * (1 - roughness)  # rough surfaces shine less at grazing angles
     matt = sample_irradiance(room, normals @ to_room) * (light.front / np.pi)
-    if light.light_box:  # were the panel all that is behind, its share of the cosine lobe would be (1 - cos) / 2
+    if light.light_box:  # if the panel filled the back, its share of the cosine lobe would be (1 - cos) / 2
         matt = matt + PANEL_SHARE * 0.5 * light.box_radiance * (1 - facing)
     gloss = sample_filtered(room, mirror @ to_room, roughness) * light.front * fresnel
     return LitSphere(matt.astype(np.float32), gloss.astype(np.float32))
 
 
 def with_lamps(ball: LitSphere, lamps: Iterable[Lamp], world_from_camera: Float[np.ndarray, "3 3"]) -> LitSphere:
-    """The ball in the light of ``lamps`` besides, which are placed in the film's world; its gloss stays as it is."""
+    """The ball lit by ``lamps`` as well, which are placed in the film's world; its gloss stays as it is."""
     normals = (ball_normals() @ world_from_camera.T).astype(np.float32)
     matt = ball.matt
     for lamp in lamps:
@@ -69,7 +69,7 @@ def with_lamps(ball: LitSphere, lamps: Iterable[Lamp], world_from_camera: Float[
 
 
 def ball_normals() -> Float[np.ndarray, "n n 3"]:
-    """Unit normals in camera axes (towards the camera is -z) of the ball's pixels; its outline's beyond it."""
+    """Unit normals in camera axes (towards the camera is -z) of the ball's pixels; beyond the ball, its outline's."""
     xy = (film_centres((BALL, BALL)) - np.array(0.5)) * np.array(2.0)
     xy = xy / np.maximum(np.linalg.norm(xy, axis=-1, keepdims=True), 1.0)
     return np.concatenate([xy, -np.sqrt(np.maximum(1 - (xy**2).sum(axis=-1, keepdims=True), 0.0))], axis=-1)

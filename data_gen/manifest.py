@@ -1,4 +1,4 @@
-"""What is finished of a data set: shards under their names, the manifest, the description; a kill leaves them whole."""
+"""The finished part of a data set: named shards, manifest and description, all of which survive a kill intact."""
 
 from __future__ import annotations
 
@@ -36,10 +36,10 @@ def shard_name(number: int) -> str:
 
 @contextmanager
 def sole_writer(folder: Path) -> Iterator[None]:
-    """Make the folder and hold it: two runs that write into one data set would destroy it.
+    """Make the folder and lock it: two runs that write into one data set would destroy it.
 
     Raises:
-        ConfigError: another run holds it, or it is a file.
+        ConfigError: another run holds the lock, or the path is a file.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -49,7 +49,7 @@ def sole_writer(folder: Path) -> Iterator[None]:
     handle = os.open(folder, os.O_RDONLY)
     try:
         try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)  # the system lets go of it however this process ends
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)  # the system releases it however this process ends
         except BlockingIOError as error:
             do = "Wait for it to end, or choose another --out."
             raise ConfigError(describe(what="--out", where=folder, got="another run writes there", do=do)) from error
@@ -59,10 +59,10 @@ def sole_writer(folder: Path) -> Iterator[None]:
 
 
 def write_shard(path: Path, first: int, samples: Iterable[bytes]) -> ShardEntry:
-    """Write a shard from the parts of its samples; it has its name only when all of it is on the disk.
+    """Write a shard from the tar parts of its samples; it gets its name only once all of it is on the disk.
 
     Raises:
-        OSError: a disk that is full or fails; nothing is left then.
+        OSError: the disk is full or fails; nothing is left behind.
     """
     part = path.with_name(path.name + PART)
     digest, count = hashlib.sha256(), 0
@@ -86,7 +86,7 @@ def write_shard(path: Path, first: int, samples: Iterable[bytes]) -> ShardEntry:
 
 
 def write_file(path: Path, content: bytes) -> None:
-    """Replace a file as a whole, and wait until it is on the disk, as ``files.write_bytes`` does not."""
+    """Replace a file as a whole and, unlike ``files.write_bytes``, wait until it is on the disk."""
     part = path.with_name(path.name + PART)
     try:
         with part.open("wb") as file:
@@ -101,7 +101,7 @@ def write_file(path: Path, content: bytes) -> None:
 
 
 def _flush_folder(folder: Path) -> None:
-    """Put renamed files on the disk under their new names."""
+    """Flush the folder, so that renames in it are on the disk."""
     handle = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(handle)
@@ -117,12 +117,12 @@ def write_manifest(folder: Path, entries: Iterable[ShardEntry]) -> None:
 
 
 def finished_shards(folder: Path, shard_size: int) -> dict[int, ShardEntry]:
-    """The shards under their names, by number; leftovers of a run that was cut off are removed.
+    """The finished shards, by number; leftovers of an interrupted run are removed.
 
-    A shard that the manifest does not list (the run was cut off between the two) is read and hashed.
+    A shard that is missing from the manifest (the run was interrupted before listing it) is read and hashed.
 
     Raises:
-        DataError: a shard that is damaged, or whose samples do not belong under its name.
+        DataError: a shard is damaged, or its samples do not belong under its name.
     """
     for part in folder.glob("*" + PART):
         part.unlink()
@@ -151,7 +151,7 @@ def _entry_of(path: Path) -> ShardEntry:
 
 
 def _differing(a: dict[str, Any], b: dict[str, Any]) -> list[str]:
-    """Names of the options that differ; of options of options with a dot between."""
+    """Names of the options that differ; nested names are joined by a dot."""
     names: list[str] = []
     for name in sorted(a.keys() | b.keys()):
         x, y = a.get(name), b.get(name)
@@ -163,14 +163,14 @@ def _differing(a: dict[str, Any], b: dict[str, Any]) -> list[str]:
 
 
 def deciding(**options: Any) -> dict[str, Any]:
-    """What dataset.json says besides the count: all that decides the bytes, as it comes back from the file."""
+    """The content of dataset.json except the count: all that decides the bytes, in the form read back from the file."""
     versions = {"format": FORMAT, "conventions": CONVENTIONS_VERSION, "hybrid": __version__}
-    return json.loads(json.dumps(versions | options))  # tuples as lists
+    return json.loads(json.dumps(versions | options))  # tuples become lists
 
 
 @lru_cache(maxsize=1)
 def generator_digest() -> str:
-    """Of the sources that simulate: others may make other bytes of the same seed."""
+    """Digest of the sources that simulate: other versions may make other bytes from the same seed."""
     digest, root = hashlib.sha256(), Path(__file__).parents[1]
     for path in sorted(path for pattern in SIMULATING for path in root.glob(pattern)):
         digest.update(path.relative_to(root).as_posix().encode() + b"\0" + path.read_bytes())
@@ -178,16 +178,16 @@ def generator_digest() -> str:
 
 
 def described_sources(config: SourceConfig, names: dict[str, list[str]]) -> dict[str, Any]:
-    """Sources as dataset.json has them: by the names of what was found, without this machine's paths."""
+    """Sources as dataset.json records them: by the names of what was found, without this machine's paths."""
     return {name: value for name, value in asdict(config).items() if name not in ("ct", "hdri")} | names
 
 
 def describe_dataset(folder: Path, options: dict[str, Any], count: int) -> None:
-    """Write dataset.json, or check that the one there belongs to the same data set and set its count.
+    """Write dataset.json, or check that the existing one belongs to the same data set and update its count.
 
     Raises:
-        ConfigError: a data set made with other options or by another generator, or shards without description.
-        DataError: of another version.
+        ConfigError: a data set made with other options or by another generator, or shards without a description.
+        DataError: a data set of another version.
     """
     path = folder / "dataset.json"
     if path.exists():

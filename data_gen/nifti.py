@@ -1,4 +1,4 @@
-"""CT volumes out of NIfTI files (``.nii``, ``.nii.gz``)."""
+"""CT volumes from NIfTI files (``.nii``, ``.nii.gz``)."""
 
 from __future__ import annotations
 
@@ -20,25 +20,25 @@ MAX_VOXELS = 2**29
 """More than a whole-body CT has; a header that claims more is damaged."""
 
 MAX_OBLIQUE_RAD = 0.6
-"""Axes that lie further (34 degrees) from the patient's are of no axial scan; gantries tilt by up to 30 degrees."""
+"""A scan whose axes lie further (34 degrees) from the patient's is not axial; gantries tilt by up to 30 degrees."""
 
 MAX_PIXEL_RATIO = 1.5
-"""Pixels of axial CT slices are square; a coronal or sagittal series seen from above has long ones."""
+"""Pixels of axial CT slices are square; those of a coronal or sagittal series, seen from above, are elongated."""
 
 
 DIM_HU = -300
-"""A whole scan has air around or in it, far below this. NIfTI names no modality, and MR has no negative values."""
+"""A whole scan includes air, which is far below this. NIfTI names no modality, and MR has no negative values."""
 
 
 class NotCtError(DataError):
-    """A NIfTI file that holds no axial CT; the message tells why."""
+    """A NIfTI file that holds no axial CT; the message says why."""
 
 
 def read_nifti(path: Path | str) -> CtVolume:
-    """The CT in a NIfTI file, turned by its affine to the axes of CtVolume (NIfTI's world: x left to right, y back to
+    """The CT in a NIfTI file, brought to the axes of CtVolume by its affine (NIfTI's world: x left to right, y back to
     front, z up). The volume's name is a hash of the file's: converters write the patient's name there.
 
-    Raises NotCtError with the reason where the file is damaged or holds anything but axial CT in Hounsfield units.
+    Raises NotCtError with the reason if the file is damaged or holds anything but axial CT in Hounsfield units.
     """
     path = Path(path)
     try:
@@ -62,7 +62,7 @@ def read_nifti(path: Path | str) -> CtVolume:
 
 
 def _check_header(path: Path, shape: tuple[int, ...], affine: np.ndarray, dtype: np.dtype) -> None:
-    """Raises NotCtError where the header already tells that this is no axial CT."""
+    """Raises NotCtError if the header already shows that this is no axial CT."""
     if len(shape) != 3 or min(shape) < 1:
         raise _refused(path, f"{len(shape)} axes of {shape}, not one volume")
     if int(np.prod(shape, dtype=np.int64)) > MAX_VOXELS:

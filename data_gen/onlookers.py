@@ -1,7 +1,7 @@
-"""Who stands before the film: the phone that photographs it and the person who holds it, as its gloss mirrors them.
+"""What is in front of the film: the phone that photographs it and the person who holds it, as its gloss mirrors them.
 
-They are flat shapes that face the film, at rest before the camera: what a reflection shows of them is their outline,
-dark against the room or, of a white coat, bright against a dark one.
+They are flat shapes that face the film, fixed relative to the camera: a reflection shows only their outline, dark
+against the room or, for a white coat, bright against a dark room.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from data_gen.lamps import Vector
 from hybrid.mesh.camera import Camera
 
 PERSON_SHARE = 0.75
-"""Photos that a person takes who stands behind the phone; else it stands by itself, or is held at arm's length."""
+"""Share of photos with a person behind the phone; otherwise it stands by itself or is held at arm's length."""
 
 PHONE_HALF_MM = (37.0, 76.0)
 
 FLASH_MM = 60.0
-"""A lamp that stands so near to the camera is the flash of its phone, which does not hide it."""
+"""A lamp this near to the camera is the phone's flash, which the phone does not hide."""
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class Billboard:
     """A flat shape that faces the film.
 
     shape: of its outline. centre_mm: in camera axes; z < 0 is behind the camera. half_mm: its half width and height.
-    reflectance: linear RGB share that it scatters of the room's mean light.
+    reflectance: linear RGB share of the room's mean light that it scatters.
     """
 
     shape: Literal["ellipse", "box"]
@@ -38,7 +38,7 @@ class Billboard:
     reflectance: Vector
 
     def outside_mm(self, x: Float[np.ndarray, "*n"], y: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
-        """About how far points of its plane lie outside of it; negative within."""
+        """Approximate distance by which points of its plane lie outside it; negative within."""
         dx, dy = x - np.float32(self.centre_mm[0]), y - np.float32(self.centre_mm[1])
         wide, high = (np.float32(half) for half in self.half_mm)
         if self.shape == "ellipse":
@@ -47,7 +47,7 @@ class Billboard:
 
 
 def sample_onlookers(rng: np.random.Generator) -> tuple[Billboard, ...]:
-    """A phone, its camera near one of its ends, and mostly a person behind it, farthest first."""
+    """A phone, its camera near one of its ends, and in most cases a person behind it; farthest first."""
     upright = rng.random() < 0.5
     half = PHONE_HALF_MM if upright else (PHONE_HALF_MM[1], PHONE_HALF_MM[0])
     off = [float(rng.choice([-1, 1]) * rng.uniform(0.4, 0.85) * side) for side in half]
@@ -72,9 +72,10 @@ def mirrored_onlookers(
     around: Float[np.ndarray, "m n 3"],
     mean: Float[np.ndarray, "3"],
 ) -> Float32[np.ndarray, "m n 3"]:
-    """What a film mirrors: ``around``, with those before it whom the mirror's directions meet, as sharp as its lobe.
+    """What a film mirrors: ``around``, with the onlookers that the mirror directions hit in front, blurred by the lobe.
 
-    points, mirror: of the film, in the world. alpha: the lobe's half width. mean: light of the room.
+    points, mirror: film points and mirror directions, in the world. alpha: the lobe's half width. mean: the room's
+    mean light.
     """
     seen, rays = around.astype(np.float32), _rays(camera, points, mirror)
     for one in onlookers:
@@ -91,7 +92,7 @@ def left_free(
     alpha: float,
     lamp_mm: Float[np.ndarray, "3"],
 ) -> Float32[np.ndarray, "m n"]:
-    """Share of a lamp's reflection that nobody hides who stands between it and the film. lamp_mm: in the world."""
+    """Share of a lamp's reflection that no onlooker between lamp and film hides. lamp_mm: in the world."""
     lamp = camera.camera_points(lamp_mm[None])[0]
     free, rays = np.ones(points.shape[:2], np.float32), _rays(camera, points, mirror)
     for one in onlookers if np.linalg.norm(lamp) > FLASH_MM else ():
@@ -103,7 +104,7 @@ def left_free(
 def _rays(
     camera: Camera, points: Float[np.ndarray, "m n 3"], mirror: Float[np.ndarray, "m n 3"]
 ) -> tuple[Float32[np.ndarray, "m n 3"], Float32[np.ndarray, "m n 3"]]:
-    """The film's points and the ways that they mirror, in camera axes."""
+    """The film's points and their mirror directions, in camera axes."""
     start, way = camera.camera_points(points), mirror @ camera.camera_from_world[:3, :3].T
     return start.astype(np.float32), way.astype(np.float32)
 
@@ -111,7 +112,7 @@ def _rays(
 def _share(
     one: Billboard, start: Float32[np.ndarray, "m n 3"], way: Float32[np.ndarray, "m n 3"], alpha: float
 ) -> Float32[np.ndarray, "m n"]:
-    """Over how much of what the film's points mirror, along ``way`` from ``start`` in camera axes, a shape stands."""
+    """How much of what the film's points mirror, along ``way`` from ``start`` in camera axes, a shape covers."""
     ahead = (np.float32(one.centre_mm[2]) - start[..., 2]) / np.minimum(way[..., 2], np.float32(-1e-3))
     x, y = (start[..., k] + ahead * way[..., k] for k in (0, 1))
     soft = np.maximum(np.float32(2 * alpha) * ahead, 3)

@@ -1,9 +1,10 @@
-"""A data set of photos of one's own, to train a network further: ``python -m data_gen.own_photos PAIRS --out DIR``.
+"""A data set of your own photos, to train a network further: ``python -m data_gen.own_photos PAIRS --out DIR``.
 
-Beside each photo (NAME.jpg, .jpeg or .png) lies NAME.npz with the array ``lattice`` (n, m, 2): the photo points (x, y),
-in pixels from the photo's top-left corner with pixel centres at +0.5, of a regular lattice of film points, the film's
-edges included, row 0 its top. From it come mask, uv and the backward map. 3D coordinates, normals and the print are not
-known, so that training leaves their losses out for such samples (hybrid.learn.losses.Targets).
+Beside each photo (NAME.jpg, .jpeg or .png) lies NAME.npz with the array ``lattice`` (n, m, 2). It holds the photo
+points (x, y) of a regular lattice of film points, in pixels from the photo's top-left corner with pixel centres at
++0.5. The lattice includes the film's edges; row 0 is its top. Mask, uv and the backward map are computed from it. 3D
+coordinates, normals and the print are unknown, so training leaves out their losses for such samples
+(hybrid.learn.losses.Targets).
 """
 
 from __future__ import annotations
@@ -35,10 +36,10 @@ from hybrid.image_io import read_photo
 from hybrid.learn.coding import encode_uv
 
 SUFFIXES = (".jpg", ".jpeg", ".png")
-"""Of photos, in small letters or in capitals."""
+"""Of photos, in lower or upper case."""
 JPEG_QUALITY = 95
 STORED_NODES = (65, 65)
-"""Nodes of stored backward maps, as generated data sets have them."""
+"""Nodes of stored backward maps, as in generated data sets."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +51,7 @@ class OwnPhotosConfig:
     out: Path
     """Folder for the data set."""
     size: int = 1024
-    """Longer side, in pixels, to which photos are reduced; training looks at no more than a few hundred."""
+    """Longer side, in pixels, to which photos are reduced; training uses no more than a few hundred."""
 
     def __post_init__(self) -> None:
         if self.size < 64:
@@ -67,10 +68,10 @@ class Pair:
 
 
 def pair_paths(folder: Path) -> list[tuple[Path, Path]]:
-    """All photos of a folder that have a truth, by name, with it.
+    """All photos of a folder that have a truth, by name, each with its truth.
 
     Raises:
-        DataError: there is none, or one has no photo.
+        DataError: there is no truth, or one without exactly one photo.
     """
     pairs, every = [], photos_in(folder)
     for truth in sorted(folder.glob("*.npz")):
@@ -93,10 +94,10 @@ def photos_in(folder: Path) -> list[Path]:
 
 
 def read_pair(photo: Path, truth: Path, longer: int) -> Pair:
-    """A photo, reduced to ``longer`` pixels, and its map.
+    """A photo, its longer side reduced to ``longer`` pixels, and its map.
 
     Raises:
-        PhotoError: the photo cannot be read. DataError: the truth cannot, or it is no map of a film in this photo.
+        PhotoError: the photo cannot be read. DataError: the truth cannot be read, or is no map of a film in this photo.
     """
     picture = read_photo(photo)
     lattice = _read_lattice(truth)
@@ -128,7 +129,7 @@ def _read_lattice(truth: Path) -> Float[np.ndarray, "n m 2"]:
 
 
 def pair_members(pair: Pair) -> dict[str, bytes]:
-    """The files of a sample, as data_gen.shards.members, without those that nothing is known of.
+    """The files of a sample, as data_gen.shards.members, without those whose content is unknown.
 
     Raises:
         DataError: the photo shows nothing of the film.
@@ -153,7 +154,7 @@ def pair_members(pair: Pair) -> dict[str, bytes]:
 
 
 def _film_seen(backward: BackwardMap, size: tuple[int, int]) -> Float[np.ndarray, "h w 2"]:
-    """Film uv of all pixel centres of an image of ``size``; NaN off the film. Only what is near it is inverted."""
+    """Film uv of all pixel centres of an image of ``size``; NaN off the film. Only pixels near it are inverted."""
     outline = np.rint(opencv_from_photo(outline_curve(backward))).astype(np.int32)
     near = cv2.dilate(cv2.fillPoly(np.zeros(size, np.uint8), [outline], (1,)), np.ones((5, 5), np.uint8)) > 0
     uv = np.full((*size, 2), np.nan)
@@ -163,10 +164,10 @@ def _film_seen(backward: BackwardMap, size: tuple[int, int]) -> Float[np.ndarray
 
 
 def make_dataset(config: OwnPhotosConfig) -> int:
-    """Write all pairs as one shard; the number of samples. The same pairs give the same bytes.
+    """Write all pairs as one shard and return the number of samples. The same pairs give the same bytes.
 
     Raises:
-        PhotoError, DataError: a pair that cannot be used. ConfigError: ``out`` holds another data set.
+        PhotoError, DataError: a pair cannot be used. ConfigError: ``out`` holds another data set.
     """
     paths = pair_paths(config.pairs)
 

@@ -1,4 +1,4 @@
-"""Parts of a photo that something covers: small pictures put over a large one, within their boxes only."""
+"""Parts of a photo that something covers: small pictures put over a large one, each only within its box."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ class Patch:
     """Something in front of a picture, within ``box``.
 
     radiance: linear RGB. cover: share of each pixel that it covers, [0, 1]. hides: share over which the print behind
-    can no longer be read; less than ``cover`` for what is seen through. shade: factor on the light of what it leaves
-    free, (0, 1].
+    is no longer readable; less than ``cover`` for anything transparent. shade: factor on the light of what it leaves
+    uncovered, (0, 1].
     """
 
     box: Box
@@ -41,7 +41,7 @@ def put_over(picture: Float[np.ndarray, "h w 3"], patches: Iterable[Patch]) -> F
 
 
 def shading_only(patch: Patch, over: Float[np.ndarray, "h w"]) -> Patch:
-    """The patch, which keeps light off what it leaves free only so far as that is ``over``, a share of each pixel."""
+    """The patch, its shade limited to ``over``, a share of each pixel."""
     return replace(patch, shade=1 - (1 - patch.shade) * over[patch.box])
 
 
@@ -71,7 +71,7 @@ def filled(outline: Float[np.ndarray, "n 2"], size: tuple[int, int]) -> Float[np
 
 
 def blurred(picture: Float[np.ndarray, "h w"], sigma: float) -> Float[np.ndarray, "h w"]:
-    """Gaussian blur; a wide one is done on a smaller picture, which it leaves nothing finer to show."""
+    """Gaussian blur; a wide one runs on a smaller picture, since it removes all finer detail."""
     step = sigma / 3
     if step < 1.5 or min(picture.shape) < 4 * step:
         return cv2.GaussianBlur(picture, (0, 0), sigma)

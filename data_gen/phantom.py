@@ -42,7 +42,7 @@ from hybrid.coords import centres_1d
 class _Head:
     """One head: everything that does not depend on the slice.
 
-    scalp_mm: its thickness. outline: solids whose union with the skull is the skin. metal: fillings of teeth.
+    scalp_mm: its thickness. outline: solids whose union with the skull is the skin. metal: tooth fillings.
     """
 
     skull: Skull
@@ -58,7 +58,7 @@ class _Head:
 
 
 def head_phantom(rng: np.random.Generator, size: int = 256, slices: int = 40) -> CtVolume:
-    """A made-up head from the chin to the crown on ``slices`` slices of ``size`` x ``size`` pixels."""
+    """A made-up head from chin to crown in ``slices`` slices of ``size`` x ``size`` pixels."""
     head = _random_head(rng)
     field_mm = rng.uniform(205.0, 260.0)
     warp = random_warp(rng, rng.uniform(0.5, 2.5), rng.uniform(120.0, 220.0), 0.05)
@@ -115,7 +115,7 @@ def _random_head(rng: np.random.Generator) -> _Head:
 
 
 def _random_rest(rng: np.random.Generator, head: _Head) -> Rest:
-    """Mostly a cradle, its shell thin or with foam in it."""
+    """A head rest, in most cases a cradle, its shell thin or filled with foam."""
     kind = str(rng.choice(["cradle", "flat", "sides", "none"], p=[0.6, 0.15, 0.1, 0.15]))
     radius = rng.uniform(105, 260)
     half = head.skull.radii[0] + rng.uniform(14, 24) if kind == "sides" else min(rng.uniform(60, 130), 0.95 * radius)

@@ -1,4 +1,4 @@
-"""Typesets CT slices into the flat print of a film: grids, windows, rules, gutters, texts of many makers."""
+"""Typesets CT slices into the flat print of a film: the grids, windows, rules, gutters and texts of many makers."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from hybrid.coords import film_from_pixel
 
 @dataclass(frozen=True, eq=False)
 class FilmPrint:
-    """A flat print, the truth that a photo is taken of.
+    """A flat print, the truth that a photo shows.
 
     image: (h, w) float32 display grey in [0, 1].
     size_mm: (height, width) of the sheet.
     rows, cols: slices down and across.
-    vertices: (rows + 1, cols + 1, 2) film uv of the corners of the cells: the lines half way between neighbouring
-        cells, at equal distances, and the outer borders of the grid, half a gap outside the outermost cells.
+    vertices: (rows + 1, cols + 1, 2) film uv of the corners of the cells: on equidistant lines halfway between
+        neighbouring cells, and on the outer borders of the grid, half a gap outside the outermost cells.
     style: none, rules or gutter.
     parameters: what was drawn, as plain JSON values.
     """
@@ -45,7 +45,7 @@ PLANE_LETTERS: dict[Plane, dict[str, str]] = {
     "coronal": {"A": "H", "P": "F"},
     "sagittal": {"A": "H", "P": "F", "R": "A", "L": "P"},
 }
-"""The patient's sides where an axial slice has others: head, feet."""
+"""Replaces the side letters of an axial slice in planes that show others: head, feet."""
 
 
 def make_print(volume: CtVolume, rng: np.random.Generator, config: PrintConfig = DEFAULT_CONFIG) -> FilmPrint:
@@ -82,7 +82,7 @@ def _layout_parameters(layout: Layout) -> dict[str, Any]:
 
 
 def _look_parameters(look: Look, deal: Deal, labels: Labels | None) -> dict[str, Any]:
-    """What was drawn, and what tells which way is up: the anatomy, where it is not turned over, and writing."""
+    """What was drawn, and which cues show the way up: text, and the anatomy unless it is upside down."""
     fields = asdict(look) | {"windows": [list(window) for window in look.windows], "offset": list(look.offset)}
     return fields | {
         "slices": [float(s) for s in deal.positions],
@@ -94,7 +94,7 @@ def _look_parameters(look: Look, deal: Deal, labels: Labels | None) -> dict[str,
 
 
 def _letters_as_drawn(letters: tuple[str, ...], look: Look) -> tuple[str, ...]:
-    """The letters of the patient's sides (top, right, bottom, left) where the slices have these sides."""
+    """The letters of the patient's sides (top, right, bottom, left), swapped with them if slices are flipped."""
     top, right, bottom, left = letters
     if look.mirrored:
         right, left = left, right
@@ -112,7 +112,7 @@ def _px_per_mm(layout: Layout, extent_mm: tuple[float, float], fill: float) -> f
 
 
 def _draw_lines(image: Float[np.ndarray, "h w"], layout: Layout, look: Look) -> None:
-    """Margins, gutters, rules and boxes, in place. Rules lie on the vertices to a fraction of a pixel."""
+    """Draw margins, gutters, rules and boxes, in place. Rules lie on the vertices to a fraction of a pixel."""
     xs, ys = layout.lines_px()
     if look.margin_grey != look.base:
         for strip in (np.s_[: int(ys[0])], np.s_[int(ys[-1]) :], np.s_[:, : int(xs[0])], np.s_[:, int(xs[-1]) :]):
@@ -160,7 +160,7 @@ def _draw_bars(
     thickness_px: int,
     grey: float,
 ) -> None:
-    """Bars across the whole grid, centred on ``xs`` and ``ys``, mixed in by the share of each pixel they cover."""
+    """Bars across the whole grid, centred on ``xs`` and ``ys``, blended by the share of each pixel that they cover."""
     across, down = layout.lines_px()
     (left, right), (top, bottom) = ((int(line[0]), int(line[-1])) for line in (across, down))
     for x in xs.tolist():
@@ -176,7 +176,7 @@ def _draw_bars(
 def _draw_header(
     rng: np.random.Generator, image: Float[np.ndarray, "h w"], layout: Layout, look: Look, label_share: float
 ) -> str:
-    """A strip above or below the grid with a line of text that names nobody; the text."""
+    """Draw a strip above or below the grid with a line of text that names nobody; return the text."""
     strip = image[-layout.header_px :] if layout.footer else image[: layout.header_px]
     on_bare_film, label = look.clear and rng.random() < 0.6, rng.random() < label_share
     if on_bare_film:

@@ -1,4 +1,4 @@
-"""What a glossy film shows as a mirror does: the room by its lobe's width, and lamps one by one."""
+"""What a glossy film shows as a mirror does: the room, blurred by the lobe's width, and lamps, one by one."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from hybrid.mesh.vectors import turned
 
 
 def reflection(seen: SeenFilm, scene: Scene, room: FilteredEnvironment, surface: Gloss) -> Float[np.ndarray, "n n 3"]:
-    """Radiance of the room, and of who stands in it, in the film's glossy surface; even light comes out as the
-    directional albedo times it."""
+    """Radiance of the room and the onlookers in it, reflected by the film's glossy surface; uniform light is multiplied
+    by the directional albedo."""
     n, light = len(seen.points), scene.light
     turn = room_from_film(light)
     if surface.alpha >= WIDE_ALPHA:
@@ -37,9 +37,10 @@ def reflection(seen: SeenFilm, scene: Scene, room: FilteredEnvironment, surface:
 
 
 WIDE_ALPHA = 0.1
-"""Lobes from this width on are summed over the whole sphere. Narrower ones are nearly round, and are looked up blurred
-about the mirror's direction: against sums of 1500 samples in six rooms the reflection differs by 4 % at roughness 0.2,
-by 7 % at 0.3, and by 10 to 20 % from 0.5 on, where horizon and Fresnel term cut into the lobe; summed by 5 to 7 %."""
+"""Lobes of at least this width are summed over the whole sphere. Narrower ones are nearly round, so a blurred room is
+looked up in the mirror's direction: compared with sums of 1500 samples in six rooms, the lookup differs by 4 % at
+roughness 0.2, by 7 % at 0.3, and by 10 to 20 % from 0.5 on, where horizon and Fresnel term cut into the lobe; the sum
+over the sphere differs by 5 to 7 %."""
 
 
 def wide_reflection(
@@ -57,7 +58,7 @@ def wide_reflection(
     n_h = (seen.cosine.reshape(-1, 1) + n_i) / (2 * o_h)
     alpha_sq = np.float32(surface.alpha**2)
     weight = smith(n_i, surface.alpha) * fresnel_reflectance(o_h, surface.ior, surface.surfaces)
-    weight /= (n_h**2 * (alpha_sq - 1) + 1) ** 2  # f times c_i, without the factors of o alone: G1 is 0 below
+    weight /= (n_h**2 * (alpha_sq - 1) + 1) ** 2  # f times c_i, without factors of o alone: G1 is 0 below the horizon
     weight *= np.repeat(solid_angles(size), size[1]).astype(np.float32)
     total = weight @ room.coarse.reshape(-1, 3)
     return (total / np.maximum(weight.sum(axis=1, keepdims=True), 1e-12)).reshape(seen.points.shape)
@@ -67,16 +68,15 @@ def _between(
     coarse: Float[np.ndarray, "m m *c"], n: int, stride: int, interpolation: int
 ) -> Float[np.ndarray, "n n *c"]:
     """All n values along each side, from every ``stride``-th of them: those of ``slice(stride // 2, None, stride)``.
-
-    ``cv2.resize`` would take them for the middles of equal parts of the side, which they are not where the last part
-    is shorter or a part has no middle.
+    ``cv2.resize`` would take these for the centres of equal parts of the side. That is wrong if the last part is
+    shorter or a part has no central value.
     """
     at = ((np.arange(n) - stride // 2) / stride).astype(np.float32)
     return cv2.remap(coarse, *np.meshgrid(at, at), interpolation, borderMode=cv2.BORDER_REPLICATE)
 
 
 def lamp_highlight(lamp: Lamp, seen: SeenFilm, surface: Gloss) -> Float[np.ndarray, "n n"]:
-    """Reflection of a lamp of radiance 1, on a coarse lattice and, where that cannot hold it, finer near its middle."""
+    """Reflection of a lamp of radiance 1, on a coarse lattice and, where that is too coarse, finer near its peak."""
     n = len(seen.points)
     stride = max(1, n // HIGHLIGHT_LATTICE)
     every = slice(stride // 2, None, stride)
@@ -97,7 +97,7 @@ def lamp_highlight(lamp: Lamp, seen: SeenFilm, surface: Gloss) -> Float[np.ndarr
 
 
 FAINT = 0.05
-"""Radiance of a lamp's reflection, on that lattice's wide lobe, from which on it is evaluated finely."""
+"""Radiance of a lamp's reflection, with the coarse lattice's wide lobe, above which it is evaluated finely."""
 
 HIGHLIGHT_LATTICE = 32
-"""Film points along each side at which highlights of lamps are looked for."""
+"""Film points along each side of the coarse lattice that is searched for highlights of lamps."""

@@ -20,7 +20,7 @@ LUMINANCE = np.array([0.2126, 0.7152, 0.0722], dtype=np.float32)
 """Rec. 709 weights of linear RGB."""
 
 ENVIRONMENT_SIZE = (256, 512)
-"""Of procedural rooms: 0.7 degrees for a pixel."""
+"""Of procedural rooms: 0.7 degrees per pixel."""
 
 HDRI_SIZE = (512, 1024)
 """Of environments from files: sharp enough for a mirror-like film at 1080 px."""
@@ -28,7 +28,7 @@ HDRI_SIZE = (512, 1024)
 ROUGHNESS_LEVELS = (0.14, 0.2, 0.28, 0.4)
 
 MAX_RELATIVE_RADIANCE = 3000.0
-"""The sun of an HDR file is cut here (times the mean): brighter points only add noise to a blurred reflection."""
+"""The sun of an HDR file is clipped here (times the mean): brighter points only add noise to a blurred reflection."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +70,7 @@ class FilteredEnvironment:
         lobe, the finer the image.
     irradiance: (h, w, 3) integral of radiance times c, the cosine to a normal, over the hemisphere around it.
     grazing: (h, w, 3) integral of radiance times c (1 - c)^5: what a smooth surface keeps from entering.
-    coarse: (rows, columns, 3) the radiance itself, in few pixels. medium: in more.
+    coarse: (rows, columns, 3) the radiance itself at low resolution. medium: the same at a higher one.
     """
 
     environment: Environment
@@ -89,7 +89,7 @@ def mean_luminance(radiance: Float[np.ndarray, "H W 3"]) -> float:
 
 
 def resize_environment(radiance: Float[np.ndarray, "H W 3"], size: tuple[int, int]) -> Float[np.ndarray, "h w 3"]:
-    """Averages over the new pixels, by area in the picture and by solid angle on the sphere."""
+    """Average over the new pixels, weighted by area in the picture and by solid angle on the sphere."""
     if radiance.shape[:2] == size:
         return radiance
     weight = solid_angles(radiance.shape[:2])[:, None].astype(np.float32)
@@ -98,7 +98,7 @@ def resize_environment(radiance: Float[np.ndarray, "H W 3"], size: tuple[int, in
 
 
 def scaled_environment(radiance: Float[np.ndarray, "H W 3"], name: str) -> Environment:
-    """The environment at mean luminance 1, its brightest points cut."""
+    """The environment at mean luminance 1, its brightest points clipped."""
     mean = mean_luminance(radiance)
     if not mean > 0:
         raise DataError(describe(what="Environment", where=name, got="no light at all", do="Drop the file"))
@@ -109,7 +109,7 @@ def scaled_environment(radiance: Float[np.ndarray, "H W 3"], name: str) -> Envir
 def load_hdri(path: Path | str, size: tuple[int, int] = HDRI_SIZE) -> Environment:
     """An equirectangular Radiance RGBE (or other float) image, averaged down to ``size`` and scaled to mean 1.
 
-    Raises DataError where OpenCV cannot read it.
+    Raises DataError if OpenCV cannot read it.
     """
     path = Path(path)
     image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED) if path.is_file() else None
@@ -129,7 +129,7 @@ def load_hdri(path: Path | str, size: tuple[int, int] = HDRI_SIZE) -> Environmen
 
 
 def load_environments(folder: Path | str) -> list[Environment]:
-    """Every ``.hdr`` file under ``folder`` in sorted order; DataError where there is none."""
+    """Every ``.hdr`` file under ``folder`` in sorted order; DataError if there is none."""
     paths = sorted(Path(folder).rglob("*.hdr"))
     if not paths:
         raise DataError(
@@ -155,7 +155,7 @@ def sample_environment(env: Environment, directions: Float[np.ndarray, "*n 3"]) 
 
 
 def procedural_room(rng: np.random.Generator, size: tuple[int, int] = ENVIRONMENT_SIZE) -> Environment:
-    """A made-up surrounding with a high dynamic range: mostly indoors (windows, lamps, clutter), sometimes outdoors."""
+    """Made-up surroundings with a high dynamic range: mostly indoors (windows, lamps, clutter), sometimes outdoors."""
     rays = directions(size)
     if rng.random() < 0.15:
         return scaled_environment(paint_outdoors(rng, rays), "outdoors")
@@ -168,8 +168,8 @@ def procedural_room(rng: np.random.Generator, size: tuple[int, int] = ENVIRONMEN
 def prefilter(env: Environment, roughness_levels: tuple[float, ...] = ROUGHNESS_LEVELS) -> FilteredEnvironment:
     """What GGX lobes of the given roughness (alpha = roughness^2, ascending) and a matt surface see of ``env``.
 
-    A lobe depends only on the angle to its axis, so along azimuth the blur is a circular convolution: one product of
-    (h, h) matrices for each azimuthal frequency. Weights are normalised: constant light stays constant, and the
+    A lobe depends only on the angle to its axis, so along azimuth the blur is a circular convolution: one product with
+    an (h, h) matrix for each azimuthal frequency. Weights are normalised: constant light stays constant, and the
     irradiance of constant radiance L is pi L exactly.
     """
     levels = tuple(float(level) for level in roughness_levels)
@@ -187,17 +187,17 @@ def prefilter(env: Environment, roughness_levels: tuple[float, ...] = ROUGHNESS_
 
 
 MATT_SIZE = (32, 64)
-"""Irradiance is smooth: 5.6 degrees for a pixel."""
+"""Irradiance is smooth: 5.6 degrees per pixel."""
 
 
 COARSE_SIZE = (24, 48)
-"""7.5 degrees for a pixel: a lobe of roughness 0.35 is 18 degrees wide."""
+"""7.5 degrees per pixel: a lobe of roughness 0.35 is 18 degrees wide."""
 
 MEDIUM_SIZE = (64, 128)
-"""2.8 degrees for a pixel: what lights of a room throw shadows."""
+"""2.8 degrees per pixel: finds the lights of a room that cast shadows."""
 
 BRIGHT = 6.0
-"""Luminance, over the mean of all directions, from which on something is a lamp, a window or the sun."""
+"""Luminance, relative to the mean of all directions, above which something is a lamp, a window or the sun."""
 
 
 def _filtered_size(roughness: float) -> tuple[int, int]:
@@ -210,11 +210,12 @@ def sample_filtered(
 ) -> Float[np.ndarray, "*n 3"]:
     """Radiance (float32) that a surface of one ``roughness`` reflects from around mirror ``directions``.
 
-    roughness: from 0 to the last level of ``filtered``, which stands for all above.
+    roughness: from 0 to the last level of ``filtered``, which is used for all higher values.
     """
     levels = (0.0, *filtered.roughness)
     above = int(np.clip(np.searchsorted(levels, roughness), 1, len(levels) - 1))
-    # By its cube: a lobe's core widens with roughness^2, its tails grow with roughness^4; this errs least between them.
+    # Interpolates in the cube: a lobe's core widens with roughness^2, its tails grow with roughness^4; the cube of
+    # roughness errs least between levels.
     low, high = levels[above - 1] ** 3, levels[above] ** 3
     share = np.float32(np.clip((roughness**3 - low) / (high - low), 0.0, 1.0))
     lookup = SphereLookup(directions)
@@ -231,9 +232,9 @@ def sample_filtered(
 def sample_irradiance(
     filtered: FilteredEnvironment, normals: Float[np.ndarray, "*n 3"], entry: tuple[float, float] = (1.0, 0.0)
 ) -> Float[np.ndarray, "*n 3"]:
-    """Irradiance (float32) on surfaces with unit world ``normals``: pi times the radiance where light is constant.
+    """Irradiance (float32) on surfaces with unit world ``normals``: pi times the radiance for constant light.
 
-    entry: (a, b) weighs light at cosine c to the normal by a + b (1 - c)^5.
+    entry: (a, b) weights light at cosine c to the normal by a + b (1 - c)^5.
     """
     a, b = (np.float32(weight) for weight in entry)
     weighted = filtered.irradiance if (a, b) == (1, 0) else a * filtered.irradiance + b * filtered.grazing
@@ -245,9 +246,9 @@ def room_lights(
 ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
     """The light that falls on a plane from all around as at most ``count`` lights, each of nearby directions.
 
-    What is ``BRIGHT`` is told from the rest first, a sun from its sky. Then of the parts the one with the most light
-    times variance of direction is cut at its mean, across the axis along which it varies most (after Wu 1991, who so
-    chooses colours).
+    What is ``BRIGHT`` is first separated from the rest, as a sun from its sky. Then, repeatedly, the part with the most
+    light times variance of direction is cut at its mean, across the axis along which it varies most (after Wu 1991,
+    who chooses colours this way).
     normal: unit, world. Returns unit directions, shares of the irradiance, and one sigma of the directions in radians.
     """
     size = filtered.medium.shape[:2]
@@ -298,7 +299,7 @@ def _convolve(kernel: Float[np.ndarray, "m h h"], spectrum: Complex[np.ndarray, 
 
 @lru_cache(maxsize=32)
 def _ggx_spectrum(roughness: float, size: tuple[int, int]) -> Float[np.ndarray, "m h h"]:
-    """GGX's lobe with view, normal and mirror direction taken as one (Karis 2013): the half vector halves the angle."""
+    """GGX's lobe with equal view, normal and mirror direction (Karis 2013): the half vector halves the angle."""
     alpha_sq = roughness**4
     dot = _dots(size)
     cos_half_sq = 0.5 * (1.0 + dot)
@@ -324,7 +325,7 @@ def _spectrum(lobe: Float[np.ndarray, "h h w"], size: tuple[int, int]) -> Float[
     lobe = lobe * solid_angles(size)[None, :, None]
     lobe /= lobe.sum(axis=(1, 2), keepdims=True)
     spectrum = np.fft.rfft(lobe, axis=2).real.astype(np.float32)  # even in azimuth: real
-    return np.ascontiguousarray(spectrum.transpose(2, 0, 1))  # else the products take six times as long
+    return np.ascontiguousarray(spectrum.transpose(2, 0, 1))  # otherwise the products take six times as long
 
 
 __all__ = [

@@ -36,26 +36,26 @@ SIMULATION_VERTICES = 26
 """The sheet is subdivided as long as its longer side then has at most this many lattice intervals."""
 
 FACET_SIDE = 1000.0
-"""Side of a photo, in pixels, for which facets of FACET_MM are made; for smaller photos they may be coarser."""
+"""Side of a photo, in pixels, for which facets of FACET_MM are made; smaller photos use coarser ones."""
 
 METERING = 0.5
 """Power by which a photo brighter than the film's white lowers the exposure: 0 none, 1 as if it were all background."""
 
 CLIPPED = 6.0
-"""Times the film's white: what is brighter counts no more in metering."""
+"""Times the film's white: metering clips radiance here."""
 
 METERED_EVERY = 3
-"""Of the points at which light is known, every third along both axes is metered."""
+"""Metering uses every third point, along both axes, of those at which light is known."""
 
 COLOUR_TAKEN_OUT = 0.6
 """Power by which white balance follows the light's colour."""
 
 _CORNERS, _DENSITY, _DEVELOPMENT = 7, 8, 9
-"""Tell the random numbers of corners, of the print's greys and of each photo's development from those of the rest of a
-film: so many as a photo has pixels are drawn for its noise."""
+"""Separate the random numbers of corners, of the print's greys and of each photo's development from those of the rest
+of a film: a photo's noise draws as many as it has pixels."""
 
 PLACES = (32, 32)
-"""Film points whose place in the photo, and so their vignetting, is looked up; it varies slowly."""
+"""Film points whose place in the photo, and thus vignetting, is looked up; it varies slowly."""
 
 
 @dataclass(frozen=True)
@@ -63,9 +63,9 @@ class SampleConfig:
     """What samples are made of.
 
     size: side of the photo in pixels. map_size: side of the maps.
-    photos_per_film: photos taken of one bent film. round_share: sheets whose corners are round. corner_mm: range of
-    their radius. gsdf_share: films printed by DICOM's display function; the others have a display's greys. densities:
-    range of the optical density of their black. sources: of CT volumes and of light. The rest: of each stage.
+    photos_per_film: photos taken of one bent film. round_share: sheets with round corners. corner_mm: range of their
+    radius. gsdf_share: films printed with DICOM's display function; the others have a display's greys. densities:
+    range of the optical density of their black. sources: of CT volumes and of light. The rest: options of each stage.
     """
 
     size: int = 256
@@ -85,7 +85,7 @@ class SampleConfig:
 class Sample:
     """A photo with its truth.
 
-    photo: JPEG bytes. maps: at the map size; film that something covers is not film in the mask.
+    photo: JPEG bytes. maps: at the map size; covered film is not film in the mask.
     albedo: (h, w) display grey of the print. glare: (h, w) film that is clipped or veiled beyond recovery.
     backward: exact map into the photo's frame.
     grid_world, grid_camera: (rows + 1, cols + 1, 3) mm. grid_photo, grid_film: (rows + 1, cols + 1, 2).
@@ -134,7 +134,7 @@ def film_samples(seed: int, number: int, config: SampleConfig) -> Iterator[Sampl
 
 
 def corners_of(size_mm: tuple[float, float], seeds: Sequence[int], config: SampleConfig) -> RoundCorners | None:
-    """Round corners of some sheets; None for the others. Drawn apart, so that nothing else depends on it."""
+    """Round corners of some sheets; None for the others. Drawn separately, so that nothing else depends on it."""
     rng = np.random.default_rng([*seeds, _CORNERS])
     if rng.random() >= config.round_share:
         return None
@@ -143,7 +143,7 @@ def corners_of(size_mm: tuple[float, float], seeds: Sequence[int], config: Sampl
 
 
 def densest_of(seeds: Sequence[int], config: SampleConfig) -> float | None:
-    """Optical density of the black of some films; None for those with a display's greys. Drawn apart, as corners."""
+    """Optical density of some films' black; None for those with a display's greys. Drawn separately, as corners are."""
     rng = np.random.default_rng([*seeds, _DENSITY])
     return float(rng.uniform(*config.densities)) if rng.random() < config.gsdf_share else None
 
@@ -163,7 +163,7 @@ def _photograph(
     if not scene.light.box and (scene.backdrop.kind == "room" or scene.backdrop.gap_mm > NEAR_MM):
         alone = np.zeros(camera.size, np.float32)
         alone[view.box] = view.coverage
-        before = [shading_only(patch, alone) for patch in before]  # what is far behind is not shaded
+        before = [shading_only(patch, alone) for patch in before]  # nothing shades what is far behind
     linear = put_over(composite(view, reflectance, light, around.behind), before)
     white = metered(light, linear)
     local = local_tone(linear, scene.lens)
@@ -192,10 +192,10 @@ def _photograph(
 
 
 def scene_light(film: FilmMesh, scene: Scene, room: FilteredEnvironment, grey: float) -> tuple[FilmLight, Surroundings]:
-    """Light that leaves the film, and all around it, which shines and shows through the film.
+    """Light that leaves the film, and its surroundings, which shine and show through it.
 
-    grey: the print's usual reflectance. A dark background follows what the film shows without it. It may be the mask of
-    a light box, which then is all there is behind the film.
+    grey: the print's usual reflectance. A dark background is matched to what the film shows without it. It may be the
+    mask of a light box; then the box is all there is behind the film.
     """
     lit = lit_film(film, scene)
     light, masked = light_before(lit, room), scene.light.light_box and scene.backdrop.kind != "panel"
@@ -208,9 +208,9 @@ def scene_light(film: FilmMesh, scene: Scene, room: FilteredEnvironment, grey: f
 
 
 def metered(light: FilmLight, linear: Float[np.ndarray, "*pixels 3"]) -> Float[np.ndarray, "3"]:
-    """RGB radiance that the camera takes for white: of the film's bright parts, with regard to the rest of the photo.
+    """RGB radiance that the camera takes for white: of the film's bright parts, adjusted for the rest of the photo.
 
-    Phones meter all they see, so a bright background darkens the film; and take out most of the light's colour.
+    Phones meter all they see, so a bright background darkens the film; they also remove most of the light's colour.
     """
     every = np.s_[::METERED_EVERY, ::METERED_EVERY]
     bright = np.percentile(light.gain[every], 90, axis=(0, 1)) + np.percentile(light.veil[every], 50, axis=(0, 1))
@@ -237,9 +237,9 @@ def _glare(
 ) -> Bool[np.ndarray, "h w"]:  # fmt: skip
     """Film pixels that cannot be recovered: print black and print white come out less than ``LEAST_CONTRAST`` apart.
 
-    That is where reflections clip both, or veil them so much that tone curve and eight bits leave nothing between.
-    Found in film space from the light's gain and veil, exposure, white balance, vignetting and tone curve; channels
-    count by the one in which black and white differ most. Blur, bloom and noise are left aside.
+    There, reflections clip both, or veil them so much that tone curve and eight bits leave nothing between them.
+    Computed in film space from the light's gain and veil, exposure, white balance, vignetting and tone curve, for the
+    channel in which black and white differ most. Blur, bloom and noise are ignored.
     """
     black, bright = black_and_white(on_sensor(light, film, scene, local), scene, white)
     red, green, blue = cv2.split(cv2.subtract(bright, black))
@@ -250,9 +250,9 @@ def _glare(
 def on_sensor(
     light: FilmLight, film: FilmMesh, scene: Scene, local: Float[np.ndarray, "a b"] = NO_LOCAL_TONE
 ) -> FilmLight:
-    """The light of the film's points as the sensor tells it: less towards the photo's corners.
+    """The light of the film's points as the sensor records it: less towards the photo's corners.
 
-    local: factors over the photo by which the camera makes dark parts brighter.
+    local: factors over the photo by which the camera brightens dark parts.
     """
     v, u = (film_centres_1d(n) for n in PLACES)
     place = scene.camera.photo_from_world(film.surface(u, v)) / np.array(scene.camera.size[::-1])
@@ -271,7 +271,7 @@ def black_and_white(
 
 
 def _light_statistics(light: FilmLight, maps: AnnotationMaps, glare: Bool[np.ndarray, "h w"]) -> dict[str, float]:
-    """Mean gain and veil over the film, and the share of the film seen that is glare."""
+    """Mean gain and veil over the film, and the share of the visible film that is glare."""
     return {
         "mean_gain": float(light.gain.mean()),
         "mean_veil": float(light.veil.mean()),
@@ -280,7 +280,7 @@ def _light_statistics(light: FilmLight, maps: AnnotationMaps, glare: Bool[np.nda
 
 
 def _uncovered(maps: AnnotationMaps, covered: Bool[np.ndarray, "h w"]) -> AnnotationMaps:
-    """The maps without the pixels that something covers."""
+    """The maps without covered pixels."""
     if not covered.any():
         return maps
     mask = maps.mask & ~covered
@@ -289,7 +289,7 @@ def _uncovered(maps: AnnotationMaps, covered: Bool[np.ndarray, "h w"]) -> Annota
 
 
 def sheet_of(film_print: FilmPrint) -> FilmMesh:
-    """The flat mesh of a print: its grid corners are vertices, subdivided as far as the simulation affords."""
+    """The flat mesh of a print: its grid corners are vertices, subdivided as far as the simulation can afford."""
     grid_u, grid_v = film_print.vertices[0, :, 0], film_print.vertices[:, 0, 1]
     intervals = max(len(base_lines(grid_u)), len(base_lines(grid_v))) - 1
     levels = max(1, int(np.log2(max(SIMULATION_VERTICES / intervals, 2.0))))

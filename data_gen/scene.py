@@ -26,10 +26,10 @@ from hybrid.mesh.camera import Camera
 from hybrid.mesh.film import FilmMesh
 
 REACH_BEHIND_MM = 40.0
-"""A hand needs so much room behind the film."""
+"""A hand needs this much room behind the film."""
 
 TOUCHING_MM = 15.0
-"""How far a clear film stands off its ground where the print's shadow on that no longer lies behind the print."""
+"""Distance of a clear film from its ground at which the print's shadow there no longer lies behind the print."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class SceneConfig:
     """Ranges from which scenes are drawn.
 
     light_box_share: films on a light box instead of in a room (PAPER: 20 %). thing_share: photos with hands, clips or
-    tape at the film's rim. shadow_share: shadows cast on the film. view: of the camera.
+    tape at the film's rim. shadow_share: photos with shadows cast on the film. view: of the camera.
     """
 
     light_box_share: float = 0.2
@@ -67,9 +67,9 @@ class Scene:
 
 
 def placed(film: FilmMesh) -> FilmMesh:
-    """A bent film moved to where scenes have it: its middle the world's origin, its plane that of a flat film.
+    """A bent film moved to where scenes have it: its middle at the world's origin, its plane that of a flat film.
 
-    The forces that bend a film may carry it off and turn it over; it is turned back as little as can be.
+    The forces that bend a film may move it and turn it over; it is turned back by the smallest rotation.
     """
     points = film.vertices - film.vertices.mean(axis=(0, 1))
     normal = np.linalg.svd(points.reshape(-1, 3), full_matrices=False)[2][2]
@@ -92,7 +92,7 @@ def sample_scene(film: FilmMesh, size: tuple[int, int], rng: np.random.Generator
 
 
 def passes(scene: Scene) -> float:
-    """How often light passes the print: that of a table which a clear film touches came through it, too."""
+    """How often light passes through the print: light from a table that touches a clear film came through it, too."""
     material, ground = scene.material, scene.backdrop
     if scene.light.box or ground.kind not in ("table", "wall"):
         return 1.0

@@ -36,7 +36,8 @@ class SeenFilm:
 def seen_film(film: FilmMesh, camera_mm: Float[np.ndarray, "3"], n: int) -> SeenFilm:
     """The n x n lattice of film pixel centres on the smooth (bicubic) film, seen from ``camera_mm``.
 
-    The bicubic surface through the vertices is a product of two interpolations: matrices, fast on fine lattices.
+    The bicubic surface through the vertices is a product of two interpolations: both are matrices, fast on fine
+    lattices.
     """
     (u, du), (v, dv) = (_spline(lines, n) for lines in (film.u_lines, film.v_lines))
     points, normals = _lattice(film, v, u), unit(cross(_lattice(film, dv, u), _lattice(film, v, du)))
@@ -47,7 +48,7 @@ def seen_film(film: FilmMesh, camera_mm: Float[np.ndarray, "3"], n: int) -> Seen
 
 
 def film_points(film: FilmMesh, n: int) -> Float[np.ndarray, "n n 3"]:
-    """The points (mm) of that lattice alone."""
+    """Only the points (mm) of that lattice."""
     return _lattice(film, _spline(film.v_lines, n)[0], _spline(film.u_lines, n)[0])
 
 

@@ -1,6 +1,6 @@
 """Linear light that leaves the film, computed in film space: smooth light on a lattice, print detail multiplied in.
 
-The film is a thin sheet with a print of linear reflectance T below a glossy surface; both sides answer alike. With o
+The film is a thin sheet with a print of linear reflectance T below a glossy surface; both sides behave alike. With o
 towards the eye, i towards the light, c their cosines to the normal, R the surface's directional albedo and M its
 cosine-weighted mean, the sheet scatters by
 
@@ -11,13 +11,13 @@ cosine-weighted mean, the sheet scatters by
 
 What the surface does not reflect enters, so the lobes below it share 1 - R (Kelemen and Szirmay-Kalos 2001, the
 `roughplastic` of Mitsuba): whatever the roughness, a sheet with diffuse + transmission + clear + 2 haze = 1 and T = 1
-loses nothing, every draw of parameters reflects and lets through at most what comes in, and f(i, o) = f(o, i).
+loses nothing, all drawn parameters reflect and transmit at most what comes in, and f(i, o) = f(o, i).
 Left out: light that the film's far surface reflects back through the print, shadows of the film on itself and light
-from one part of it on another, of which benchmarks/radiance.py says what they amount to; and the table or wall behind
-a film where its surface mirrors that instead of the room.
+from one part of it on another, whose size benchmarks/radiance.py states; and the table or wall behind a film where its
+surface mirrors that instead of the room.
 
 Light varies slowly over the film, so radiance = gain * T + veil is evaluated on a lattice of film points and enlarged
-to the print; the lattice is the finer, the more the film is a mirror.
+to the print; the more mirror-like the film, the finer the lattice.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ SMOOTH_LATTICE = 48
 """Film points along each side at which matt light is evaluated: 9 mm on a 35 x 43 cm film."""
 
 SHADOW_LATTICE = 160
-"""Likewise where something casts a shadow: 3 mm, as wide as the penumbra of the sun a metre away is at the least."""
+"""Likewise where something casts a shadow: 3 mm, the least width of the sun's penumbra a metre away."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,8 +70,8 @@ class LitFilm:
     """The film of a scene, ready to be lit from either side.
 
     film: bent. smooth: the points at which matt light is evaluated. fine: those of reflections, n x n. surface: its
-    gloss. sources: near it. inside: (m, m, 1) share of even light that comes out through the surface, on the smooth
-    points. shadow: (n, n, 1) factor on matt light of the seen side, before which all stands that throws shadows.
+    gloss. sources: near it. inside: (m, m, 1) share of uniform light that comes out through the surface, on the smooth
+    points. shadow: (n, n, 1) factor on matt light of the seen side; everything that casts shadows is on that side.
     """
 
     film: FilmMesh
@@ -93,7 +93,7 @@ class Behind:
     """What reaches the film's far side.
 
     straight: (k, k, 3) radiance that a clear film shows, over the film. irradiance: (m, m, 3) that enters the print,
-    over pi, on the smooth points.
+    divided by pi, on the smooth points.
     """
 
     straight: Float[np.ndarray, "k k 3"]
@@ -120,7 +120,7 @@ def lit_film(film: FilmMesh, scene: Scene) -> LitFilm:
 
 
 def light_before(lit: LitFilm, room: FilteredEnvironment) -> FilmLight:
-    """What the light on the seen side does: scattered by the print, and reflected by the surface."""
+    """What light on the seen side does: the print scatters it and the surface reflects it."""
     material, (lamps, _) = lit.scene.material, lit.sources
     entering = lit.inside * entering_light(lit, lit.smooth.normals, room)
     veil = lit.matt(material.haze * entering) * lit.shadow + reflection(lit.fine, lit.scene, room, lit.surface)
@@ -135,7 +135,7 @@ def light_before(lit: LitFilm, room: FilteredEnvironment) -> FilmLight:
 
 
 def light_through(lit: LitFilm, behind: Behind) -> FilmLight:
-    """What the light on the far side does: scattered by the print on its way, or straight through it."""
+    """What light on the far side does: the print scatters it on its way, or it goes straight through."""
     material = lit.scene.material
     entering = lit.inside * behind.irradiance
     gain = lit.matt(material.transmission * entering)
@@ -148,8 +148,8 @@ def light_through(lit: LitFilm, behind: Behind) -> FilmLight:
 def glossy_lattice(material: Material, photo_size: tuple[int, int]) -> int:
     """Film points along each side at which reflections are evaluated.
 
-    A lobe's half width is 1.3 alpha rad, and reflected directions turn by about 3 rad over a bent film; finer than
-    three photo pixels costs more than it shows.
+    A lobe's half width is 1.3 alpha rad, and reflected directions turn by about 3 rad over a bent film; a lattice finer
+    than three photo pixels costs more than it shows.
     """
     return int(np.clip(4.0 / material.roughness**2, SMOOTH_LATTICE, max(0.3 * max(photo_size), 96)))
 
@@ -160,7 +160,7 @@ def glossy_lattice(material: Material, photo_size: tuple[int, int]) -> int:
 def entering_light(
     lit: LitFilm, normals: Float[np.ndarray, "m m 3"], room: FilteredEnvironment
 ) -> Float[np.ndarray, "m m 3"]:
-    """Irradiance on one side that enters the print, over pi (1 for even light of radiance 1). normals: of that side."""
+    """Irradiance entering the print on one side, over pi (1 for uniform light of radiance 1). normals: of that side."""
     (lamps, panel), points, light = lit.sources, lit.smooth.points, lit.scene.light
     entering = sample_irradiance(room, turned(normals, room_from_film(light)), lit.surface.entry) * np.float32(
         light.front / np.pi
@@ -175,7 +175,7 @@ def entering_light(
         vector = vector_irradiance(lamp, points)
         filled = np.sqrt(dot(vector, vector)) / np.float32(np.pi)
         received, cosine = surface_irradiance(vector, normals)
-        # Entry is taken at the lamp's mean direction; a lamp that fills the hemisphere enters like even light.
+        # Entry is taken at the lamp's mean direction; a lamp that fills the hemisphere enters like uniform light.
         received *= (lit.surface.entering(np.maximum(cosine, 0)) * (1 - filled) + filled) / np.float32(np.pi)
         entering = entering + received[..., None] * np.array(lamp.radiance, np.float32)
     return entering
@@ -219,11 +219,11 @@ def light_box_lamp(box: LightBox, film: FilmMesh, camera_mm: Float[np.ndarray, "
 
 
 def box_offset_mm(box: LightBox, film: FilmMesh) -> tuple[float, float]:
-    """Of a light box's middle from the film's, to the right and down as seen."""
+    """Offset of a light box's middle from the film's, to the right and down as seen."""
     return box.offset[0] * film.size_mm[1], box.offset[1] * film.size_mm[0]
 
 
 def _panel_uv(lamp: Lamp, points: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 2"]:
-    """Where on the panel, (0, 0) to (1, 1) right and down, points lie that are moved onto it along its normal."""
+    """Positions on the panel, (0, 0) to (1, 1) right and down, of points projected onto it along its normal."""
     offset = (points - np.array(lamp.centre_mm))[..., :2] * [lamp.across[0], 1.0] / np.array(lamp.half_mm)
     return np.clip((1 + offset) / 2, 0, 1)

@@ -1,8 +1,8 @@
 """Shadows that hands, arms, the phone and edges of the room cast on the film: factors on its light, in film space.
 
 A silhouette stands between a lamp of some size and the film: its shadow is the silhouette blurred by the penumbra,
-which is as wide as the lamp times distances' ratio, so it grows with the height above the film. Light that comes from
-elsewhere fills it, so no shadow is quite black. Drawn in millimetres of the film.
+which is as wide as the lamp times the ratio of distances, so it grows with the height above the film. Light from
+elsewhere fills it, so no shadow is quite black. Shadows are drawn in millimetres of the film.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ from data_gen._relief import MIDDLE, affine, coverage, warped
 from data_gen.patches import filled
 
 KINDS = ("hand", "phone", "edge", "head", "bars")
-"""hand: with its arm. phone: held by a hand. edge: of a door, curtain or wall that lamp or sun is hidden behind.
-head: of who leans over the film. bars: of a blind or window."""
+"""hand: with its arm. phone: held by a hand. edge: of a door, curtain or wall that hides lamp or sun.
+head: of somebody who leans over the film. bars: of a blind or window."""
 
 
 @dataclass(frozen=True)
 class Shadow:
     """One shadow. at: film uv of its middle. turn_deg: where its arm comes from, or its lines run. size: factor on
-    life size. penumbra_mm: blur (one sigma). depth: share of the light that it takes. variant: of the hand's model.
+    life size. penumbra_mm: blur (one sigma). depth: share of the light that it blocks. variant: of the hand's model.
     """
 
     kind: str
@@ -38,7 +38,7 @@ class Shadow:
 
 
 def sample_shadows(rng: np.random.Generator) -> tuple[Shadow, ...]:
-    """One shadow; sometimes one more from a second lamp, beside the first."""
+    """One shadow, sometimes with another beside it from a second lamp."""
     kind = str(rng.choice(KINDS, p=[0.25, 0.35, 0.22, 0.12, 0.06]))
     height = 10 ** rng.uniform(1.3, 2.8)  # mm above the film
     lamp = 10 ** rng.uniform(-2.2, -0.3)  # angle that the lamp fills: sun and spot lamps to windows
@@ -69,7 +69,7 @@ def film_shadow(shadows: tuple[Shadow, ...], size_mm: tuple[float, float], n: in
 
 
 def _blurred(mask: np.ndarray, shadow: Shadow, size_mm: tuple[float, float]) -> np.ndarray:
-    """The silhouette with its penumbra; the lattice itself holds nothing finer than half its step."""
+    """The silhouette with a penumbra of at least half a lattice step, since the lattice holds nothing finer."""
     n = len(mask)
     sigma = [max(shadow.penumbra_mm * n / mm, 0.5) for mm in (size_mm[1], size_mm[0])]
     return cv2.GaussianBlur(mask, (0, 0), sigma[0], sigmaY=sigma[1], borderType=cv2.BORDER_REPLICATE)

@@ -4,8 +4,8 @@
 000000012.mask.npy ...  the maps as plain arrays, coded as hybrid/learn/coding.py says, and the backward map's nodes
 000000012.json          camera, grid, coding, every parameter
 
-The key is the sample's number in the data set. Nothing is compressed, so a reader maps the file into memory and looks
-at the arrays in place. The headers hold no time and no owner: the same sample is the same bytes everywhere.
+The key is the sample's number in the data set. Nothing is compressed, so a reader maps the file into memory and uses
+the arrays in place. The headers hold no time and no owner: the same sample gives the same bytes everywhere.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from hybrid.learn.shards import key_of
 END_OF_TAR = bytes(2 * tarfile.BLOCKSIZE)
 
 GRID_DECIMALS = {"film": 7, "world": 4, "camera": 4, "photo": 4}
-"""Digits kept of the grid vertices in film units, mm, mm and pixels."""
+"""Decimals kept of the grid vertices in film units, mm, mm and pixels."""
 
 
 def sample_bytes(sample: Sample, number: int) -> bytes:
@@ -58,7 +58,7 @@ def members(sample: Sample) -> dict[str, bytes]:
 
 
 def _record(sample: Sample) -> dict[str, Any]:
-    """What is said of a sample in its JSON member."""
+    """The content of a sample's JSON member."""
     camera, mask = sample.camera, sample.maps.mask
     return {
         "size_mm": list(sample.size_mm),

@@ -16,7 +16,7 @@ from data_gen.volumes import CtVolume, load_volumes, reformatted, within_patient
 from hybrid.errors import ConfigError, DataError, describe
 
 PHANTOMS = 12
-"""How many different embedded phantoms of each kind a data set prints if nothing else is said."""
+"""How many different embedded phantoms of each kind a data set prints by default."""
 
 HEAD_SHARE = 0.6
 """Share of head phantoms; the others are bodies."""
@@ -31,7 +31,7 @@ class SourceConfig:
     hdri: Path | None = None
     """Folder with .hdr environments; without it embedded rooms light the films."""
     real_share: float = 0.6
-    """Share of films (rooms) taken from those folders where they are given."""
+    """Share of films (rooms) taken from those folders if they are given."""
     only: tuple[str, ...] = ()
     """Names of the volumes and environments to use, * stands for anything; all if none is named."""
     leave_out: tuple[str, ...] = ()
@@ -55,7 +55,7 @@ class SourceConfig:
 
 
 def draw_volume(config: SourceConfig, rng: np.random.Generator) -> CtVolume:
-    """A CT volume of the given folder or an embedded phantom, of some cut in another plane."""
+    """A CT volume of the given folder or an embedded phantom, some of them cut in another plane."""
     volume = _axial_volume(config, rng)
     if config.reformatted_share > 0 and rng.random() < config.reformatted_share:
         return within_patient(reformatted(volume, "coronal" if rng.random() < 0.5 else "sagittal"))
@@ -82,7 +82,7 @@ def loaded(config: SourceConfig) -> tuple[list[CtVolume], list[Environment]]:
     """The volumes and environments that the configuration chooses from its folders, each sorted by file.
 
     Raises:
-        DataError: a folder or file that cannot be read. ConfigError: a name that nothing has, or nothing left.
+        DataError: a folder or file cannot be read. ConfigError: a name matches nothing, or nothing is left.
     """
     try:
         volumes = [] if config.ct is None else load_volumes(config.ct)

@@ -1,4 +1,4 @@
-"""Everything in a photo but the film: what lies behind it, and what stands before it."""
+"""Everything in a photo but the film: what is behind it and what is in front of it."""
 
 from __future__ import annotations
 

@@ -15,7 +15,7 @@ from hybrid.mesh.film import FilmMesh
 Thing = Hand | Clip
 
 CLIP_SHARE = 0.3
-"""Of the photos in which something holds the film: held by clips, magnets or tape. The others show hands."""
+"""Share of clips, magnets or tape among the photos in which something holds the film: the others show hands."""
 
 
 def sample_things(lying: bool, rng: np.random.Generator) -> tuple[Thing, ...]:
@@ -45,7 +45,7 @@ def rim_place(film: FilmMesh, camera: Camera, edge: float) -> Place:
 def patches_before(
     things: tuple[Thing, ...], film: FilmMesh, camera: Camera, ball: LitSphere, steel: LitSphere
 ) -> list[Patch]:
-    """Patches of everything before the film, the lowest first."""
+    """Patches of everything in front of the film, the lowest first."""
     found = []
     for thing in things:
         place = rim_place(film, camera, thing.edge)

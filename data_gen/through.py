@@ -12,17 +12,17 @@ from data_gen.shade import Behind, LitFilm, entering_light
 from hybrid.coords import opencv_from_photo
 
 LATTICE = 96
-"""Film points along each side at which the picture behind is looked up: 4 mm, less than its blur mostly is."""
+"""Film points along each side at which the picture behind is looked up: 4 mm, less than its usual blur."""
 
 STANDING_OFF_MM = 20.0
-"""How far a bent film stands off what it lies on, about: so widely is the light on its far side averaged at least."""
+"""How far a bent film stands off what it lies on, about: light on its far side is averaged at least this widely."""
 
 
 def behind_film(lit: LitFilm, room: FilteredEnvironment, picture: Float[np.ndarray, "h w 3"]) -> Behind:
-    """What reaches the far side of a film before a ``picture``: linear radiance over the whole photo.
+    """What reaches the far side of a film in front of a ``picture``: linear radiance over the whole photo.
 
     A table, wall or dark ground hides the room: all light then comes from it, over an area as wide as it is far away.
-    A light box sheds its own, which what lies on it takes from what is seen straight through the film alone.
+    A light box sheds its own; things that lie on it block only what is seen straight through the film.
     """
     straight = _straight(lit, picture)
     if lit.scene.backdrop.kind in ("room", "panel"):
@@ -33,8 +33,8 @@ def behind_film(lit: LitFilm, room: FilteredEnvironment, picture: Float[np.ndarr
 
 
 def _straight(lit: LitFilm, picture: Float[np.ndarray, "h w 3"]) -> Float[np.ndarray, "k k 3"]:
-    """Radiance that a clear film shows of the picture behind it, over the film; off the photo as at its rim."""
-    size = [n // max(1, n // (2 * LATTICE)) for n in picture.shape[:2]]  # whole steps are averaged far faster
+    """Radiance that a clear film shows of the picture behind it, over the film; beyond the photo, as at its rim."""
+    size = [n // max(1, n // (2 * LATTICE)) for n in picture.shape[:2]]  # averaging whole steps is far faster
     small = cv2.resize(picture, size[::-1], interpolation=cv2.INTER_AREA)
     camera = lit.scene.camera
     points = film_points(lit.film, LATTICE)

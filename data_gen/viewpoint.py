@@ -14,13 +14,13 @@ from hybrid.mesh.camera import Camera, look_at
 from hybrid.mesh.film import FilmMesh
 
 LEAST_COSINE = 0.35
-"""Mean |cosine| between the film's normals and the rays to it that a view keeps: steeper, and no slice can be read."""
+"""Least mean |cosine| between film normals and the rays to them that a view keeps: below, no slice can be read."""
 
 _TRIES = 12
-"""Views drawn until one keeps to LEAST_COSINE; the last one looks along the normal."""
+"""Views tried at most until one meets LEAST_COSINE; the last one looks along the normal."""
 
 _MARGIN = 0.012
-"""Least distance of a film that does not leave the frame from the photo's sides, in units of these."""
+"""Least distance from the photo's sides, in units of these, of a film that stays within the frame."""
 
 _NEAREST = 0.3
 """Least depth of any film point, as a share of the distance to the film's centre."""
@@ -46,7 +46,7 @@ class ViewConfig:
 
 
 def sample_camera(film: FilmMesh, size: tuple[int, int], rng: np.random.Generator, config: ViewConfig) -> Camera:
-    """A phone held before the film so that it fills the wanted part of the frame, and its slices can be seen."""
+    """A phone held so that the film fills the wanted part of the frame and its slices can be seen."""
     t = node_centres_1d(17)
     points, normals = film.surface(t, t).reshape(-1, 3), film.normals(t, t).reshape(-1, 3)
     side = -1.0 if rng.random() < config.behind_share else 1.0
@@ -79,7 +79,7 @@ def view_parameters(film: FilmMesh, camera: Camera, backward: BackwardMap) -> di
     """How the film lies in the photo, derived from the truth.
 
     roll_deg: angle, clockwise in the photo, of the film's downward direction against the photo's. tilt_deg: between
-    the film's mean normal and the way to the camera, 0 to 90. behind, mirrored: its back is seen, so it reads mirrored.
+    the film's mean normal and the camera direction, 0 to 90. behind, mirrored: its back is seen, so it reads mirrored.
     turns: quarter turns clockwise that bring its top up, after mirroring if mirrored (``BackwardMap.turned``).
     fov_deg: across the photo's width. distance_mm: from the camera to the film's centre.
     """
@@ -102,13 +102,13 @@ def view_parameters(film: FilmMesh, camera: Camera, backward: BackwardMap) -> di
 
 
 def mean_cosine(camera: Camera, points: Float[np.ndarray, "n 3"], normals: Float[np.ndarray, "n 3"]) -> float:
-    """Mean cosine between surface normals and the ways to the camera: positive where the front is seen."""
+    """Mean cosine between surface normals and the directions to the camera: positive if the front is seen."""
     way = camera.centre_world - points
     return float(np.mean((way * normals).sum(axis=1) / np.linalg.norm(way, axis=1)))
 
 
 def _intrinsics(focal: float, size: tuple[int, int]) -> Float[np.ndarray, "3 3"]:
-    """Of a focal length in units of the photo's sides, the axis in the photo's middle."""
+    """Intrinsics for a focal length in units of the photo's sides, the axis in the photo's middle."""
     return np.array([[focal * size[1], 0, size[1] / 2], [0, focal * size[0], size[0] / 2], [0, 0, 1]])
 
 
@@ -117,7 +117,7 @@ def _filling(
 ) -> Camera:
     """The camera of ``lens`` placed in the direction ``towards`` so that the points' bounding box fills that share.
 
-    However large it is to be, no point comes nearer than ``_NEAREST`` of the distance.
+    Whatever the share, no point comes nearer than ``_NEAREST`` of the distance.
     """
     centre = (points.max(axis=0) + points.min(axis=0)) / 2
     nearest = float(((points - centre) @ towards).max()) / (1 - _NEAREST)
@@ -148,7 +148,7 @@ def _panned(camera: Camera, shift: np.ndarray) -> Camera:
 
 
 def _within(camera: Camera, points: np.ndarray) -> Camera:
-    """The camera turned back until its picture holds the points, which grow as they come near its corners."""
+    """The camera turned back until its picture holds the points, whose image grows near its corners."""
     for _ in range(4):
         low, high = _bounding_box(camera, points)
         beyond = np.maximum(_MARGIN - low, 0.0) - np.maximum(high - (1 - _MARGIN), 0.0)

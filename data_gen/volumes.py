@@ -20,20 +20,20 @@ from hybrid.errors import NPZ_ERRORS, DataError, describe, install_extra
 Found = TypeVar("Found")
 
 LOG = logging.getLogger(__name__)
-"""Each file that is left out, and what was done to uneven series."""
+"""Reports each file that is left out, and what was done to uneven series."""
 
 LEFT_OUT = logging.getLogger(f"{__name__}.left_out")
-"""What of a folder is left out, in one message. Where nothing else is set up it is shown on stderr: a warning, but in
-processes that work for another, of which each reads the same folder."""
+"""Reports in one message what is left out of a folder. If logging is not set up, it goes to stderr: a warning, except
+in worker processes, each of which reads the same folder."""
 
 MOST_TOLD = 5
-"""So many are told with the reason; of a folder with more the first ones."""
+"""At most this many are reported with the reason, the first ones of a folder."""
 
 MIN_PRINT_SLICES = 3
 """A folder may hold single images; a film needs a few slices of the same series."""
 
 BODY_WIDTH_MM = 235.0
-"""No head is as wide as this, ears and blur included; no trunk of a grown-up is narrower."""
+"""No head is as wide as this, ears and blur included; no adult's trunk is narrower."""
 
 THICKER_THAN_TABLES_MM = 36.0
 """A table is about 20 mm thick; the walls of a chest, front and back together, are more than this."""
@@ -42,10 +42,10 @@ THICKER_THAN_TABLES_MM = 36.0
 DENSER_THAN_AIR_HU = -300
 
 PATIENT_SHARE = 0.25
-"""A slice with less tissue than this share of the fullest one's passes by the patient, or just touches them."""
+"""A slice with less tissue than this share of the fullest one's misses the patient or just touches them."""
 
 LEAST_SPAN_HU = 300
-"""Fat and soft tissue alone lie further apart, with blur and noise; masks and empty images do not."""
+"""Fat and soft tissue alone, with blur and noise, lie further apart; the values of masks and empty images do not."""
 
 NIFTI_SUFFIXES = (".nii", ".nii.gz")
 
@@ -57,11 +57,11 @@ Plane = Literal["axial", "coronal", "sagittal"]
 class CtVolume:
     """A CT series.
 
-    hu: (slices, rows, cols) Hounsfield units; slice 0 is caudal, row 0 anterior, column 0 the patient's right. Of other
-        planes see ``reformatted``.
+    hu: (slices, rows, cols) Hounsfield units; slice 0 is caudal, row 0 anterior, column 0 the patient's right. For
+        other planes see ``reformatted``.
     spacing_mm: (z, y, x) distances between voxel centres, along hu's axes, all positive.
-    name: for messages and to choose by; of a file, its own.
-    label: what data sets call it, since a file's name may be a patient's; the name where none is given.
+    name: for messages and to choose by; that of the file, if it has one.
+    label: what data sets call it, since a file's name may be a patient's; by default the name.
     plane: of the slices.
     """
 
@@ -114,7 +114,7 @@ def reformatted(volume: CtVolume, plane: Plane) -> CtVolume:
 
 
 def within_patient(volume: CtVolume) -> CtVolume:
-    """The longest run of slices that show a good part of the patient, without those of air or of the table alone."""
+    """The longest run of slices that show a good part of the patient, without those of only air or table."""
     shown = (volume.hu[:, ::4, ::4] > DENSER_THAN_AIR_HU).mean(axis=(1, 2))
     turns = np.flatnonzero(np.diff(np.pad(shown >= PATIENT_SHARE * shown.max(), 1)))
     first, last = turns.reshape(-1, 2)[np.argmax(np.diff(turns)[::2])]
@@ -122,7 +122,7 @@ def within_patient(volume: CtVolume) -> CtVolume:
 
 
 def tissue_width_mm(volume: CtVolume) -> float:
-    """Median over axial slices of the width in mm of what is denser than fat, tables and clothes mostly left out."""
+    """Median over axial slices of the width in mm of what is denser than fat, mostly without tables and clothes."""
     (height, depth, width), steps = np.argsort(_AXES[volume.plane]), [1, 1, 1]
     steps[height], steps[depth], steps[width] = max(1, volume.hu.shape[height] // 12), 4, 4
     rough = volume.hu[tuple(slice(None, None, step) for step in steps)].transpose(height, depth, width)
@@ -132,12 +132,12 @@ def tissue_width_mm(volume: CtVolume) -> float:
 
 
 def is_body(volume: CtVolume) -> bool:
-    """True where the volume is as wide as a trunk, False for a head or a limb."""
+    """True if the volume is as wide as a trunk, False for a head or a limb."""
     return tissue_width_mm(volume) > BODY_WIDTH_MM
 
 
 def not_ct(hu: np.ndarray) -> str:
-    """Why these values show no scanned body in Hounsfield units; empty where they may."""
+    """Why these values show no scanned body in Hounsfield units; empty if they may."""
     low, high = float(hu.min()), float(hu.max())
     if high - low < LEAST_SPAN_HU:
         return f"values from {low:g} to {high:g}: a mask or an empty image, not Hounsfield units"
@@ -147,7 +147,7 @@ def not_ct(hu: np.ndarray) -> str:
 def resample_slices(
     hu: Int16[np.ndarray, "slices rows cols"], positions: Float[np.ndarray, " n"]
 ) -> Int16[np.ndarray, "n rows cols"]:
-    """Slices at fractional positions (0 is the first), mixed linearly from their two neighbours."""
+    """Slices at fractional positions (0 is the first), interpolated linearly between their two neighbours."""
     lower = np.clip(np.floor(positions).astype(int), 0, max(len(hu) - 2, 0))
     share = (positions - lower).astype(np.float32)[:, None, None]
     upper = np.minimum(lower + 1, len(hu) - 1)
@@ -155,7 +155,7 @@ def resample_slices(
 
 
 def as_hounsfield(values: np.ndarray) -> Int16[np.ndarray, "*shape"]:
-    """Numbers of any type as int16; what is not a number is air."""
+    """Numbers of any type as int16; NaN becomes air."""
     if values.dtype == np.int16:
         return values
     return np.clip(np.rint(np.nan_to_num(values, nan=-1024.0)), -32768, 32767).astype(np.int16)
@@ -164,7 +164,7 @@ def as_hounsfield(values: np.ndarray) -> Int16[np.ndarray, "*shape"]:
 def read_npz(path: Path) -> CtVolume:
     """The volume in a ``.npz`` file with ``hu`` (slices, rows, cols), ``spacing_mm`` (3,) and optional JSON ``meta``.
 
-    Raises DataError where the file cannot be read or lacks an array.
+    Raises DataError if the file cannot be read or lacks an array.
     """
     try:
         with np.load(path, allow_pickle=False) as data:
@@ -200,9 +200,9 @@ def read_npz(path: Path) -> CtVolume:
 def load_volumes(folder: Path | str) -> list[CtVolume]:
     """Every volume under ``folder``: ``.npz`` and NIfTI files, DICOM folders and zips of DICOM files, in sorted order.
 
-    A NIfTI file, or what is in a DICOM folder, that is no CT, and what has too few slices, is told with the reason
-    (``LEFT_OUT``). Raises DataError where the folder is missing, where an ``.npz`` is damaged, where the reader's
-    package is not installed, and where nothing is found.
+    NIfTI files and contents of DICOM folders that are no CT, and volumes with too few slices, are reported with the
+    reason (``LEFT_OUT``). Raises DataError if the folder is missing, an ``.npz`` is damaged, the reader's package is
+    not installed, or nothing is found.
     """
     folder = Path(folder)
     if not folder.is_dir():
@@ -257,7 +257,7 @@ def _first(refusals: list[str]) -> list[str]:
 
 
 def with_left_out(task: Callable[..., Found], *arguments: Any) -> tuple[Found, list[str]]:
-    """What a task gives, and what it would have told is left out of the folders that it reads: a task as well, for
+    """The result of a task, and what it would report as left out of the folders that it reads: itself a task, for
     workers, whose stderr nobody may see."""
     with _heard() as told:
         return task(*arguments), told
@@ -265,7 +265,7 @@ def with_left_out(task: Callable[..., Found], *arguments: Any) -> tuple[Found, l
 
 @contextmanager
 def _heard() -> Iterator[list[str]]:
-    """The messages on what is left out that are logged within, which go nowhere else."""
+    """Catch the messages on what is left out that are logged within; they go nowhere else."""
     told: list[str] = []
     handler, before = logging.Handler(), (LEFT_OUT.level, LEFT_OUT.propagate)
     handler.emit = lambda record: told.append(record.getMessage())  # type: ignore[method-assign]

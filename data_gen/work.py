@@ -1,4 +1,4 @@
-"""The work: each film is a task, done by processes of this machine or by the workers of a Dask cluster."""
+"""The work: each film is a task, done by processes on this machine or by the workers of a Dask cluster."""
 
 from __future__ import annotations
 
@@ -36,12 +36,12 @@ Options = TypeVar("Options")
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 KEPT_ARRAY_BYTES = 2**25
-"""Larger arrays than this are given back to the system at once; glibc takes no larger value."""
+"""Larger arrays than this are returned to the system at once; glibc accepts no larger value."""
 
 _M_MMAP_THRESHOLD, _M_TRIM_THRESHOLD = -3, -1  # of glibc's malloc.h
 
 CLUSTER_AHEAD = 16
-"""At least so many films are sent to a cluster at a time, for clusters that add workers when work is waiting."""
+"""At least this many films are sent to a cluster at a time, for clusters that add workers when work is waiting."""
 
 CLUSTER_PATIENCE = "20s"
 """How long a scheduler may take to answer."""
@@ -53,10 +53,10 @@ _AGAIN = "Run the same command again: finished shards are kept."
 
 
 def check_open3d() -> None:
-    """Tell who lacks it what to do, before work begins: films are bent and seen by Open3D.
+    """Check for Open3D, which bends films and casts rays on them, before work begins: the error says how to install it.
 
     Raises:
-        ConfigError: no Open3D, which only an installation with the extra ``data`` has.
+        ConfigError: there is no Open3D, which needs an installation with the extra ``data``.
     """
     if find_spec("open3d") is None:
         raise ConfigError(describe(what="Making data", got="no Open3D", do=install_extra("data")))
@@ -65,9 +65,9 @@ def check_open3d() -> None:
 def run_command(
     module: str, kind: type[Options], run: Callable[[Options], Any], stopped: str = FINISHED_IS_KEPT
 ) -> None:
-    """Run ``python -m MODULE``: an error that a user can mend, of the options as well, is one line, and so is Ctrl-C.
+    """Run ``python -m MODULE``: an error that a user can fix, including wrong options, prints one line; so does Ctrl-C.
 
-    kind: a dataclass of which tyro makes the command line. Its field ``out``, if any, is where things are written.
+    kind: a dataclass from which tyro makes the command line. Its field ``out``, if any, is where things are written.
     stopped: what is true of the work after Ctrl-C.
     """
 
@@ -91,7 +91,7 @@ def film_bytes(seed: int, number: int, config: SampleConfig) -> list[bytes]:
     """The photos of film ``number`` with all their maps, each as its part of a shard.
 
     Raises:
-        DataError: a source that cannot be read.
+        DataError: a source cannot be read.
     """
     start_worker()
     first = number * config.photos_per_film
@@ -106,9 +106,10 @@ def source_names(config: SourceConfig) -> dict[str, list[str]]:
 
 @lru_cache(maxsize=1)
 def start_worker() -> None:
-    """One thread in this process from now on: the tasks are the parallelism, and sums keep their order.
+    """Use one thread in this process from now on: the tasks are the parallelism, and sums keep their order.
 
-    Pictures of things are drawn at once, in a quarter of a second: memory would grow with them for hundreds of samples.
+    All pictures of things are drawn now, in a quarter of a second: drawn on demand, they would make memory grow for
+    hundreds of samples.
     """
     cv2.setNumThreads(1)
     threadpool_limits(1)
@@ -117,9 +118,10 @@ def start_worker() -> None:
 
 
 def _keep_memory() -> None:
-    """Let the C library keep freed arrays for the next ones of their kind, where it is glibc.
+    """Let the C library, if it is glibc, keep the memory of freed arrays for new ones.
 
-    Else each picture's memory goes back to the system and comes anew, page by page: a sixth of the time at 1080 px.
+    Otherwise each picture's memory is returned to the system and fetched anew, page by page: a sixth of the time at
+    1080 px.
     """
     set_option = getattr(ctypes.CDLL(None), "mallopt", None) if sys.platform == "linux" else None
     if set_option is not None:
@@ -132,13 +134,13 @@ def _keep_memory() -> None:
 
 @dataclass(frozen=True)
 class Workers:
-    """Those who do tasks. submit: as of an executor. ahead: how many tasks to have with them at a time."""
+    """What does the tasks. submit: as of an executor. ahead: how many tasks to have submitted at a time."""
 
     submit: Callable[..., Any]
     ahead: Callable[[], int]
 
     def in_order(self, task: Callable[..., Any], each: Iterable[tuple[Any, ...]]) -> Iterator[Any]:
-        """``task(*arguments)`` for each arguments in turn; only ``ahead`` tasks are under way, so memory stays flat."""
+        """``task(*arguments)`` for each tuple in turn; only ``ahead`` tasks are under way, so memory stays flat."""
         under_way: deque[Any] = deque()
         for arguments in each:
             under_way.append(self.submit(task, *arguments))
@@ -153,7 +155,7 @@ def workers(count: int, scheduler: str | None) -> Iterator[Workers]:
     """The workers of the Dask cluster at ``scheduler``, ``count`` processes, or for 0 this process itself.
 
     Raises:
-        ConfigError: no such cluster. HybridError: workers that were lost.
+        ConfigError: there is no such cluster. HybridError: workers were lost.
     """
     if scheduler is not None:
         with _cluster(scheduler) as those:
@@ -168,7 +170,7 @@ def workers(count: int, scheduler: str | None) -> Iterator[Workers]:
 def write_missing(
     write: Callable[[Any, int], None], config: Any, path_of: Callable[[Any, int], Path], unit: str
 ) -> None:
-    """``write(config, number)`` for the first ``config.count`` files that are not there, with a progress bar."""
+    """``write(config, number)`` for those of the first ``config.count`` files that are missing, with a progress bar."""
     missing = [number for number in range(config.count) if not path_of(config, number).exists()]
     with workers(config.workers, None) as those, tqdm(total=len(missing), unit=unit) as bar:
         for _ in those.in_order(write, ((config, number) for number in missing)):
@@ -187,7 +189,7 @@ def _processes(count: int) -> Iterator[Workers]:
     executor = ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), initializer=leave_with_parent)
     try:
         with _starting_processes():
-            for _ in range(count):  # a task that finds none idle starts one
+            for _ in range(count):  # a task that finds no idle process starts one
                 executor.submit(start_worker)
         yield Workers(executor.submit, lambda: 2 * count + 1)
     except BrokenProcessPool as error:
@@ -195,7 +197,7 @@ def _processes(count: int) -> Iterator[Workers]:
         raise HybridError(describe(what="workers", got="a process that died", do=do)) from error
     except BaseException:
         for process in set(multiprocessing.active_children()) - others:
-            process.terminate()  # what they are at will not be used
+            process.terminate()  # their work will not be used
         raise
     finally:
         executor.shutdown(cancel_futures=True)
@@ -203,7 +205,7 @@ def _processes(count: int) -> Iterator[Workers]:
 
 @contextmanager
 def _starting_processes() -> Iterator[None]:
-    """What processes inherit that are started within: one thread in each library, and no ear for Ctrl-C."""
+    """Set what processes inherit that are started within: one thread in each library, and Ctrl-C ignored."""
     before = {name: os.environ.get(name) for name in THREAD_VARIABLES}
     os.environ.update(dict.fromkeys(THREAD_VARIABLES, "1"))
     try:
@@ -227,7 +229,7 @@ def _cluster(address: str) -> Iterator[Workers]:
     except ModuleNotFoundError as error:
         raise ConfigError(describe(what="--scheduler", got=error, do=install_extra("cluster"))) from error
     try:
-        get_address_host_port(address)  # a client that is refused an address is ended after 40 s only
+        get_address_host_port(address)  # a client with a refused address ends only after 40 s
         client = Client(address, timeout=CLUSTER_PATIENCE, set_as_default=False)
     except (OSError, ValueError) as error:
         do = "Give the address that the Dask scheduler shows, such as tcp://host:8786."

@@ -71,5 +71,5 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    """Public names, also those that were not used yet."""
+    """Public names, including those not used yet."""
     return sorted({*globals(), *__all__})

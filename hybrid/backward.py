@@ -33,18 +33,18 @@ def _lattice_weights(n_nodes: int, n: int) -> tuple[Float[np.ndarray, "n g"], Fl
 
 @lru_cache(maxsize=8)
 def _piece_weights(n_nodes: int) -> Float[np.ndarray, "p g"]:
-    """Weights of the node values in the coefficients of the spline's pieces, from node to node: of the powers, from 0
-    to 3, of the place in a piece."""
+    """Weights of the node values in the polynomial coefficients of the spline's pieces, from node to node: those of the
+    powers, from 0 to 3, of the position within a piece."""
     spline, _ = _node_splines(n_nodes)
     nodes, step = node_centres_1d(n_nodes), 1.0 / (n_nodes - 1)
     powers = [spline.derivative(k)(nodes[:-1]) * step**k / factorial(k) for k in range(3)]
-    cubic = spline.derivative(3)(nodes[:-1] + 0.5 * step) * step**3 / 6.0  # it jumps at nodes
+    cubic = spline.derivative(3)(nodes[:-1] + 0.5 * step) * step**3 / 6.0  # the third derivative jumps at nodes
     return np.stack([*powers, cubic], axis=1).reshape(-1, n_nodes)
 
 
 def spline_weights(n_nodes: int, t: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n g"]:
     """Weights of the g node values in the cubic spline through them, at film coordinates ``t`` of one axis; beyond
-    [0, 1] it goes on linearly, as BackwardMap does. Read-only: the same few ``t`` come again and again."""
+    [0, 1] it continues linearly, as BackwardMap does. Read-only: it is cached, as the same few ``t`` recur."""
     return _weights_at(n_nodes, np.asarray(t, dtype=np.float64).tobytes())
 
 
@@ -59,7 +59,7 @@ def _weights_at(n_nodes: int, t: bytes) -> Float[np.ndarray, "n g"]:
 
 
 def _points(values: Float[np.ndarray, "*n 2"], what: str) -> Float[np.ndarray, "*n 2"]:
-    """The points as float64; ValueError for what are none."""
+    """The points as float64; ValueError if they are not points."""
     points = np.asarray(values, dtype=np.float64)
     if points.ndim == 0 or points.shape[-1] != 2:
         raise ValueError(f"{what}: got shape {points.shape}; allowed: (..., 2)")
@@ -79,7 +79,7 @@ def _cubic_slope(coefficients: Float[np.ndarray, "*n 4"], at: Float[np.ndarray, 
 
 
 def _newton_step(jacobian: Float[np.ndarray, "n 2 2"], error: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
-    """By how much film points have to move for their photo points to move by ``error``; none where the map folds."""
+    """How far film points must move for their photo points to move by ``error``; zero if the Jacobian is singular."""
     (a, b), (c, d) = (jacobian[:, k].T for k in (0, 1))
     det = a * d - b * c
     safe = np.where(np.abs(det) > 1e-9, det, np.inf)
@@ -116,7 +116,7 @@ class BackwardMap:
 
     @cached_property
     def _patches(self) -> Float[np.ndarray, "k 2 4 4"]:
-        """Between each four nodes, the coefficients of x and of y by the powers of the place down and across."""
+        """Coefficients of x and y in each patch between four nodes, by powers of the position down and across it."""
         gh, gw = self.nodes.shape[:2]
         down = np.tensordot(_piece_weights(gh), self.nodes, axes=(1, 0))
         both = np.tensordot(down, _piece_weights(gw), axes=(1, 1)).reshape(gh - 1, 4, 2, gw - 1, 4)
@@ -125,8 +125,8 @@ class BackwardMap:
     def _columns_at(
         self, inside: Float[np.ndarray, "n 2"], slope: bool = False
     ) -> tuple[Float[np.ndarray, "n 2 4"], Float[np.ndarray, "n 1"], Float[np.ndarray, "n 2 4"] | None]:
-        """At film points: the cubics of the place down in the patch, in which x and y vary there, that place, and what
-        these cubics' coefficients change by across (``slope``)."""
+        """At film points: the cubics by which x and y vary down the patch there, the position down it, and, with
+        ``slope``, the derivatives of these cubics' coefficients across."""
         gh, gw = self.nodes.shape[:2]
         across, down = inside[:, 0] * (gw - 1), inside[:, 1] * (gh - 1)
         i, j = np.minimum(down.astype(np.intp), gh - 2), np.minimum(across.astype(np.intp), gw - 2)
@@ -135,7 +135,7 @@ class BackwardMap:
         return cubics, (down - i)[:, None], (gw - 1) * _cubic_slope(patches, at) if slope else None
 
     def photo_from_film(self, uv: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n 2"]:
-        """Photo points of film points; outside [0, 1]^2 the map goes on linearly from the nearest edge point."""
+        """Photo points of film points; outside [0, 1]^2 the map continues linearly from the nearest edge point."""
         inside = np.clip(_points(uv, "film points (u, v)"), 0.0, 1.0)
         cubics, down, _ = self._columns_at(inside.reshape(-1, 2))
         points = _cubic(cubics, down).reshape(inside.shape)
@@ -156,10 +156,10 @@ class BackwardMap:
     def film_from_photo(
         self, xy: Float[np.ndarray, "*n 2"], iterations: int = 12, tolerance_px: float = 1e-3
     ) -> Float[np.ndarray, "*n 2"]:
-        """Film uv of photo points by Newton from the nearest node; NaN where the film is not.
+        """Film uv of photo points by Newton's method from the nearest node; NaN off the film.
 
-        A point counts as on the film if it maps back to within ``tolerance_px`` from a uv within [0, 1]^2
-        (with one part in a million to spare for points on the edge).
+        A point counts as on the film if a uv within [0, 1]^2 maps to within ``tolerance_px`` of it (with a tolerance of
+        one part in a million for points on the edge).
         """
         from scipy.spatial import KDTree
 
@@ -190,9 +190,9 @@ class BackwardMap:
         iterations: int = 2,
         most_step: float = np.inf,
     ) -> Float[np.ndarray, "n 2"]:
-        """Film uv, beyond the edges too, of photo points, by Newton from film points near them.
+        """Film uv of photo points, beyond the edges too, by Newton's method from film points near them.
 
-        Steps are ``most_step`` at most along each axis. Whether the film is there only ``film_from_photo`` says.
+        Steps are at most ``most_step`` along each axis. Only ``film_from_photo`` says whether the film is there.
         """
         uv = start.copy()
         for _ in range(iterations):
@@ -209,7 +209,7 @@ class BackwardMap:
         return np.stack([columns[..., k] @ across for k in range(2)], axis=-1)
 
     def lattice(self, size: tuple[int, int]) -> Float[np.ndarray, "h w 2"]:
-        """``photo_from_film(film_nodes(size))``: quicker, as rows and columns are interpolated one after the other."""
+        """``photo_from_film(film_nodes(size))``, but quicker, as it interpolates along rows and columns in turn."""
         (down, _), (across, _) = (_lattice_weights(*n) for n in zip(self.nodes.shape[:2], size, strict=True))
         return np.stack([down @ self.nodes[..., k] @ across.T for k in range(2)], axis=-1)
 
@@ -222,7 +222,7 @@ class BackwardMap:
         return BackwardMap((self.nodes - np.asarray(offset_xy)) * np.asarray(scale_xy))
 
     def turned(self, way: Orientation) -> BackwardMap:
-        """The map of the film read after it was moved as ``way`` says."""
+        """The map of the film after it was moved as ``way`` says."""
         return BackwardMap(way.moved(self.nodes))
 
     def outline(self) -> Float[np.ndarray, "n 2"]:
@@ -279,11 +279,11 @@ class Orientation:
 
     @property
     def inverse(self) -> Orientation:
-        """What undoes it: ``seen = true.turned(way.inverse)``. A reflection undoes itself."""
+        """The orientation that undoes it: ``seen = true.turned(way.inverse)``. A reflection undoes itself."""
         return self if self.mirrored else Orientation(-self.turns % 4, False)
 
     def moved(self, picture: Shaped[np.ndarray, "h w *c"]) -> Shaped[np.ndarray, "h2 w2 *c"]:
-        """A picture (or nodes, or vertices) of a film, moved as the film is; a view where it can be."""
+        """A picture (or nodes, or vertices) of a film, moved as the film is; a view if possible."""
         return np.rot90(picture[:, ::-1] if self.mirrored else picture, -self.turns)
 
     def film_from_seen(self, uv: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n 2"]:
@@ -296,7 +296,7 @@ class Orientation:
 
     @property
     def _film_from_seen(self) -> Float[np.ndarray, "2 2"]:
-        """A rotation, with a reflection before it; the film's middle stays where it is."""
+        """A rotation, after a reflection if mirrored; the film's centre stays fixed."""
         clockwise = np.linalg.matrix_power(np.array([[0.0, -1.0], [1.0, 0.0]]), self.turns)
         return clockwise @ np.diag([-1.0 if self.mirrored else 1.0, 1.0])
 
@@ -309,7 +309,7 @@ def _from_middle(uv: np.ndarray, matrix: Float[np.ndarray, "2 2"]) -> np.ndarray
 
 
 def orientation(backward: BackwardMap) -> Orientation:
-    """How the film lies in the photo: mirrored or not, and its top to the nearest quarter turn."""
+    """How the film lies in the photo: mirrored or not, and which way its top points, to the nearest quarter turn."""
     nodes = backward.nodes
     return orientation_of((nodes[:, -1] - nodes[:, 0]).mean(axis=0), (nodes[-1] - nodes[0]).mean(axis=0))
 
@@ -326,9 +326,9 @@ def orientation_of(across: Float[np.ndarray, "2"], down: Float[np.ndarray, "2"])
 
 
 def film_as_seen(backward: BackwardMap) -> BackwardMap:
-    """The map of the film as it lies in the photo: its top is the side nearest to the photo's, and it is not mirrored.
+    """The map of the film as it lies in the photo: not mirrored, and its top is the side nearest to the photo's top.
 
-    ``orientation(backward)`` makes the true map of it.
+    ``orientation(backward)`` turns it into the true map.
     """
     return backward.turned(orientation(backward).inverse)
 
@@ -339,7 +339,7 @@ def end_point_error(predicted: BackwardMap, true_points: Float[np.ndarray, "h w 
 
 
 def mean_move(before: BackwardMap, after: BackwardMap) -> float:
-    """Mean distance between two maps of a film, in parts of the first one's longer side."""
+    """Mean distance between two maps of a film, as a fraction of the first one's longer side."""
     return float(end_point_error(after, before.nodes).mean()) / max(before.mean_film_pixels())
 
 

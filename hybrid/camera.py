@@ -1,6 +1,6 @@
-"""What the file of a photo tells of the camera: how long its lens was.
+"""What the file of a photo tells of the camera: the focal length of its lens.
 
-Where a sheet only leans, the photo leaves open how long the lens is, and so how long the sheet (rectify/film_size.py).
+Where a sheet is only tilted, the photo leaves the focal length open, and so the sheet's length (rectify/film_size.py).
 """
 
 from __future__ import annotations
@@ -16,36 +16,36 @@ from PIL.ExifTags import IFD, Base
 from hybrid.image_io import PhotoSource, opened
 
 FILM_35_DIAGONAL_MM = math.hypot(36.0, 24.0)
-"""Of the frame that focal lengths are stated for as equivalent ones (CIPA DCG-001: by the diagonal)."""
+"""Diagonal of the frame to which equivalent focal lengths refer (CIPA DCG-001: by the diagonal)."""
 
 SHORTEST_MM, LONGEST_MM = 8.0, 400.0
-"""Equivalent focal lengths beyond these are no phone's; 0 stands for one that is not known."""
+"""Equivalent focal lengths outside these are not those of phones; 0 means that it is unknown."""
 
 TOLD_SIGMA = 0.05
-"""Standard deviation of the logarithm of a focal length that is told: the lens breathes, and millimetres are whole."""
+"""Standard deviation of the logarithm of a focal length that is told: lenses breathe, and millimetres are whole."""
 
 SAME_SHAPE = 0.01
-"""Relative difference of the ratio of sides from what the camera wrote, from which on a photo was cropped."""
+"""Relative change of the ratio of sides, since the camera wrote it, above which a photo counts as cropped."""
 
 
 def told_focal(source: PhotoSource) -> float | None:
-    """The focal length that a photo's EXIF tells, in longer sides of the photo; None for an array, where it is not
-    told, or where the photo was cropped since.
+    """The focal length in a photo's EXIF, in units of the photo's longer side; None for an array, if EXIF does not give
+    it, or if the photo was cropped since.
 
-    By EXIF's equivalent for 35 mm film (FocalLengthIn35mmFilm), which is exact to half a millimetre, and which phones
-    lengthen where they zoom by cropping.
+    Uses EXIF's equivalent for 35 mm film (FocalLengthIn35mmFilm), which is accurate to half a millimetre, and which
+    phones increase when they zoom by cropping.
     """
     if isinstance(source, np.ndarray):
         return None
     try:
         with nullcontext(source) if isinstance(source, Image.Image) else opened(source) as image:
             return _focal_of(image.getexif().get_ifd(IFD.Exif), image.size)
-    except Exception:  # the photo itself is read elsewhere: of damaged EXIF Pillow raises nearly anything
+    except Exception:  # the photo itself is read elsewhere: on damaged EXIF Pillow raises nearly anything
         return None
 
 
 def _focal_of(exif: dict[int, Any], size: tuple[int, int]) -> float | None:
-    """The same by the EXIF of a picture of ``size`` (width, height)."""
+    """The same from the EXIF of a picture of ``size`` (width, height)."""
     equivalent_mm = float(exif.get(Base.FocalLengthIn35mmFilm, 0))
     if not SHORTEST_MM <= equivalent_mm <= LONGEST_MM:
         return None
@@ -56,7 +56,7 @@ def _focal_of(exif: dict[int, Any], size: tuple[int, int]) -> float | None:
 
 
 def _oblong(size: tuple[int, int]) -> float:
-    """Longer over shorter side: whichever way up the picture was turned since."""
+    """Longer over shorter side: the same whichever way the picture was turned since."""
     return max(size) / min(size)
 
 

@@ -31,13 +31,12 @@ STOPPED = {
     "train": "what is learnt is saved, and the same command goes on",
     "info": "nothing is lost",
 }
-"""What is true after Ctrl-C."""
+"""What a user is told after Ctrl-C."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one subcommand; returns the exit code: 0 for success, 1 if anything failed, 2 for a command line that is not
-    understood."""
-    for stream in (sys.stdout, sys.stderr):  # no name of a file may cost the photos that follow it
+    """Run one subcommand; returns the exit code: 0 for success, 1 if anything failed, 2 for an invalid command line."""
+    for stream in (sys.stdout, sys.stderr):  # a file name that cannot be printed must not stop the photos after it
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
     arguments = list(sys.argv[1:] if arguments is None else arguments)
@@ -63,7 +62,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _guarded(name: str, command: Callable[[], int]) -> int:
-    """Run a subcommand; an error that a user can mend is one line, and Ctrl-C no stack trace."""
+    """Run a subcommand; an error that a user can fix becomes one line, and Ctrl-C prints no stack trace."""
     from hybrid.command import NOT_UNDERSTOOD, ended
 
     ending = ended(command, STOPPED[name])

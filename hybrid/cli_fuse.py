@@ -18,11 +18,12 @@ from hybrid.rectify_files import further_pictures, left_out_photos, report_lines
 
 @dataclass(frozen=True)
 class FuseOptions(PhotoOptions):
-    """Make one film of two or more photos of it, taken with phone or lamps moved, so that glare vanishes.
+    """Make one film from two or more photos of it, taken with the phone or the lamps moved, so that glare vanishes.
 
-    Writes what ``hybrid rectify`` writes, named after the first photo: NAME_fused_film.png and so on. Photos in which
-    no film is found are left out. NAME_fused_rectified and the photo beside the film are of the first that is OK, or
-    else that shows the film, with its glare. Photos of different films are refused; the exit code is then 1.
+    Writes the same files as ``hybrid rectify``, named after the first photo: NAME_fused_film.png and so on. Photos in
+    which no film is found are left out. NAME_fused_rectified and the photo beside the film come from the first photo
+    that is OK, or else from the first that shows the film, and keep its glare. Photos of different films are refused;
+    the exit code is then 1.
     """
 
     config: Annotated[RectifyConfig, tyro.conf.arg(name="")] = field(default_factory=RectifyConfig)

@@ -1,4 +1,4 @@
-"""``hybrid info``: what a report of a defect should say about this installation."""
+"""``hybrid info``: what a bug report should say about this installation."""
 
 from __future__ import annotations
 

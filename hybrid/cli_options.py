@@ -1,4 +1,4 @@
-"""What the command lines on photos have in common; the options of the stages, whose own values ``--effort`` sets."""
+"""What the commands on photos have in common; ``--effort`` sets the default values of the stages' options."""
 
 from __future__ import annotations
 
@@ -23,41 +23,41 @@ from hybrid.outputs import FOLDERS, RectifiedFormat, is_result
 Options = TypeVar("Options")
 
 ALL = "--help-all"
-"""Shows every option of every stage, which are hundreds; ``--help`` the few that most need."""
+"""Shows every option of every stage, hundreds in all; ``--help`` shows the few that most people need."""
 
 
 @dataclass(frozen=True)
 class PhotoOptions:
-    """What most need; the options of the stages come on top."""
+    """The options that most people need; those of the stages come on top."""
 
     photos: tyro.conf.Positional[tuple[Path, ...]]
-    """Photos (JPEG, PNG, TIFF, WebP or HEIC), or folders of them; all before the first option."""
+    """Photos (JPEG, PNG, TIFF, WebP or HEIC), or folders of them; all must come before the first option."""
 
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("out")
-    """Folder for the results; it is made if need be. Results of the same photos there are replaced; other photos of
+    """Folder for the results; it is created if needed. Results of the same photos in it are replaced; other photos of
     the same name get a number."""
 
     rectified_format: RectifiedFormat = "jpg"
     """Format of the rectified photo."""
 
     dicom: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Write film and slices as DICOM Secondary Captures, too, into NAME_dicom: without patient, date or spacing."""
+    """Also write film and slices as DICOM Secondary Captures into NAME_dicom, without patient, date or spacing."""
 
     effort: Effort = "default"
-    """How much work a photo is worth: fast takes nine tenths of the time for a third more error,
-    thorough refines films in doubt from four sides. It sets the options of the stages that are not named."""
+    """How much work a photo is worth: fast takes four fifths of the time for a third more error, thorough refines
+    doubtful films in four orientations. It sets the options of the stages that are not given."""
 
     verbose: Annotated[bool, tyro.conf.arg(aliases=["-v"]), tyro.conf.FlagCreatePairsOff] = False
-    """Tell what each stage saw, and how long it took."""
+    """Report what each stage saw and how long it took."""
 
 
 def parse(
     kind: type[Options], few: type[PhotoOptions], arguments: list[str], prog: str, config_of: Callable[[Any], Any]
 ) -> Options:
-    """The options that the arguments give; help and whatever is not named show those of the effort that is.
+    """The options that the arguments give; the help and options not given show the values of the chosen effort.
 
-    kind: ``few``, which the shorter help shows, with a further field ``config``. config_of: the configuration of an
-    effort; one that it does not know is told as any wrong option is.
+    kind: ``few``, which the shorter help shows, plus a field ``config``. config_of: returns the configuration of an
+    effort; an effort unknown to it is reported like any other wrong option.
     """
     if {"-h", "--help"} & set(arguments):
         more = f"{inspect.getdoc(kind)}\n\nThe options of all stages: {prog} {ALL}."
@@ -79,7 +79,7 @@ def parse(
 
 
 def _refuse_photos_like_options(arguments: Sequence[str]) -> None:
-    """Refuse photos whose names begin with a dash, as ``*.jpg`` may give them: all that follow were no photos then."""
+    """Refuse photos whose names begin with a dash, as ``*.jpg`` may give them: the rest would not be photos."""
     for word in arguments:
         if word.startswith("-") and Path(word).suffix.lower() in SUFFIXES and os.path.isfile(word):
             got, do = "a name that is taken for an option", f"Write ./{word}."
@@ -87,10 +87,10 @@ def _refuse_photos_like_options(arguments: Sequence[str]) -> None:
 
 
 def photos_among(paths: Sequence[Path]) -> list[Path]:
-    """The photos that are named and those in folders that are, without results of earlier runs, which is told.
+    """The photos named and those in named folders, without results of earlier runs; prints how many are left out.
 
-    Results that are named with no photo beside them are meant: ``*.jpg`` names them beside the photos that they are of.
-    A folder without any photo stands for itself: it is told as a photo that cannot be read is.
+    If only results are named, they are meant: ``*.jpg`` would have named their photos, too.
+    A folder without any photo stands for itself: it is then reported as a photo that cannot be read.
     """
     named = [path for path in paths if not os.path.isdir(path)]
     meant = set(named) if all(map(is_result, named)) else set()
@@ -104,8 +104,8 @@ def photos_among(paths: Sequence[Path]) -> list[Path]:
 
 
 def _photos_in(folder: Path) -> list[Path]:
-    """What has a photo's suffix in a folder, not in those within it, but hidden files; the folder itself if nothing
-    has, or if it may not be looked into. A link that leads nowhere is for the reader to refuse."""
+    """Files with a photo's suffix directly in a folder, without hidden ones; the folder itself if there are none or if
+    it cannot be listed. Links that lead nowhere are left for the reader to refuse."""
     try:
         shown = [path for path in sorted(folder.iterdir()) if not path.name.startswith(".")]
     except OSError:
@@ -117,12 +117,12 @@ def _photos_in(folder: Path) -> list[Path]:
 
 
 def made_by(effort: Effort, usual: Any, config: Any) -> dict[str, Any]:
-    """How a film is made, for its JSON: the effort, and the options (a dataclass) that are not its usual ones."""
+    """How a film is made, for its JSON: the effort, and the options (a dataclass) that differ from its usual ones."""
     return {"effort": effort, "options": _differing(asdict(usual), asdict(config))}
 
 
 def _differing(usual: Mapping[str, Any], given: Mapping[str, Any], before: str = "") -> dict[str, Any]:
-    """Values that differ, by their names with dots between."""
+    """Values that differ, by their dotted names."""
     found: dict[str, Any] = {}
     for name, value in given.items():
         if isinstance(value, Mapping):
@@ -133,7 +133,7 @@ def _differing(usual: Mapping[str, Any], given: Mapping[str, Any], before: str =
 
 
 def _is_plain(value: Any) -> bool:
-    """Whether JSON has a word for it, which it has not for infinity."""
+    """Whether JSON can represent it, which is not so for infinity."""
     if isinstance(value, tuple):
         return all(map(_is_plain, value))
     return isinstance(value, (bool, int, str)) or (isinstance(value, float) and math.isfinite(value))

@@ -32,20 +32,20 @@ _FOUR_POINTS = tyro.constructors.PrimitiveConstructorSpec(
     is_instance=lambda value: value is None or isinstance(value, tuple),
     str_from_instance=lambda points: ["None"] if points is None else [str(x) for point in points for x in point],
 )
-"""Eight numbers, no more: what follows them may be a photo."""
+"""Eight numbers, no more: what follows may be a photo."""
 
 
 @dataclass(frozen=True)
 class FewOptions(PhotoOptions):
-    """Those of ``PhotoOptions``, and how the photos are shared out."""
+    """Those of ``PhotoOptions``, and how the photos are shared among processes."""
 
     workers: int = 1
-    """Processes that share the photos: many photos take two of them, on two cores, about two thirds of the time, and
-    twice the memory."""
+    """Processes that share the photos: for many photos on two cores, two processes take about two thirds of the time
+    and twice the memory."""
 
     corners: Annotated[tuple[Point, ...] | None, _FOUR_POINTS] = None
-    """The sheet's corners in a single photo, x and y of each in pixels, in any order: for one whose film is not found,
-    or is found wrong. A hundredth of the film is exact enough."""
+    """The sheet's corners in a single photo, x and y of each in pixels, in any order: for a photo whose film is not
+    found or is found wrong. An accuracy of a hundredth of the film is enough."""
 
     def __post_init__(self) -> None:
         if self.workers < 1:
@@ -62,8 +62,8 @@ class RectifyOptions(FewOptions):
 
     For each photo NAME this writes NAME_film.png (16 bit, light removed), NAME_confidence.png (white where the film can
     be trusted), NAME_rectified (flat, light kept), NAME_slices/01.png and so on, NAME_side_by_side.jpg and NAME.json. A
-    photo that fails is told, and the next one follows; the exit code is 1 if any failed. Films that may be off, or may
-    lie on their side, are written too, and named at the end.
+    photo that fails is reported, and the next one follows; the exit code is 1 if any failed. Films that may be off, or
+    may lie on their side, are written too, and listed at the end.
     """
 
     config: Annotated[RectifyConfig, tyro.conf.arg(name="")] = field(default_factory=RectifyConfig)
@@ -109,5 +109,5 @@ def run(arguments: list[str]) -> int:
 
 
 def _rectifier(config: RectifyConfig, corners: tuple[Point, ...] | None) -> Rectify:
-    """What rectifies photos; the sheet's corners are there, if any are given."""
+    """What rectifies photos, with the sheet's corners if any are given."""
     return partial(Rectifier(config), corners=corners)

@@ -1,5 +1,5 @@
-"""The shell of every command: what a user can mend is a line that names options as the command line does, and Ctrl-C no
-stack trace."""
+"""The shell of every command: errors that a user can fix become one line, with options named as on the command line,
+and Ctrl-C prints no stack trace."""
 
 from __future__ import annotations
 
@@ -16,26 +16,26 @@ from hybrid.errors import ConfigError, DataError, HybridError, told
 Options = TypeVar("Options")
 
 FAILED, NOT_UNDERSTOOD, INTERRUPTED = 1, 2, 130
-"""Exit codes: of what went wrong, of a command line that is not understood, and of Ctrl-C."""
+"""Exit codes: for a failure, for an invalid command line, and for Ctrl-C."""
 
 
 @dataclass(frozen=True)
 class Ending:
-    """How a command ended. code: its exit code. told: a line on what went wrong; nothing else is to be said."""
+    """How a command ended. code: its exit code. told: a line on what went wrong; empty if there is nothing to say."""
 
     code: int
     told: str = ""
 
 
 class CommandLineError(HybridError):
-    """Options that cannot be, named as on the command line."""
+    """Options that are invalid, named as on the command line."""
 
 
 def ended(command: Callable[[], int], stopped: str) -> Ending:
-    """Run a command, which gives its exit code. stopped: what is true of its work after Ctrl-C, in words."""
+    """Run a command, which returns its exit code. stopped: what a user is told of its work after Ctrl-C."""
     try:
         return Ending(command())
-    except BrokenPipeError:  # who reads this has gone, as ``head`` does
+    except BrokenPipeError:  # the reader of the output is gone, as with ``head``
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return Ending(FAILED)
     except CommandLineError as error:
@@ -49,10 +49,10 @@ def ended(command: Callable[[], int], stopped: str) -> Ending:
 def run_options(
     options: type[Options], run: Callable[[Options], int], words: Sequence[str] | None, prog: str, stopped: str
 ) -> Ending:
-    """Run a command whose options are a dataclass, with these words, those of the command line if None.
+    """Run a command whose options are a dataclass, with these words, or those of the command line if None.
 
-    run: gives the exit code. Its errors name options as the command line does, and where things are written (the
-    option ``out``, if there is one) if the system says of no file what it refuses.
+    run: returns the exit code. Its errors name options as the command line does. If the system does not say which file
+    it refuses, they name the place of the output (the option ``out``, if there is one).
     """
 
     def command() -> int:
@@ -70,10 +70,10 @@ def run_options(
 
 
 def parsed(options: type[Options], words: Sequence[str] | None, prog: str) -> Options:
-    """The options that the words give; tyro ends the command where it does not understand them.
+    """The options that the words give; tyro ends the command if it does not understand them.
 
     Raises:
-        CommandLineError: options that cannot be.
+        CommandLineError: the options are invalid.
     """
     import tyro
 
@@ -87,20 +87,20 @@ def parsed(options: type[Options], words: Sequence[str] | None, prog: str) -> Op
 
 
 def with_flags(message: str, options: type) -> str:
-    """A message about options (``GenerateConfig.map_size``) that calls them what the command line does."""
+    """A message about options (``GenerateConfig.map_size``), with their names on the command line instead."""
     flags = _flags(options)
     return re.sub(r"\b[A-Z]\w*\.\w+", lambda found: flags.get(found[0], found[0]), message)
 
 
 def _flags(options: type) -> dict[str, str]:
-    """``Kind.name`` and flag of each option of a dataclass and of those within it, but for kinds that come twice."""
+    """``Kind.name`` and flag of each option of a dataclass and of nested ones, except for kinds that occur twice."""
     every = list(_all_flags(options))
     times = Counter(name for name, _ in every)
     return {name: flag for name, flag in every if times[name] == 1}
 
 
 def _all_flags(options: type, before: str = "") -> Iterator[tuple[str, str]]:
-    """The same one by one, as tyro makes them."""
+    """The same one by one, named as tyro names them."""
     import tyro
 
     conf = tyro.conf

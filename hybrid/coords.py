@@ -2,7 +2,7 @@
 
 Photo frame: points ``(x, y)``, the photo covers ``[0, W] x [0, H]``, pixel centres at +0.5.
 Film frame: ``(u, v)`` in ``[0, 1]^2``, origin at the sheet's top-left corner, u right, v down.
-No ``+ 0.5``, ``* 2 - 1``, ``1 - v``, ``[..., ::-1]`` or ``align_corners`` stands anywhere else.
+No ``+ 0.5``, ``* 2 - 1``, ``1 - v``, ``[..., ::-1]`` or ``align_corners`` appears anywhere else.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ def film_nodes(size: tuple[int, int]) -> Float[np.ndarray, "gh gw 2"]:
 
 @lru_cache(maxsize=32)
 def _film_nodes(rows: int, columns: int) -> Float[np.ndarray, "gh gw 2"]:
-    """The same few sizes come again and again."""
+    """Cached, as the same few sizes recur."""
     u, v = np.meshgrid(node_centres_1d(columns), node_centres_1d(rows))
     return np.stack([u, v], axis=-1)
 
@@ -131,14 +131,14 @@ def rescale_points(
 
 
 def inside_outline(outline: Float[np.ndarray, "n 2"], size: tuple[int, int]) -> Bool[np.ndarray, "h w"]:
-    """Which pixels of a picture of ``size`` (height, width) have their centres within a closed line of photo points.
+    """Which pixels of a picture of ``size`` (height, width) have their centres inside a closed curve of photo points.
 
-    To a tenth of a pixel: fillPoly, which draws the line itself as well, is asked in a picture 9 times as fine.
+    Accurate to a tenth of a pixel: fillPoly, which also draws the curve itself, runs on a picture 9 times as fine.
     """
     fine = 9
     large = (size[0] * fine, size[1] * fine)
     at = opencv_from_photo(outline * fine)
-    # fillPoly takes integers with fractional bits; beyond some picture widths nothing is lost by clipping
+    # fillPoly takes integers with fractional bits; clipping several picture widths away loses nothing
     fixed = np.rint(np.clip(at, -10.0 * max(large), 10.0 * max(large)) * 16).astype(np.int32)
     drawn = np.zeros(large, dtype=np.uint8)
     cv2.fillPoly(drawn, [fixed], 1, shift=4)

@@ -1,7 +1,7 @@
 """A film and its slices as DICOM: Secondary Captures of a digitised film, for archives and viewers.
 
-They say of themselves what a photo of a film is: derived, secondary, its texts burned in, compressed with loss. What it
-cannot tell stays out of them: no spacing of pixels, no place in the patient, no Hounsfield units, no patient, no date.
+They declare what a photo of a film is: derived, secondary, lossily compressed, with burned-in text. What it cannot tell
+is left out of them: no pixel spacing, no position in the patient, no Hounsfield units, no patient, no date.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from hybrid.image_io import jpeg_extent, levels_16, photo_size, tiff_compression
 from hybrid.records import RectifyResult
 
 JPEG, JPEG_2000, HEVC, WEBP, AV1 = "ISO_10918_1", "ISO_15444_1", "ISO_23008_2", "RFC_9649", "AOM_AV1"
-"""How photos are compressed with loss, in DICOM's terms (PS3.3 C.7.6.1.1.5.1), and WebP and AVIF, for which it has
+"""Lossy compression methods of photos, in DICOM's terms (PS3.3 C.7.6.1.1.5.1), and WebP and AVIF, for which it has
 none."""
 
 JPEG_IN_TIFF = (6, 7)
-"""Values of ``image_io.tiff_compression``."""
+"""Values of ``image_io.tiff_compression`` that mean JPEG."""
 
 NOT_DIAGNOSTIC = "Made of a photo of a film. Not for diagnosis: greys are not Hounsfield units, geometry is the film's."
 
@@ -36,9 +36,9 @@ FILM, SLICES = 1, 2
 
 @dataclass(frozen=True)
 class PhotoFile:
-    """What is to be known of the files of a film's photos. digest: SHA-256 of the one that the map is of. method: how a
-    photo was compressed with loss, in DICOM's terms; None where none is known to be. ratio: of the bytes of its pixels
-    to those of its file."""
+    """What must be known of the files of a film's photos. digest: SHA-256 of the photo that the map is of. method: how
+    a photo was lossily compressed, in DICOM's terms; None if it is not known to be. ratio: bytes of its pixels over
+    bytes of its file."""
 
     digest: str
     ratio: float
@@ -46,7 +46,7 @@ class PhotoFile:
 
     @staticmethod
     def of(paths: Sequence[Path], digest: str) -> PhotoFile:
-        """Of one photo, or of several that were fused: of the first of them that was compressed with loss."""
+        """Of one photo, or of several that were fused: of the first of them that was lossily compressed."""
         path, data, method = paths[0], b"", None
         for path in paths:
             data = path.read_bytes()
@@ -58,7 +58,7 @@ class PhotoFile:
 
 
 def lossy_method(data: bytes) -> str | None:
-    """How a picture's file is compressed with loss, by what it holds; None where that is not known to lose anything."""
+    """How a picture's file is lossily compressed, judged by its content; None if it is not known to be lossy."""
     if data.startswith(b"\xff\xd8\xff"):
         return JPEG
     if data[4:8] == b"ftyp":
@@ -68,13 +68,13 @@ def lossy_method(data: bytes) -> str | None:
         return HEVC if any(brand in brands for brand in (b"heic", b"heix", b"hevc", b"heim")) else None
     if data[:4] == b"RIFF" and data[8:12] == b"WEBP":
         at = 12
-        while at + 8 <= len(data):  # from chunk to chunk: "VP8 " loses, "VP8L" does not
+        while at + 8 <= len(data):  # from chunk to chunk: "VP8 " is lossy, "VP8L" is not
             if data[at : at + 4] == b"VP8 ":
                 return WEBP
             size = int.from_bytes(data[at + 4 : at + 8], "little")
             at += 8 + size + size % 2
     if data[4:8] == b"jP  ":
-        coding = data.find(b"\xff\x52")  # the marker COD; 13 bytes on it tells the wavelet, of which 9-7 (0) loses
+        coding = data.find(b"\xff\x52")  # the marker COD; 13 bytes on comes the wavelet, of which 9-7 (0) is lossy
         return JPEG_2000 if coding >= 0 and data[coding + 13 : coding + 14] == b"\0" else None
     if data[:4] in (b"II*\0", b"MM\0*"):
         return JPEG if tiff_compression(data) in JPEG_IN_TIFF else None
@@ -82,9 +82,9 @@ def lossy_method(data: bytes) -> str | None:
 
 
 def secondary_captures(result: RectifyResult, photo: PhotoFile) -> Iterator[Dataset]:
-    """The film, then its slices row by row: one study, a series of each. Nothing where there is no film.
+    """The film, then its slices row by row: one study, a series for each of the two. Nothing without a film.
 
-    The same photo and result give the same bytes, identifiers included; what differs has other identifiers.
+    The same photo and result give the same bytes, identifiers included; anything else gets other identifiers.
     """
     if result.film is None:
         return
@@ -143,7 +143,7 @@ def _capture(
 
 
 def _uid(*parts: str) -> str:
-    """An identifier that follows from what it is of (PS3.5 B.2)."""
+    """An identifier derived from what it identifies (PS3.5 B.2)."""
     return f"2.25.{uuid.uuid5(uuid.NAMESPACE_OID, '/'.join(parts)).int}"
 
 

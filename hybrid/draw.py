@@ -37,7 +37,7 @@ def outline_curve(backward: BackwardMap) -> Float[np.ndarray, "n 2"]:
 
 
 def grid_curves(grid: SliceGrid, backward: BackwardMap) -> list[Float[np.ndarray, "n 2"]]:
-    """The lines between the slices as curves of photo points: all across from the top, then all down from the left."""
+    """The lines between slices as curves of photo points: those across from the top, then those down from the left."""
     lines = [*grid.vertices, *grid.vertices.transpose(1, 0, 2)]
     return [backward.photo_from_film(_along(np.asarray(line, dtype=np.float64))) for line in lines]
 
@@ -67,7 +67,7 @@ def draw_curves(
 def annotated(photo: Picture, result: RectifyResult, longer_px: int = 1080) -> Picture:
     """The photo, scaled to at most ``longer_px``, with the film's outline and the slice grid that were found.
 
-    The plain photo where no film was found.
+    The plain photo if no film was found.
     """
     scale = min(1.0, longer_px / max(photo.shape[:2]))
     size = (max(1, round(photo.shape[0] * scale)), max(1, round(photo.shape[1] * scale)))
@@ -91,13 +91,13 @@ def rgb_from_film(film: Float[np.ndarray, "h w"]) -> Picture:
 
 
 def resized(picture: Picture, size: tuple[int, int]) -> Picture:
-    """The picture at another (height, width): by pixel area when it shrinks, bilinear when it grows."""
+    """The picture resized to (height, width): by area averaging when it shrinks, bilinearly when it grows."""
     shrinks = size[0] < picture.shape[0] or size[1] < picture.shape[1]
     return cv2.resize(picture, (size[1], size[0]), interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR)
 
 
 def fitted(picture: Picture, size: tuple[int, int]) -> Picture:
-    """The picture, its shape kept, as large as fits into (height, width), centred on a dark ground."""
+    """The picture, its aspect ratio kept, as large as fits into (height, width), centred on a dark background."""
     scale = min(size[0] / picture.shape[0], size[1] / picture.shape[1])
     h, w = (max(1, min(full, round(side * scale))) for full, side in zip(size, picture.shape[:2], strict=True))
     canvas = np.full((*size, 3), PAPER, dtype=np.uint8)
@@ -107,7 +107,7 @@ def fitted(picture: Picture, size: tuple[int, int]) -> Picture:
 
 
 def side_by_side(pictures: Sequence[Picture], height: int = 1080) -> Picture:
-    """Pictures in a row, all scaled to ``height`` pixels, their shapes kept."""
+    """Pictures in a row, all scaled to ``height`` pixels, their aspect ratios kept."""
     scaled = [resized(p, (height, max(1, round(p.shape[1] * height / p.shape[0])))) for p in pictures]
     gap = np.full((height, _GAP, 3), PAPER, dtype=np.uint8)
     row = [part for picture in scaled for part in (gap, picture)][1:]

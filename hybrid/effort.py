@@ -30,7 +30,7 @@ Effort = Literal["fast", "default", "thorough"]
 
 @dataclass(frozen=True)
 class RectifyConfig:
-    """How photos are rectified; every stage has its own options, and ``of`` sets those on which time depends."""
+    """How photos are rectified. Every stage has its own options; ``of`` sets those that affect the running time."""
 
     weights: Path | None = None
     """A FilmNet file made by ``hybrid train``; None for the packaged one."""
@@ -40,15 +40,15 @@ class RectifyConfig:
     edges: EdgeConfig = field(default_factory=EdgeConfig)
     margins: ClearMarginsConfig = field(default_factory=ClearMarginsConfig)
     told_cells: bool = True
-    """Whether a map starts from what the network tells of the cells; else they are looked for in the print alone."""
+    """Whether a map starts from the cells as the network sees them; otherwise they are found from the print alone."""
     foreshortening: ForeshorteningConfig = field(default_factory=ForeshorteningConfig)
     refine: RefineConfig = field(default_factory=RefineConfig)
     plane: PlaneConfig = field(default_factory=PlaneConfig)
     tries: int = 1
-    """How many more times a film is refined that is in doubt: first from where the refinement before ended, then from
-    what the network sees from other sides. The surest counts."""
+    """How many more times a film is refined while it is in doubt: first from where the first refinement ended, then
+    from what the network sees in other orientations. The surest result counts."""
     hopeless: float = 0.1
-    """Unless it is less probable than this that the map is right: then none of that would help."""
+    """Least probability that the map is right: below it, refining a film again would not help and is not tried."""
     size: FilmSizeConfig = field(default_factory=FilmSizeConfig)
     resample: ResampleConfig = field(default_factory=ResampleConfig)
     upright: UprightConfig = field(default_factory=UprightConfig)
@@ -65,11 +65,11 @@ class RectifyConfig:
     def of(effort: Effort | str) -> RectifyConfig:
         """The options of an effort.
 
-        fast: the network's map, made exact in two rounds and by one unstretched sheet, found by one fit, and the photo
-        read bilinearly. default: the options' own values; sheets that do not explain what is seen are tried bent the
-        other way round, and up to three follow each other; what is in doubt then is refined once more from where that
-        ended.
-        thorough: what still is in doubt is refined from what the network sees from three more sides, too.
+        fast: the network's map, refined in two rounds and by one unstretched sheet, which is fitted once; the photo is
+        read bilinearly. default: the options' own values. Sheets that do not explain what is seen are also tried bent
+        the other way round, and up to three sheets are fitted one after the other; a film still in doubt is refined
+        once more from where that ended.
+        thorough: a film still in doubt then is also refined from what the network sees in three more orientations.
 
         Raises:
             ConfigError: there is no such effort.

@@ -1,4 +1,4 @@
-"""The errors that a user can meet: each says what, where, got, allowed, and what to do next."""
+"""The errors that a user can meet: each says what and where, what it got, what is allowed, and what to do next."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def describe(*, what: str, where: object = None, got: object = None, allowed: ob
 
 
 def told(error: Exception, where: object = None) -> str:
-    """An error in a sentence; the system's own say no more than why, and not always ``where``."""
+    """An error as a sentence; the system's own errors say only why, and not always ``where``."""
     if not isinstance(error, OSError) or error.strerror is None:
         return str(error) or type(error).__name__
     do = "Mend that (free space, permissions, names) and run the same command again."
@@ -56,12 +56,12 @@ def told(error: Exception, where: object = None) -> str:
 
 
 def install_extra(extra: str) -> str:
-    """What to do where a package is missing that only an installation with an extra has."""
+    """What to do if a package is missing that only an installation with an extra has."""
     return f"Install the package with its extra for that: pip install '.[{extra}]' in the project's folder."
 
 
 def require_at_least(config: Any, least: int | float, *names: str) -> None:
-    """Refuse options, numbers or tuples of them, that are less than they have to be.
+    """Refuse options, numbers or tuples of them, that are below a minimum.
 
     Raises:
         ConfigError: one is, or is empty or not a number.
@@ -70,7 +70,7 @@ def require_at_least(config: Any, least: int | float, *names: str) -> None:
 
 
 def require_at_most(config: Any, most: int | float, *names: str) -> None:
-    """The same of options that are more than they may be."""
+    """The same for options above a maximum."""
     _require(config, lambda each: each <= most, f"<= {most:g}", names)
 
 
@@ -92,9 +92,9 @@ class FittedWeights:
 
 
 def require_numbers(config: Any) -> None:
-    """Refuse options that cannot be, in a record of options and in those within it: something else than such a record,
-    what is no number, or not a whole one, where that is usual, NaN, with which no comparison holds, and what is below
-    0, but for fitted weights and options that usually are: sizes, counts and shares are not.
+    """Refuse invalid options, in a record of options and in those within it: a nested record of another kind; what is
+    not a number, or not a whole one, where the default is; NaN, with which no comparison holds; and numbers below 0,
+    except for fitted weights and options whose defaults are: sizes, counts and shares are not.
 
     Raises:
         ConfigError: one is.
@@ -137,7 +137,7 @@ def _told_kind(usual: Any) -> str:
 
 
 def _usual(option: Field[Any]) -> Any:
-    """The value that an option has where none is given; None where one must be."""
+    """The default value of an option; None if it must be given."""
     if option.default_factory is not MISSING:
         return option.default_factory()
     return None if option.default is MISSING else option.default

@@ -1,4 +1,4 @@
-"""Folders and files that are written: refused before the work where they cannot be, and whole or not at all."""
+"""Folders and files that are written: refused before any work if they cannot be, and whole or not at all."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from hybrid.errors import ConfigError, describe
 
 
 def make_folder(out: Path, option: str = "-o") -> None:
-    """Make the output folder and see that files can be made in it; ConfigError where not."""
+    """Make the output folder and check that files can be made in it; ConfigError if not."""
     try:
         out.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=out):

@@ -13,7 +13,7 @@ from hybrid.coords import film_centres_1d, opencv_from_photo
 from hybrid.pyramid import Pyramid
 
 MOST_SIDE = 32_766
-"""OpenCV's remap reads no picture of more pixels a side."""
+"""OpenCV's remap cannot read pictures with more pixels per side."""
 
 
 LEAST_SIDE = 64
@@ -38,8 +38,8 @@ class FilmView:
 def _lattice_xy(
     nodes: Float[np.ndarray, "gh gw 2"], u: Float[np.ndarray, " w"], v: Float[np.ndarray, " h"]
 ) -> tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"]]:
-    """x and y (float32) of all points (u[j], v[i]) of a map with these nodes, apart, as OpenCV reads them quickest: the
-    map is separable."""
+    """Separately, as OpenCV reads them quickest: x and y (float32) of all points (u[j], v[i]) of a map with these
+    nodes, which is separable."""
     gh, gw = nodes.shape[:2]
     columns = np.tensordot(spline_weights(gh, v), nodes, axes=(1, 0)).astype(np.float32)
     weights_u = spline_weights(gw, u).astype(np.float32).T
@@ -71,7 +71,7 @@ def view_film(
         photo, x, y = _reached(photo, x, y)
     image = cv2.remap(photo, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     low, right, bottom = opencv_from_photo(np.array([0.0, photo.shape[1], photo.shape[0]])).tolist()
-    if min(x.min(), y.min()) >= low and x.max() <= right and y.max() <= bottom:  # nearly always, and quicker to tell
+    if min(x.min(), y.min()) >= low and x.max() <= right and y.max() <= bottom:  # nearly always, and quicker
         inside = np.ones(x.shape, dtype=bool)
     else:
         inside = (x >= low) & (x <= right) & (y >= low) & (y <= bottom)
@@ -80,8 +80,8 @@ def view_film(
 
 
 def grey_view(pyramid: Pyramid, film: BackwardMap, side_px: int) -> FilmView:
-    """The flat grey film, its longer side of ``side_px`` and none below LEAST_SIDE, from a copy of the photo that is
-    large enough for that."""
+    """The flat grey film, its longer side of ``side_px`` and no side below LEAST_SIDE, from a copy of the photo that is
+    large enough for it."""
     photo, scale = pyramid.scaled(side_px / max(film.mean_film_pixels()))
     film = film.cropped((0.0, 0.0), scale)
     v, u = (film_centres_1d(max(round(side), LEAST_SIDE)) for side in film.mean_film_pixels())

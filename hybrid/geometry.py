@@ -1,5 +1,5 @@
 """From what the network sees to the backward map and the grid: edges, the plane, refinement, margins, the verdict, and
-once more where that leaves doubt; each only as far as the film needs."""
+once more if doubt remains; each only as far as the film needs."""
 
 from __future__ import annotations
 
@@ -30,8 +30,7 @@ from hybrid.stages import Clock, Report
 from hybrid.strips import StripReader
 
 MOST_MARGINS = 2
-"""How often margins are looked for: beyond one end they may show only once the sheet is as long as it is at the other.
-"""
+"""How often margins are looked for: at one end they may show only once the sheet is made longer at the other."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,16 +43,16 @@ class Readers:
     borders: StripReader
 
     def phases_of(self, maps: CoarseMaps, config: RectifyConfig) -> CellPhases | None:
-        """What the network tells of the cells, if it is asked to."""
+        """What the network says of the cells, if the options ask for it."""
         return CellPhases.of(maps, self.borders) if config.told_cells else None
 
 
 @dataclass(frozen=True, eq=False)
 class Judged:
-    """A refinement, and what the networks, looking through its map, make of it.
+    """A refinement, and what the networks make of it when they look through its map.
 
-    across, seen: the edges as they are read across its map, and what the network sees through it. stages: what counts
-    of the stages that run for each refinement.
+    across, seen: the edges as read across its map, and what the network sees through it. stages: the reports of the
+    stages that run for each refinement.
     """
 
     refinement: Refinement
@@ -65,7 +64,7 @@ class Judged:
     stages: tuple[StageReport, ...]
 
     def doubted(self, config: RectifyConfig) -> Judged:
-        """The same of a film that was in doubt at first: what chooses among several refinements is trusted less."""
+        """The same for a film that was in doubt at first: a choice among several refinements is trusted less."""
         signs = replace(self.signs, doubted=True)
         verdict = film_verdict(signs, config.trust)
         *before, last = self.stages
@@ -81,9 +80,9 @@ def shape_of(
     config: RectifyConfig,
     clock: Clock,
 ) -> Refinement:
-    """The exact map of the film and its grid, by the shortest way that it allows.
+    """The exact map of the film and its grid, found by the shortest way that the film allows.
 
-    coarse: the network's map. phases: what it tells of the cells. reader: reads the film's edges.
+    coarse: the network's map. phases: what the network says of the cells. reader: reads the film's edges.
     """
     with clock.stage("edges") as report:
         read = read_edges(pyramid, coarse, reader, config.edges)
@@ -113,7 +112,7 @@ def exact(
     config: RectifyConfig,
     clock: Clock,
 ) -> Refinement:
-    """A map made exact by what is seen of the film, once more from where its edges are read then, if that is surer."""
+    """Refine a map by what is seen of the film, and once more from where its edges are then read, if that is surer."""
     first = _exactly(pyramid, phases, read, config, start)
     clock.reports += first.stages
     with clock.stage("reread") as report:
@@ -121,7 +120,7 @@ def exact(
 
 
 def _evened(film: BackwardMap, phases: CellPhases | None, read: EdgesRead, config: RectifyConfig) -> BackwardMap:
-    """The film with its cells evened out, as far as the network tells of them."""
+    """The film with its cells evened out, as far as the network sees them."""
     return film if phases is None else even(film, phases, read.seen_through(film), config.foreshortening)
 
 
@@ -133,9 +132,9 @@ def reread(
     config: RectifyConfig,
     report: Report,
 ) -> Refinement:
-    """A refinement whose edges are read where it puts them, or one more from where they are read through its map and
-    held to that, if they are more surely there then; if not, one that leaves open where the print ends, if they are as
-    good as certain then."""
+    """A refinement with its edges as read across its map; or a second one, which starts from these edges and is held to
+    them, if its edges are then surer; or else one that leaves open where the print ends, if its edges are then as good
+    as certain."""
     options = config.edges
     read = look_across(pyramid, first.backward, reader, options)
     least = float(read.support.min())
@@ -152,7 +151,7 @@ def reread(
         report.reason += f"; {float(again.support.min()):.0%} once refined from there"
         if second.stands and again.support.min() > enough:
             report.reason += ", which counts"
-            left = second if second.believed else first  # not believed, it starts from the first's map
+            left = second if second.believed else first  # else it stays where it began, from the first's map
             return replace(second, across=again, expected_px=left.expected_px)
         report.reason += ", which is not surer"
     return first
@@ -167,8 +166,8 @@ def whole_sheet(
     config: RectifyConfig,
     clock: Clock,
 ) -> Refinement:
-    """A refinement, or one of the sheet with margins that were taken for the ground, if its edges are likely to be
-    there, its print lies in its middle and the network sees it there, too.
+    """A refinement, or one of a longer sheet with margins that had been taken for the background, if its edges are
+    likely to be there, its print lies in its middle, and the network sees it there, too.
 
     reader: reads the film's edges. beside: how far beside a map the network sees the film (``seen_beside``).
     """
@@ -193,7 +192,7 @@ def _with_margins(
     beside: Callable[[BackwardMap], float],
     config: RectifyConfig,
 ) -> tuple[Refinement, str] | None:
-    """The first refinement with such margins that is to be believed, and what they are."""
+    """The first refinement with such margins that is believed, and what the margins are."""
     options = config.margins
     before = np.inf if refined.expected_px is None else refined.expected_px
     grid_before = _grid_chance(refined)
@@ -226,12 +225,12 @@ def _grid_chance(refinement: Refinement) -> float:
 
 
 def _edges_of(pyramid: Pyramid, refinement: Refinement, reader: StripReader, config: RectifyConfig) -> EdgesRead:
-    """The edges as they are read across a refinement's map, if they were not already."""
+    """The edges as read across a refinement's map; they are read now if they have not been."""
     return refinement.across or look_across(pyramid, refinement.backward, reader, config.edges)
 
 
 def _blank(pyramid: Pyramid, longer: LongerSheet, wider: Refinement, config: RectifyConfig) -> bool:
-    """Whether what a sheet gains is blank, and alike on both sides of the print: margins, however the print fits."""
+    """Whether what a sheet gains is blank and alike on both sides of the print: margins, however the print fits."""
     options, lopsided = config.margins, longer.lopsided if wider.grid is None else wider.grid.lopsided
     if lopsided > options.blank_lopsided:
         return False
@@ -249,8 +248,8 @@ def flat_itself(
 ) -> Refinement | None:
     """The photo's frame as the film's map, if the photo is a scan or a film that was flattened before.
 
-    refined: what became of the network's map; None where that is no film's. told: the plane sheet with the corners that
-    a person gave; the photo is the film only if these are its own.
+    refined: what became of the network's map; None if that is not a film's. told: the plane sheet with the corners that
+    a person gave; the photo is the film only if these are the photo's own.
     """
     coarse = seen.inversion.backward if isinstance(seen.inversion, Inversion) else None
     with clock.stage("flat") as report:
@@ -259,7 +258,7 @@ def flat_itself(
             return None
         exactly = partial(_exactly, pyramid, phases, None, config)
         flat, report.reason = already_flat(pyramid, coarse, seen.filled, refined, exactly)
-        if flat is not None and refined is None:  # of what is no film the print was not looked at
+        if flat is not None and refined is None:  # where no film was found, its print was not checked
             printed = survey_print(pyramid, flat.backward, config.survey)
             flat, report.reason = (flat if printed.ok else None), f"{report.reason}; {printed.reason}"
         report.ran = flat is not None
@@ -275,7 +274,7 @@ def judged(
     config: RectifyConfig,
     clock: Clock,
 ) -> Judged:
-    """Whether the map is as good as certain, and what speaks for it and against it; the networks look once more.
+    """Whether the map is as good as certain, and the evidence for and against it; the networks look once more.
 
     flat: whether the photo was found to be the flat film itself.
     """
@@ -301,10 +300,10 @@ def beyond_doubt(
     config: RectifyConfig,
     clock: Clock,
 ) -> Judged:
-    """A refinement, or the surest of several more if it is in doubt, until one is not.
+    """A refinement or, if in doubt, the surest of it and several more, up to the first that is not in doubt.
 
-    They start from where the first ended, with edges and cells as they are seen through its map, then from what the
-    network sees from other sides. whole: whether margins that were taken for the ground are looked for.
+    They start from where the first ended, with edges and cells as seen through its map, then from what the network sees
+    in other orientations. whole: whether to look for margins that were taken for the background.
     """
     with clock.stage("again") as report:
         doubtful = first.verdict.code is StatusCode.UNSURE
@@ -333,8 +332,8 @@ def beyond_doubt(
 def _starts(
     readers: Readers, pyramid: Pyramid, seen: LastLook, first: Judged, config: RectifyConfig
 ) -> Iterator[tuple[BackwardMap, CellPhases | None, EdgesRead]]:
-    """Maps to refine anew, with what is told of the cells, and edges read: where the first refinement ended, and then
-    what the network sees from other sides."""
+    """Maps to refine anew, with what the network says of the cells, and with the edges read: where the first refinement
+    ended, and then what the network sees in other orientations."""
     yield first.refinement.backward, readers.phases_of(first.seen, config), first.across
     phases = readers.phases_of(seen.maps, config)
     for side in see_from_sides(readers.network, seen, config)[:-1]:
@@ -345,7 +344,7 @@ def _starts(
 def _exactly(
     pyramid: Pyramid, phases: CellPhases | None, read: EdgesRead | None, config: RectifyConfig, start: BackwardMap
 ) -> Refinement:
-    """A map made exact, on a copy of the photo that is large enough for that. read: the edges, if they were read."""
+    """Refine a map on a copy of the photo that is large enough for it. read: the edges, if they were read."""
     edges = () if read is None else read.seen_through(start)
     return _on_copy(
         pyramid, start, phases, config.refine.working_px, partial(refine, config=config.refine, edges=edges)
@@ -359,7 +358,7 @@ def _on_copy(
     film_px: int,
     work: Callable[[Photo, BackwardMap, CellPhases | None], Refinement],
 ) -> Refinement:
-    """What ``work`` makes of the map on a copy of the photo in which the film's longer side has about ``film_px``."""
+    """What ``work`` makes of the map on a copy of the photo in which the film's longer side is about ``film_px``."""
     photo, (x, y) = pyramid.scaled(film_px / max(coarse.mean_film_pixels()))
     found = work(photo, coarse.cropped((0.0, 0.0), (x, y)), phases and phases.scaled((x, y)))
     up = (1.0 / x, 1.0 / y)

@@ -1,4 +1,4 @@
-"""The slice grid edited by hand: corners of cells are moved in the photo, undone and done again; the map follows."""
+"""The slice grid edited by hand: corners of cells are moved in the photo, undone and redone; the map follows."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from hybrid.records import RectifyResult, SliceGrid
 from hybrid.rectify.tps import fit_tps
 
 NEAR = 0.02
-"""Corners of the sheet that lie nearer to a corner of a cell than this (film units) go along with it."""
+"""Corners of the sheet closer than this (film units) to a corner of a cell move with it."""
 CORRECTIONS = 4
-"""Splines that are added up, each of what the ones before leave: of ten by ten cells a corner that is moved by 30
-pixels lies 1.2 beside its place after one, a hundredth after three."""
+"""Number of splines that are added up, each fitted to what the ones before leave: with ten by ten cells, a corner moved
+by 30 pixels is off by 1.2 after one spline, by a hundredth after three."""
 
 MOST_CELLS = 24
-"""Rows or columns of a grid that is named: of more than 30 the map's nodes are too far apart to follow each corner."""
+"""Most rows or columns that may be named: with more than 30 the map's nodes are too far apart to follow each corner."""
 
 
 @dataclass(frozen=True)
 class Move:
-    """A corner of cells, by its row and column among them, put to a photo point (x, y)."""
+    """A corner of cells, given by its row and column, moved to a photo point (x, y)."""
 
     row: int
     col: int
@@ -35,10 +35,10 @@ class Move:
 
 @dataclass(frozen=True, eq=False)
 class GridEdit:
-    """A result whose grid is edited: a value, of which every change gives another. Rectifier.edited makes its film.
+    """A result whose grid is edited: an immutable value; every change returns another. Rectifier.edited makes its film.
 
-    start: the grid that editing began with. done: moves that count, in their order. undone: those that were taken
-    back, the last first.
+    start: the grid that editing began with. done: the moves in effect, in order. undone: the moves taken back, the last
+    one first.
     """
 
     result: RectifyResult
@@ -48,11 +48,12 @@ class GridEdit:
 
     @staticmethod
     def of(result: RectifyResult, cells: tuple[int, int] | None = None) -> GridEdit:
-        """The edit of a result's grid; of one of ``cells`` (rows, columns) that fills the sheet where these are given.
+        """The edit of a result's grid or, if ``cells`` (rows, columns) are given, of a grid of that size that fills the
+        sheet.
 
         Raises:
-            ConfigError: this is no result, or one without a film, or no grid and no cells are given, or these are no
-            numbers of slices.
+            ConfigError: this is not a result, it has no film, it has no grid and no cells are given, or the cells are
+            not valid numbers of slices.
         """
         if not isinstance(result, RectifyResult):
             got, do = f"a {type(result).__name__}", "Rectify the photo first: GridEdit.of(Rectifier()(photo))."
@@ -74,10 +75,10 @@ class GridEdit:
         return GridEdit(result, grid)
 
     def moved(self, row: int, col: int, to: Sequence[float] | np.ndarray) -> GridEdit:
-        """With one corner more put to the photo point ``to``; what was undone cannot be done again then.
+        """With one more corner moved to the photo point ``to``; moves that were undone can then no longer be redone.
 
         Raises:
-            ConfigError: there is no such corner, it is no point, or the film would fold.
+            ConfigError: there is no such corner, the target is not a point, or the film would fold.
         """
         rows, cols = self.start.vertices_photo.shape[:2]
         x, y = _point(to)
@@ -91,20 +92,20 @@ class GridEdit:
         return further
 
     def undo(self) -> GridEdit:
-        """Without the last move; as it is where there is none."""
+        """Without the last move; unchanged if there is none."""
         return replace(self, done=self.done[:-1], undone=self.done[-1:] + self.undone) if self.done else self
 
     def redo(self) -> GridEdit:
-        """With the move that was undone last; as it is where there is none."""
+        """With the move that was undone last; unchanged if there is none."""
         return replace(self, done=self.done + self.undone[:1], undone=self.undone[1:])
 
     def reset(self) -> GridEdit:
-        """As it began; everything can be done again."""
+        """As it began; all moves can be redone."""
         return replace(self, done=(), undone=self.done + self.undone)
 
     @cached_property
     def grid(self) -> SliceGrid:
-        """The grid with its corners where they were moved; ``start`` itself where none was."""
+        """The grid with its moved corners; ``start`` itself if none was moved."""
         if not self.done:
             return self.start
         at = np.array(self.start.vertices_photo)
@@ -114,8 +115,8 @@ class GridEdit:
 
     @cached_property
     def backward(self) -> BackwardMap:
-        """The map displaced, by the thin-plate spline that bends least, so that it puts the corners there; corners
-        that were not moved stay, and so do the sheet's. The result's own where none was moved."""
+        """The map, displaced by the thin-plate spline of least bending that puts the corners there; corners that were
+        not moved stay, and so do the sheet's. The result's own map if none was moved."""
         film = self.result.backward
         assert film is not None  # or there would be nothing to edit
         if not self.done:
@@ -126,14 +127,14 @@ class GridEdit:
         free = np.linalg.norm(ends[:, None] - uv[None], axis=-1).min(axis=1) > NEAR
         at, by = np.vstack([uv, ends[free]]), np.vstack([apart, np.zeros((int(free.sum()), 2))])
         nodes, left, edited = film_nodes((film.nodes.shape[0], film.nodes.shape[1])), by, film
-        for _ in range(CORRECTIONS):  # a map holds what the spline is at its nodes: in between it is off a little
+        for _ in range(CORRECTIONS):  # a map holds the spline's values at its nodes: in between it is off a little
             edited = BackwardMap(edited.nodes + fit_tps(at, left)(nodes))
             left = by - (edited.photo_from_film(at) - film.photo_from_film(at))
         return edited
 
 
 def _point(to: Sequence[float] | np.ndarray) -> tuple[float, float]:
-    """The numbers of a photo point; ConfigError for what is none."""
+    """The coordinates of a photo point; ConfigError if it is not one."""
     try:
         x, y = (float(each) for each in to)
     except (TypeError, ValueError):

@@ -1,7 +1,7 @@
 """How medical printers turn grey into density: DICOM's grayscale standard display function (PS3.14).
 
-Equal steps of grey are equal steps to the eye before a light box, so middle greys let less light through than sRGB has
-them: of half grey 11 to 17 % of white's instead of 21 %.
+Equal steps of grey look equal on a light box, so middle greys let through less light than sRGB gives them: half grey 11
+to 17 % of white's instead of 21 %.
 """
 
 from __future__ import annotations
@@ -10,14 +10,14 @@ import numpy as np
 from jaxtyping import Float
 
 LIGHT_BOX, ROOM = 2000.0, 10.0
-"""cd/m^2 of the light box, and of the room's light that a film reflects, for which films are printed (PS3.14,
+"""cd/m^2 of the light box, and of the room light that a film reflects, for which films are printed (PS3.14,
 annex C)."""
 
 CLEAR_DENSITY = 0.2
 """Optical density of a film where print is white."""
 
 USUAL_DENSITIES = (2.0, 3.4)
-"""Least and greatest optical density of print black, by the printer and its film."""
+"""Least and greatest optical density of print black, depending on the printer and its film."""
 
 _ABOVE = (-1.3011877, 8.0242636e-2, 1.3646699e-1, -2.5468404e-2, 1.3635334e-3)
 _BELOW = (1.0, -2.5840191e-2, -1.0320229e-1, 2.8745620e-2, -3.1978977e-3, 1.2992634e-4)
@@ -33,9 +33,9 @@ def luminance(index: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
 
 
 def light_through(grey: Float[np.ndarray, "*n"], densest: float) -> Float[np.ndarray, "*n"]:
-    """Light that a film lets through, linear, in parts of what it does where print is white.
+    """Light that a film lets through, linear, as a fraction of what it lets through where print is white.
 
-    grey: display grey in [0, 1], what the printer is sent (P-values). densest: optical density of print black, above
+    grey: display grey in [0, 1], as sent to the printer (P-values). densest: optical density of print black, above
     ``CLEAR_DENSITY``.
     """
     indices = np.linspace(1, LAST_INDEX, 8 * LAST_INDEX)

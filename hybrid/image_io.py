@@ -25,10 +25,10 @@ MAX_PIXELS = 400_000_000
 """Larger pictures are refused: no phone makes them, and decoding one takes gigabytes."""
 
 MIN_SIDE = 2
-"""A picture of a single row or column of pixels is no photo."""
+"""A picture of a single row or column of pixels is not a photo."""
 
 PHOTOMETRIC, WHITE_IS_ZERO = 262, 0
-"""The tag of TIFF that says what a grey value means, and the value of films that were scanned as densities."""
+"""The TIFF tag that says what a grey value means, and its value for films that were scanned as densities."""
 
 BITS, COMPRESSION, PLANES = 258, 259, 284
 """Further tags. Pillow reads uncompressed (1) planes (2) of 16 bits as if they had 8."""
@@ -37,10 +37,10 @@ READABLE = "JPEG, PNG, TIFF, WebP or HEIC"
 SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp", ".heic", ".heif", ".avif", ".bmp", ".jp2")
 _JPEG_START, _JPEG_END = b"\xff\xd8\xff", b"\xff\xd9"
 _NOTHING_WRITTEN = 64
-"""Zeros at the end of a JPEG from which on they stand for what was never written; pixels seldom make more than four."""
+"""A JPEG that ends in this many zeros was never written to its end; pixels seldom make more than four."""
 _DAMAGED = "The picture is damaged or cut off"
 _JPEG_QUALITY = 95
-_PNG_LEVEL = 3  # drawings shrink to a third of what OpenCV's own options leave; of the film's noise hardly more goes
+_PNG_LEVEL = 3  # drawings shrink to a third of what OpenCV's own options leave; the film's noise hardly shrinks more
 _TAKE_AGAIN = f"Export the photo again as {READABLE}, or copy it from the phone once more."
 _BOMB_LOCK = threading.Lock()
 
@@ -49,14 +49,14 @@ _BOMB_LOCK = threading.Lock()
 
 
 PhotoSource: TypeAlias = str | os.PathLike[str] | np.ndarray | Image.Image
-"""What a photo is given as: a path; (H, W, 3) uint8 RGB; (H, W) uint8 grey; or a picture of Pillow's."""
+"""What a photo is given as: a path; (H, W, 3) uint8 RGB; (H, W) uint8 grey; or a Pillow image."""
 
 
 def as_photo(source: Any) -> UInt8[np.ndarray, "h w 3"]:
     """The photo as (H, W, 3) uint8 RGB, upright: from a path, or from pixels that are checked and never modified.
 
-    source: as in ``PhotoSource``. Grey is repeated for the three channels. A picture of Pillow's is turned after its
-    EXIF orientation, as files are (``read_photo``). Raises PhotoError, which says what to do, for anything else.
+    source: as in ``PhotoSource``. Grey is repeated for the three channels. A Pillow image is turned upright by its EXIF
+    orientation, as files are (``read_photo``). Raises PhotoError, which says what to do, for anything else.
     """
     if isinstance(source, (str, os.PathLike)):
         return read_photo(source)
@@ -73,16 +73,16 @@ def as_photo(source: Any) -> UInt8[np.ndarray, "h w 3"]:
     _check_size(source.shape[0], source.shape[1], "array")
     if source.ndim == 2:
         return np.repeat(source[:, :, None], 3, axis=2)
-    return np.ascontiguousarray(source)  # else OpenCV copies all of it at every call
+    return np.ascontiguousarray(source)  # otherwise OpenCV copies all of it at every call
 
 
 def read_photo(path: str | os.PathLike[str]) -> UInt8[np.ndarray, "h w 3"]:
-    """The photo in a file as (H, W, 3) uint8 sRGB, turned upright after its EXIF orientation.
+    """The photo in a file as (H, W, 3) uint8 sRGB, turned upright by its EXIF orientation.
 
-    JPEG, PNG, TIFF, WebP, HEIC and whatever else Pillow reads; of several frames the first. Grey and palettes become
-    RGB, 16 bits are scaled to 8, CMYK is converted without a profile (embedded colour profiles are not applied), and
-    transparency is laid over black, because a transparent pixel sends no light. Raises PhotoError for what is not a
-    whole picture.
+    Reads JPEG, PNG, TIFF, WebP, HEIC and whatever else Pillow reads, and the first of several frames. Grey and palettes
+    become RGB, 16 bits are scaled to 8, CMYK is converted without a profile (embedded colour profiles are not applied),
+    and transparency is laid over black, because a transparent pixel sends no light. Raises PhotoError for anything that
+    is not a whole picture.
     """
     path = Path(path)
     data = _read_if_jpeg(path)
@@ -91,41 +91,41 @@ def read_photo(path: str | os.PathLike[str]) -> UInt8[np.ndarray, "h w 3"]:
         return _decode_with_pillow(path)
     _check_size(header.height, header.width, path)
     unended = data.find(_JPEG_END, header.scan_start) < 0
-    if unended and data.endswith(bytes(_NOTHING_WRITTEN)):  # zeros are pixels to a decoder, if they lie in a scan
+    if unended and data.endswith(bytes(_NOTHING_WRITTEN)):  # within a scan, a decoder takes zeros for pixels
         got = "zeros where the picture should end"
         raise PhotoError(describe(what=_DAMAGED, where=path, got=got, do=_TAKE_AGAIN))
     if header.components not in (1, 3) or unended:
-        return _decode_with_pillow(path)  # CMYK; or no end marker: Pillow tells a cut file from an untidy one
+        return _decode_with_pillow(path)  # CMYK; or no end marker: Pillow tells a truncated file from an untidy one
     # OpenCV reads a JPEG twice as fast as Pillow, and turns it upright as well.
     photo = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_COLOR_RGB)
     return _decode_with_pillow(path) if photo is None else photo
 
 
 def pictures_in(path: str | os.PathLike[str]) -> int:
-    """How many pictures the file of a photo holds, as TIFFs of several pages do; of a JPEG one."""
+    """How many pictures the file of a photo holds, as TIFFs may have several pages; one for a JPEG."""
     with Path(path).open("rb") as file:
         if file.read(len(_JPEG_START)) == _JPEG_START:
             return 1
         try:
             with _pillow_limits(), Image.open(file) as image:
                 return getattr(image, "n_frames", 1)
-        except Exception:  # the photo itself was read: what Pillow cannot tell of the others hinders nothing
+        except Exception:  # the photo itself was read: it does no harm if Pillow cannot tell of the others
             return 1
 
 
 def photo_size(path: str | os.PathLike[str]) -> tuple[int, int]:
-    """Height and width of the picture in a file that was read before, as it is stored."""
+    """Height and width, as stored, of the picture in a file that was read before."""
     with opened(path) as image:
         return image.height, image.width
 
 
 @contextmanager
 def opened(path: str | os.PathLike[str]) -> Iterator[Image.Image]:
-    """The picture in a file that was read before, for what its header tells; no pixel is decoded."""
+    """The picture in a file that was read before, opened for its header; no pixel is decoded."""
     with _pillow_limits():
         try:
             image = Image.open(path)
-        except UnidentifiedImageError:  # HEIC; of a JPEG its reader need not be loaded
+        except UnidentifiedImageError:  # HEIC, whose reader need not be loaded for a JPEG
             _hear_of_heif()
             image = Image.open(path)
         with image:
@@ -133,15 +133,15 @@ def opened(path: str | os.PathLike[str]) -> Iterator[Image.Image]:
 
 
 def tiff_compression(data: bytes) -> int | None:
-    """How the pixels of a TIFF that was read before are compressed, as its tag 259 says; None if it does not."""
+    """How the pixels of a TIFF that was read before are compressed, by its tag 259; None if it does not say."""
     with _pillow_limits(), Image.open(io.BytesIO(data)) as image:
         return getattr(image, "tag_v2", {}).get(COMPRESSION)
 
 
 def jpeg_extent(data: bytes) -> tuple[int, int] | None:
-    """Number of colours of a JPEG, and of its bytes up to its end; None for other files.
+    """Number of colours of a JPEG, and number of bytes up to its end; None for other files.
 
-    What phones hang on behind that, as films and maps of brightness, are pictures of their own.
+    What phones append to it, such as video clips and brightness maps, is separate from the picture.
     """
     header = _jpeg_header(data)
     if header is None:
@@ -151,7 +151,7 @@ def jpeg_extent(data: bytes) -> tuple[int, int] | None:
 
 
 def _read_if_jpeg(path: Path) -> bytes:
-    """The whole file if it is a JPEG, else its first bytes; PhotoError for what is no file, or an empty one."""
+    """The whole file if it is a JPEG, else its first bytes; PhotoError if it is not a file, or empty."""
     try:
         if not path.exists():
             _refuse_file("No such file", path, "Check the name and the folder.")
@@ -186,7 +186,7 @@ class _JpegHeader:
 def _jpeg_header(data: bytes) -> _JpegHeader | None:
     """Walk the segments of a JPEG up to its first scan; None for another format or a header that makes no sense.
 
-    Thumbnails inside the EXIF segment are stepped over, so their end marker is not taken for the photo's.
+    Thumbnails inside the EXIF segment are skipped, so their end marker is not taken for the photo's.
     """
     if not data.startswith(_JPEG_START):
         return None
@@ -209,7 +209,7 @@ def _jpeg_header(data: bytes) -> _JpegHeader | None:
 
 @contextmanager
 def _pillow_limits() -> Iterator[None]:
-    """Pillow refuses above 179 megapixels and warns above 89; this package's own limit holds instead, while inside."""
+    """Inside, this package's own limit replaces Pillow's, which refuses above 179 megapixels and warns above 89."""
     with _BOMB_LOCK, warnings.catch_warnings():
         warnings.simplefilter("ignore")  # damaged EXIF and metadata: the picture itself is checked
         before, Image.MAX_IMAGE_PIXELS = Image.MAX_IMAGE_PIXELS, None
@@ -220,7 +220,7 @@ def _pillow_limits() -> Iterator[None]:
 
 
 def _hear_of_heif() -> None:
-    """Have Pillow read HEIC; called when a file may need it, so that nothing runs at import."""
+    """Make Pillow read HEIC; called when a file may need it, so that nothing runs at import."""
     import pillow_heif
 
     pillow_heif.register_heif_opener()
@@ -229,7 +229,7 @@ def _hear_of_heif() -> None:
 def _decode_with_pillow(path: Path) -> UInt8[np.ndarray, "h w 3"]:
     _hear_of_heif()
     try:
-        # Opened by name, Pillow maps uncompressed TIFFs into memory, and reads them askew where they lie on their side.
+        # Opened by name, Pillow maps uncompressed TIFFs into memory, and reads them skewed if they lie on their side.
         with _damage_told(path), _pillow_limits(), path.open("rb") as file, Image.open(file) as image:
             return _pixels(image, path)
     except UnidentifiedImageError as error:
@@ -241,7 +241,7 @@ def _decode_with_pillow(path: Path) -> UInt8[np.ndarray, "h w 3"]:
 
 @contextmanager
 def _damage_told(where: object) -> Iterator[None]:
-    """Whatever Pillow raises of a picture that is damaged becomes a PhotoError, but for what it takes for none."""
+    """Turn whatever Pillow raises on a damaged picture into a PhotoError, unless it does not take it for a picture."""
     try:
         yield
     except (PhotoError, MemoryError, UnidentifiedImageError):
@@ -264,13 +264,13 @@ def _pixels(image: Image.Image, where: object) -> UInt8[np.ndarray, "h w 3"]:
 def _rgb_from_pillow(picture: Image.Image, where: object) -> UInt8[np.ndarray, "h w 3"]:
     try:
         image = ImageOps.exif_transpose(picture)
-    except Exception:  # damaged EXIF, of which Pillow raises nearly anything, tells nothing of the picture
+    except Exception:  # damaged EXIF, on which Pillow raises nearly anything, says nothing about the picture
         image = picture
     if image.mode.startswith("I;16"):
         tags = getattr(picture, "tag_v2", {})
-        most = 2 ** tags.get(BITS, (16,))[0] - 1  # 12 bits are read as they are, too
+        most = 2 ** tags.get(BITS, (16,))[0] - 1  # 12 bits are read unscaled, too
         grey = np.rint(np.asarray(image, dtype=np.float32) * np.float32(255 / most)).astype(np.uint8)
-        if tags.get(PHOTOMETRIC) == WHITE_IS_ZERO:  # Pillow turns over 8 bits, not 16
+        if tags.get(PHOTOMETRIC) == WHITE_IS_ZERO:  # Pillow inverts 8 bits, not 16
             grey = 255 - grey
         return np.repeat(grey[:, :, None], 3, axis=2)
     if image.mode in ("I", "F"):
@@ -284,7 +284,7 @@ def _rgb_from_pillow(picture: Image.Image, where: object) -> UInt8[np.ndarray, "
 
 
 def _kind_of(path: Path) -> str:
-    """What a file that is no picture seems to be, in words."""
+    """What a file that is not a picture seems to be, in words."""
     with path.open("rb") as file:
         start = file.read(512)
     if start.startswith(b"%PDF"):
@@ -352,19 +352,19 @@ def _how_to_reshape(shape: tuple[int, ...]) -> str:
 
 
 def write_film(path: str | os.PathLike[str], film: Float[np.ndarray, "h w"]) -> None:
-    """Write display grey as a 16-bit grey PNG; see ``levels_16``. In half the time of a level that takes 3 % off."""
+    """Write display grey as a 16-bit grey PNG; see ``levels_16``. A level that saves 3 % more takes twice the time."""
     write_bytes(path, _encoded(".png", levels_16(film)))
 
 
 def levels_16(film: Float[np.ndarray, "h w"]) -> UInt16[np.ndarray, "h w"]:
-    """Display grey in [0, 1] in 16 bits; values outside are clipped, NaN is a ValueError."""
+    """Display grey in [0, 1] in 16 bits; values outside are clipped; NaN raises ValueError."""
     if np.isnan(film).any():
         raise ValueError(f"film: got NaN in {int(np.isnan(film).sum())} pixels; allowed: numbers in [0, 1]")
     return np.rint(np.clip(film, 0.0, 1.0) * 65535).astype(np.uint16)
 
 
 def write_rgb(path: str | os.PathLike[str], rgb: UInt8[np.ndarray, "h w 3"]) -> None:
-    """Write an RGB picture; the name's suffix (.jpg, .jpeg or .png) says the format, another is a ValueError."""
+    """Write an RGB picture in the format of the name's suffix (.jpg, .jpeg or .png); ValueError for any other."""
     suffix = Path(path).suffix.lower()
     options = {
         ".jpg": [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY],

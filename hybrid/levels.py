@@ -1,4 +1,4 @@
-"""What print black and print white look like at each place of a flat film, and what tells it from a small copy."""
+"""What print black and print white look like at each place of a flat film, and what reads that from a small copy."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from hybrid.coords import linear_from_srgb
 
 CHANNEL_SHARES = (0.25, 0.6, 0.15)
 """Shares of red, green and blue in linear grey: green is the sharpest and least noisy channel of a phone's picture. Any
-fixed shares keep the form gain * print + veil, and a cast of the light only changes its gain."""
+fixed shares keep the form gain * print + veil, and a colour cast only changes the gain."""
 
 CLIPPED = 253
 """Channel values from here on say only "at least"."""
 
 LEAST_CONTRAST = 12 / 255
-"""Display grey between print black and print white below which nothing can be recovered: noise and coding eat it."""
+"""Contrast of print black and white, in display grey, below which nothing can be recovered: noise and coding eat it."""
 
 
 USUAL_ROOT_SHARE, MOST_ROOT_SHARE = 0.85, 2.0
@@ -30,10 +30,10 @@ would fall before white. Films printed by DICOM's display function need 1.8 (``h
 class Levels:
     """Linear grey of the photo (``CHANNEL_SHARES``) where the print is black and where it is white.
 
-    black: the veil, what the film reflects of the room whatever is printed. gain: white less black, positive. Both on
-    the pixel centres of a small lattice over the film. root_share: of the print's tone, from black to white the share
-    of the square root (as of a print seen by reflection: the display's own gamma) against the straight line (of one
-    whose transmission is proportional to its grey, or of a camera that raises middle greys).
+    black: the veil, which the film reflects from the room whatever is printed. gain: white minus black, positive. Both
+    are given at the pixel centres of a small lattice over the film. root_share: in the print's tone from black to
+    white, the share of the square root (as of a print seen by reflection: the display's own gamma) against the straight
+    line (as of a print whose transmission is proportional to its grey, or of a camera that raises middle greys).
     """
 
     black: Float32[np.ndarray, "h w"]
@@ -43,8 +43,8 @@ class Levels:
 
 @dataclass(frozen=True)
 class LevelReader:
-    """side_px: side of the square copy of the film that is read. read: levels of a copy (sRGB), and where it is seen
-    and print."""
+    """side_px: side of the square copy of the film that is read. read: the levels, from a copy (sRGB) and a mask of
+    where it is visible and shows print."""
 
     side_px: int
     read: Callable[[UInt8[np.ndarray, "n n 3"], Bool[np.ndarray, "n n"]], Levels]

@@ -1,4 +1,4 @@
-"""What the network sees of a photo: in looks at the whole, then at the film, and through a map once that is found."""
+"""What the network sees of a photo: in looks at the whole, then at the film, and through a map once one is found."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ from hybrid.rectify.trust import seen_beside
 from hybrid.stages import Clock
 
 WIDER, NEARER = 1.25, 0.7
-"""How many times as wide as the photo the first looks are that are tried if none shows a film, one after the other."""
+"""Widths, relative to the photo's, of the first looks that are tried in turn if a look at the whole shows no film."""
 
 
 @dataclass(frozen=True, eq=False)
 class LastLook:
-    """What the network saw in its last look: the maps, the film's map that follows, and the view of the film, if any.
+    """What the network saw in its last look: the maps, the film's map fitted to them, and the view of the film, if any.
 
-    All but ``inversion`` and ``maps`` are of ``photo``, the copy of the photo, ``factor`` times smaller, that it saw.
-    filled: share of the photo that showed film in the first look. near: whether that look was at a part of the photo
-    alone, the whole showing no film.
+    All but ``inversion`` and ``maps`` refer to ``photo``, the copy of the photo, ``factor`` times smaller, that it saw.
+    filled: share of the photo that showed film in the first look. near: whether that look was at only a part of the
+    photo, because the whole showed no film.
     """
 
     maps: CoarseMaps
@@ -47,7 +47,7 @@ def see(
 ) -> LastLook:
     """The network's looks at the photo: at the whole, then at the film, flattened by the plane seen last.
 
-    first: what the first look is at, if not at the whole.
+    first: what the first look is at, if not the whole.
     """
     predict = config.predict
     with clock.stage("network") as report:
@@ -78,7 +78,7 @@ def see(
 def see_at(network: FilmNet, pyramid: Pyramid, told: BackwardMap, config: RectifyConfig, clock: Clock) -> LastLook:
     """The network's look at a film whose corners a person gave, flattened by the plane sheet ``told`` that has them.
 
-    The map is displaced to have these corners; where the network sees no film there, it is that of the plane sheet.
+    The map is displaced to have these corners; if the network sees no film there, it is that of the plane sheet.
     """
     predict = config.predict
     with clock.stage("network") as report:
@@ -108,12 +108,12 @@ def check(pyramid: Pyramid, seen: LastLook, config: SurveyConfig) -> Verdict:
 def checked(
     network: FilmNet, pyramid: Pyramid, seen: LastLook, config: RectifyConfig, clock: Clock
 ) -> tuple[LastLook, Verdict]:
-    """What the network saw, and whether it is a film; if not, what it sees from a first look that is wider, or at parts
-    of the photo.
+    """What the network saw, and whether it is a film; if not, what it sees after a wider first look, or after first
+    looks at parts of the photo.
 
-    With little room beside it a film may look as if it went on beyond the photo; of several side by side the whole may
-    show none. What is seen then counts only if the whole sheet lies in the photo: of one that does leave it the seen
-    part would be taken for all.
+    A film with little room around it may look as if it continued beyond the photo; of several side by side, the whole
+    may show none. What is seen then counts only if the whole sheet lies in the photo: of a sheet that does leave it,
+    the visible part would be taken for all.
     """
     with clock.stage("check") as report:
         verdict = check(pyramid, seen, config.survey)
@@ -132,7 +132,7 @@ def checked(
 def _found(
     network: FilmNet, pyramid: Pyramid, first: Sequence[BackwardMap], config: RectifyConfig
 ) -> tuple[LastLook, Verdict] | None:
-    """What is seen from the first looks that lead to a film which lies in the photo as a whole: the surest, if any."""
+    """What is seen from the first looks that lead to a film which lies in the photo as a whole: the surest, or None."""
     looks = [see(network, pyramid, config, Clock(), one) for one in first]
     films = [
         (seen, verdict)
@@ -151,7 +151,7 @@ def _lies_within(inversion: Inversion | NotInverted, size: tuple[int, int]) -> b
 
 
 def see_from_sides(network: FilmNet, seen: LastLook, config: RectifyConfig) -> list[Inversion]:
-    """The maps of the last look, turned and mirrored in several ways for the network; that of ``seen`` is the last."""
+    """The maps of the last look, with the view turned and mirrored in several ways; that of ``seen`` is the last."""
     first, others = seen.inversion, config.predict.sides[1:]
     if isinstance(first, NotInverted):
         return []
@@ -163,12 +163,12 @@ def see_from_sides(network: FilmNet, seen: LastLook, config: RectifyConfig) -> l
 
 
 def network_beside(network: FilmNet, seen: LastLook, config: RectifyConfig, film: BackwardMap) -> float:
-    """How far beside a map the network sees the film, smoothed, in parts of its size."""
+    """How far beside a map the network sees the film, smoothed, as a fraction of its size."""
     return seen_beside(seen_through(network, seen, config, film), film)
 
 
 def seen_through(network: FilmNet, seen: LastLook, config: RectifyConfig, film: BackwardMap) -> CoarseMaps:
-    """What the network sees of the film as a map flattens it (as a plane sheet)."""
+    """What the network sees of the film when a map flattens it (as a plane sheet)."""
     plane = plane_of(film.cropped((0.0, 0.0), (1 / seen.factor, 1 / seen.factor)))
     (again,) = look(network, seen.photo, [film_view(plane, config.predict.margin)])
     return again.enlarged(seen.factor)

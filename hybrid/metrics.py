@@ -170,16 +170,16 @@ DISTORTION_AREA_PX = 598_400
 def local_distortion(predicted: BackwardMap, true: BackwardMap, lattice: tuple[int, int] = (65, 65)) -> float:
     """How far what the flat film shows lies from where it belongs: mean distance in pixels of a film of 598,400.
 
-    The distance that DocUNet's benchmark calls local distortion and estimates by SIFT flow; here it comes from the
-    maps, without a matcher's own errors, so it is not to be compared with published figures. The flat film's sides are
-    in the ratio of their mean lengths in the photo. Photo points that the prediction reads beyond the sheet's edges are
-    placed to first order.
+    DocUNet's benchmark calls this distance local distortion and estimates it by SIFT flow. Here it comes from the maps,
+    without the errors of a matcher, so it must not be compared with published figures. The flat film's sides are in the
+    ratio of their mean lengths in the photo. Photo points that the prediction reads beyond the sheet's edges are placed
+    to first order.
     """
     uv = film_nodes(lattice)
     read = predicted.photo_from_film(uv)
     shown = true.film_from_photo(read)
     off = np.isnan(shown).any(axis=-1)
-    # A sheet seen edge-on has directions of no extent in the photo; the cut keeps them from becoming infinite.
+    # A sheet seen edge-on has directions of no extent in the photo; the cutoff keeps them from becoming infinite.
     inverse = np.linalg.pinv(true.jacobian(uv[off]), rcond=1e-2)
     shown[off] = uv[off] + np.einsum("nij,nj->ni", inverse, read[off] - true.photo_from_film(uv[off]))
     aspect = np.divide(*true.mean_film_pixels())
@@ -193,8 +193,8 @@ def local_distortion(predicted: BackwardMap, true: BackwardMap, lattice: tuple[i
 def psnr_after_gain_offset(film: Float[np.ndarray, "h w"], truth: Float[np.ndarray, "h w"]) -> float:
     """PSNR in dB of a film against its print, display grey in [0, 1], after the best single gain and offset.
 
-    The gain is not negative: an inverted film is none. What remains is what no exposure setting could mend: uneven
-    light, a wrong tone curve, geometry, noise.
+    The gain is not negative: an inverted film does not count as a film. What remains is what no exposure setting could
+    mend: uneven light, a wrong tone curve, geometry, noise.
     """
     if film.shape != truth.shape:
         raise ValueError(f"film and print: got shapes {film.shape} and {truth.shape}; allowed: equal shapes")

@@ -32,21 +32,21 @@ PICTURES = (
     *("_film.png", "_confidence.png", "_rectified.jpg", "_rectified.png", "_side_by_side.jpg"),
     *FOLDERS,
 )
-"""What is written beside NAME.json, by what follows NAME."""
+"""Suffixes, after NAME, of what is written beside NAME.json."""
 _NUMBERED = re.compile(r"\d{2,}\.(png|dcm)|film\.dcm")
-"""Names of the files in the folders among them."""
+"""Names of the files in these folders."""
 UNFINISHED = "UNFINISHED"
-"""Status of a result whose files are still being written, or never were."""
+"""Status of a result whose files are still being written, or were never finished."""
 FUSED_SUFFIX = "_fused"
-"""Follows the first photo's name in that of a film made of several."""
+"""Follows the first photo's name in the name of a film made of several."""
 
 
 def reserved(out: Path, stem: str, about: dict[str, Any]) -> tuple[str, dict[str, Any]]:
-    """The stem, numbered where it is taken, and what an earlier run over the same photos left to know of it.
+    """The stem, numbered if it is taken, and what is known of it from an earlier run over the same photos.
 
-    about: the photos (``photo_record``). A name is theirs if its JSON names the same, whichever of them it is made of,
-    and free if nothing of that name is there; the JSON that is written at once says that the rest is unfinished, so
-    that no other run takes it, nor does a later one if this is cut off.
+    about: the photos (``photo_record``). A name is theirs if its JSON names the same photos, whichever of them its film
+    is made of; it is free if nothing of that name exists. A JSON is written at once and says that the rest is
+    unfinished, so that no other run takes the name, nor a later one if this run is cut off.
     """
     number = 1
     while True:
@@ -55,7 +55,7 @@ def reserved(out: Path, stem: str, about: dict[str, Any]) -> tuple[str, dict[str
         if record.exists():
             known = _read_record(record)
             if _photos_in(known) == _photos_in(about):
-                if known.get("status") == UNFINISHED:  # of what it wrote its JSON does not tell
+                if known.get("status") == UNFINISHED:  # its JSON does not list what it wrote
                     known = {"earlier_files": sorted({*_files_in(known), *_files_of(out, name)})}
                 write_bytes(record, _json_bytes(_unfinished(about, known)))
                 return name, known
@@ -65,14 +65,14 @@ def reserved(out: Path, stem: str, about: dict[str, Any]) -> tuple[str, dict[str
         try:
             with record.open("xb") as file:
                 file.write(_json_bytes(_unfinished(about, {})))
-        except FileExistsError:  # another run was quicker
+        except FileExistsError:  # another run was faster
             continue
         return name, {}
 
 
 def is_result(path: Path) -> bool:
-    """Whether an earlier run wrote this file: the JSON beside it, of a slice the one beside its folder, names it, or is
-    of a run that was cut off or still goes on."""
+    """Whether an earlier run wrote this file: the JSON beside it (for a slice, beside its folder) names it, or is of a
+    run that was cut off or is still going on."""
     path = path.absolute()
     records = [
         at.with_name(f"{at.name.removesuffix(suffix)}.json")
@@ -104,7 +104,7 @@ def _files_in(record: dict[str, Any]) -> list[str]:
 
 
 def _files_of(out: Path, name: str) -> list[str]:
-    """All files there that are called as those of a result of that name, relative to the folder."""
+    """All files in the folder that are named like those of a result of that name, relative to the folder."""
     at = [out / f"{name}{suffix}" for suffix in PICTURES]
     numbered = [file for folder in at if folder.is_dir() for file in folder.iterdir() if _NUMBERED.fullmatch(file.name)]
     return [file.relative_to(out).as_posix() for file in (*at, *numbered) if file.is_file()]
@@ -115,7 +115,7 @@ def _json_bytes(record: dict[str, Any]) -> bytes:
 
 
 def photo_record(photos: Sequence[Path], left_out: Sequence[Path] = ()) -> dict[str, Any]:
-    """What tells the photos of a film, and those left out of it, from others of their name."""
+    """What distinguishes the photos of a film, and those left out of it, from others of the same name."""
     first, *further = photos
     about: dict[str, Any] = {"photo": first.name, "photo_sha256": photo_digest(first)}
     for key, those in (("further_photos", further), ("left_out", left_out)):
@@ -126,12 +126,12 @@ def photo_record(photos: Sequence[Path], left_out: Sequence[Path] = ()) -> dict[
 
 
 def _photos_in(record: dict[str, Any]) -> list[str]:
-    """All photos that a record names, in no order of its own, with what tells each from others of its name."""
+    """All photos that a record names, sorted, each with what distinguishes it from others of the same name."""
     pairs: list[Any] = []
     for key in ("photo", "further_photos", "left_out"):
         of_key = (record.get(key, []), record.get(f"{key}_sha256", []))
         names, digests = (each if isinstance(each, list) else [each] for each in of_key)
-        pairs += zip(names, digests, strict=False)  # of a JSON that may be anybody's
+        pairs += zip(names, digests, strict=False)  # the JSON may be anybody's
     return sorted(map(repr, pairs))
 
 
@@ -142,7 +142,7 @@ def photo_digest(photo: Path) -> str:
 
 
 def _read_record(record: Path) -> dict[str, Any]:
-    """The JSON that an earlier run left; empty without one, or where it is not one of ours."""
+    """The JSON that an earlier run left; empty if there is none, or if it is not one of ours."""
     try:
         found = json.loads(record.read_text())
     except (OSError, ValueError):
@@ -164,11 +164,11 @@ def write_result(
 ) -> tuple[Path, ...]:
     """Write everything that the result holds, named after the first photo; the JSON says when the rest is complete.
 
-    paths: of the photos that were given for it; ``photo`` is the one of ``result.photo``. made: of how it was made, for
-    the JSON. dicom: whether film and slices are written as DICOM, too. What is there of other photos is left alone.
-    Files that an earlier run over the same photos left and this one does not make (slices of another grid) are removed,
-    once the new ones are there. Where this one finds no film they stay, as DICOM files do where none are asked for, and
-    the JSON names them ("earlier_files").
+    paths: the photos that were given for it; ``photo`` is the one of ``result.photo``. made: how it was made, for the
+    JSON. dicom: whether film and slices are also written as DICOM. Files of other photos are left alone. Files that an
+    earlier run over the same photos left and this one does not make (slices of another grid) are removed once the new
+    ones exist. They stay if this run finds no film, as DICOM files do if none are asked for, and the JSON names them
+    ("earlier_files").
     """
     used = result.made_of(paths)
     about = photo_record(used, [paths[one.photo] for one in result.left_out])
@@ -213,18 +213,18 @@ def save_result(
     rectified_format: RectifiedFormat = "jpg",
     dicom: bool = False,
 ) -> tuple[Path, ...]:
-    """Write what ``hybrid rectify`` (of a fused film ``hybrid fuse``) writes into a folder; the files.
+    """Write what ``hybrid rectify`` (for a fused film, ``hybrid fuse``) writes into a folder; returns the files.
 
     Args:
-        path: the photo that the result is of; of a fused film all of its photos.
-        result: what ``rectify`` or a ``Rectifier`` gave; without a film the JSON alone is written, which says why.
-        out: made if need be; results of the same photo there are replaced, other photos of its name get a number.
-        rectified_format: of the rectified photo.
-        dicom: whether film and slices are written as DICOM, too (``hybrid.dicom``).
+        path: the photo that the result is of; for a fused film, all of its photos.
+        result: what ``rectify`` or a ``Rectifier`` returned; without a film, only the JSON is written, which says why.
+        out: created if needed; results of the same photo in it are replaced, other photos of its name get a number.
+        rectified_format: format of the rectified photo.
+        dicom: whether film and slices are also written as DICOM (``hybrid.dicom``).
 
     Raises:
-        PhotoError: the photo cannot be read. ConfigError: nothing can be written there, photos are missing or no paths,
-            or it is another photo (of another size).
+        PhotoError: the photo cannot be read. ConfigError: nothing can be written there, photos are missing or are not
+            paths, or it is a different photo (of another size).
     """
     if rectified_format not in get_args(RectifiedFormat):
         allowed = " or ".join(get_args(RectifiedFormat))
@@ -258,9 +258,9 @@ def write_slices(folder: Path, result: RectifyResult) -> list[Path]:
 
 
 def _write_dicom(folder: Path, paths: Sequence[Path], digest: str, result: RectifyResult) -> list[Path]:
-    """Write the film as film.dcm and the slices as 01.dcm and so on. paths: of the photos that the film is made of.
-    digest: of the map's one."""
-    from hybrid.dicom import PhotoFile, secondary_captures  # with pydicom, which few need
+    """Write the film as film.dcm and the slices as 01.dcm and so on. paths: the photos that the film is made of.
+    digest: that of the map's photo."""
+    from hybrid.dicom import PhotoFile, secondary_captures  # imports pydicom, which few need
 
     folder.mkdir(exist_ok=True)
     files = []

@@ -52,12 +52,12 @@ from hybrid.threads import one_thread
 
 
 class Rectifier:
-    """Rectifies photos; the networks are loaded once, here, and once in each process that it is sent to.
+    """Rectifies photos. The networks are loaded once, here, and once more in each process that it is sent to.
 
-    Nothing in it changes: threads may share it, and its copy is itself.
+    Nothing in it changes: threads may share it, and a copy is the same object.
 
     Raises:
-        ConfigError: ``config`` is no RectifyConfig. DataError: ``config.weights`` is not a weights file.
+        ConfigError: ``config`` is not a RectifyConfig. DataError: ``config.weights`` is not a weights file.
     """
 
     def __init__(self, config: RectifyConfig | None = None) -> None:
@@ -86,30 +86,31 @@ class Rectifier:
         """The flat film of a photo.
 
         Args:
-            source: a path, (H, W, 3) uint8 RGB, (H, W) uint8, or a picture of Pillow's.
-            corners: of the sheet, where a person knows them better than the network: four photo points (x, y), in any
-                order, exact to about a hundredth of the film. Then a film is given whatever the network sees.
+            source: a path, (H, W, 3) uint8 RGB, (H, W) uint8, or a Pillow image.
+            corners: the sheet's corners, if a person knows them better than the network: four photo points (x, y), in
+                any order, accurate to about a hundredth of the film. A film is then returned whatever the network sees.
 
         Raises:
-            PhotoError: the source cannot be read as a photo. A photo without a film is no error but a status.
-            ConfigError: these are no corners of a sheet that the photo shows.
+            PhotoError: the source cannot be read as a photo. A photo without a film is not an error but a status.
+            ConfigError: these cannot be the corners of a sheet in the photo.
         """
         clock = Clock()
         with one_thread():
             return self._rectified(*_photo_of(source, clock), corners, clock)
 
     def fuse(self, sources: Iterable[PhotoSource], names: Sequence[str] | None = None) -> RectifyResult:
-        """One film of several photos of it, between which phone or lamps moved, so that glare vanishes.
+        """One film from several photos of it, between which the phone or the lamps moved, so that glare vanishes.
 
-        names: of the photos, for messages; else they are numbered.
+        names: the photos' names in messages; by default they are numbered.
 
-        film, glare and confidence are made of all photos in which a film is found, as large as the largest of their
-        films; the others are left out (``result.left_out``). The rest is of the first of them whose map is sure, or the
-        first if none's is (``result.photo``), that map moved to where all whose map is sure say that the print lies
-        (all, if none is): status and expected error are theirs. The first photo's result where no film is found in any.
+        film, glare, covered and confidence combine all photos in which a film is found, at the size of the largest of
+        their films; the others are left out (``result.left_out``). The rest belongs to the first of these photos whose
+        map is sure, or to the first of them if no map is (``result.photo``). Its map is moved to where all photos with
+        sure maps (or all photos, if no map is sure) place the print; status and expected error are theirs. If no photo
+        shows a film, the first photo's result is returned.
 
         Args:
-            sources: as for a single photo, two or more.
+            sources: as for a single photo; two or more.
 
         Raises:
             PhotoError: a source cannot be read as a photo.
@@ -135,19 +136,19 @@ class Rectifier:
             return replace(fuse(photos, results, self._levels, *options, names), photos=len(photos))
 
     def edited(self, source: PhotoSource, edit: GridEdit) -> RectifyResult:
-        """The film of a photo anew, through the map and grid that a person has edited, of its size and way up.
+        """The film of a photo, made anew through the map and grid that a person edited, at the same size and way up.
 
-        The result that was edited itself where nothing is changed. Else what speaks for the map is not known: it is
-        ``UNSURE``, without an expected error.
+        If nothing was changed, the original result is returned. Otherwise the evidence for the map is not known: the
+        result is ``UNSURE``, without an expected error.
 
         Args:
-            source: the photo that was rectified, as for a single photo; of a fused film that of ``result.photo``, of
-                which alone it is made then, as a result of that photo and no longer of all.
-            edit: of what this rectifier made of it.
+            source: the photo that was rectified, as for a single photo; for a fused film, the photo ``result.photo``.
+                The new film is then made from that photo alone, and its result is that of a single photo.
+            edit: an edit of a result of this rectifier.
 
         Raises:
-            PhotoError: the source cannot be read as a photo. ConfigError: it is another photo (of another size), or
-            this is no GridEdit.
+            PhotoError: the source cannot be read as a photo. ConfigError: it is a different photo (of another size), or
+            the edit is not a GridEdit.
         """
         if not isinstance(edit, GridEdit):
             got, do = f"a {type(edit).__name__}", "Make one: GridEdit.of(result)."
@@ -186,9 +187,9 @@ class Rectifier:
         )
 
     def network_map(self, source: PhotoSource) -> BackwardMap | None:
-        """What the network alone makes of a photo, before refinement: the map of the film as it lies in the photo.
+        """The network's own map of a photo, before refinement: that of the film as it lies in the photo.
 
-        None where it sees no film. For comparing networks, which refinement would make alike.
+        None if it sees no film. For comparing networks, whose differences refinement would hide.
 
         Raises:
             PhotoError: the source cannot be read as a photo.
@@ -200,7 +201,7 @@ class Rectifier:
         return mean.backward if isinstance(mean, Inversion) else None
 
     def _rectified(self, photo: Photo, focal: float | None, corners: Corners | None, clock: Clock) -> RectifyResult:
-        """All stages, one after the other, until one says that there is no film. focal: as of ``_photo_of``."""
+        """Run all stages in turn, until one finds no film. focal: as returned by ``_photo_of``."""
         with clock.stage("survey") as report:
             shown = survey_photo(photo, self.config.survey)
             report.reason = shown.reason
@@ -252,7 +253,7 @@ class Rectifier:
     ) -> RectifyResult:
         """Read the photo once through the map, turn the film upright, then take the light out.
 
-        camera: what is known of it; None where the photo is the flat film itself: then the film is as large, and
+        camera: what is known of it; None if the photo is the flat film itself: the film then keeps its size, and
         nothing is stretched.
         """
         backward: BackwardMap = refinement.backward
@@ -298,7 +299,7 @@ class Rectifier:
         return light
 
     def _read(self, flat: Rectified, grid: SliceGrid | None, report: Report) -> tuple[Orientation, float | None]:
-        """How the flat film has to be moved to read right, by what it shows, and how sure that is then."""
+        """How the flat film must be moved to read right, by what it shows, and the probability that it then does."""
         config = self.config.upright
         if config.given is not None:
             report.reason = f"turned by {config.turn} degrees{' after mirroring' * config.mirror}, as was asked for"
@@ -314,7 +315,7 @@ class Rectifier:
 
 
 def _photo_of(source: PhotoSource, clock: Clock) -> tuple[Photo, float | None]:
-    """The photo, as a stage, and the focal length in its longer sides if its file tells it."""
+    """The photo, as a stage, and the focal length in units of its longer side if its file states it."""
     with clock.stage("read") as report:
         photo, focal = as_photo(source), told_focal(source)
         lens = "" if focal is None else f", by a lens of {focal:.2f} times its longer side"
@@ -323,7 +324,7 @@ def _photo_of(source: PhotoSource, clock: Clock) -> tuple[Photo, float | None]:
 
 
 def _with_lens(config: RectifyConfig, focal: float | None) -> RectifyConfig:
-    """The options for a photo whose focal length, in its longer sides, is told; one that was asked for stays."""
+    """The options for a photo whose focal length, in its longer sides, is known; one that was asked for is kept."""
     usual = config.refine.sheet
     if focal is None or usual.focal != SheetConfig().focal:
         return config
@@ -341,6 +342,6 @@ def rectify(photo: PhotoSource, effort: Effort | str = "default", corners: Corne
     """Rectify one photo with the packaged network and an effort's options; see Rectifier.
 
     Raises:
-        ConfigError: there is no such effort, or these are no corners of a film.
+        ConfigError: there is no such effort, or these cannot be a film's corners.
     """
     return _rectifier(RectifyConfig.of(effort))(photo, corners)

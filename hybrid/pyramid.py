@@ -1,7 +1,7 @@
-"""The photo at half its size, a quarter and so on: whoever looks at it takes the smallest copy that is large enough.
+"""The photo at half its size, a quarter and so on: every stage takes the smallest copy that is large enough.
 
 Halving is what image libraries do quickest: 4 ms for 12 megapixels, where averaging over 2.9 x 2.9 pixels takes 56 ms.
-Every copy is made from the one before, once, when it is first asked for, and serves all stages.
+Every copy is made from the one before, once, when it is first asked for, and is shared by all stages.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ Photo = UInt8[np.ndarray, "h w 3"]
 
 
 class Pyramid:
-    """A photo and its copies, area-averaged by 2, 4, 8 ...; a row or column left over at the end is left out."""
+    """A photo and its copies, area-averaged by 2, 4, 8 ...; an odd last row or column is dropped."""
 
     def __init__(self, photo: Photo) -> None:
         self._copies = [photo]
@@ -37,9 +37,9 @@ class Pyramid:
         return self._at(level), 2**level
 
     def scaled(self, scale: float, slack: float = 1.15) -> tuple[Photo, tuple[float, float]]:
-        """The photo scaled by about ``scale``, and exactly by how much along (x, y); never enlarged.
+        """The photo scaled by about ``scale``, and the exact scale along (x, y); never enlarged.
 
-        Copies up to ``slack`` times as large are taken as they are. Else the last step, by less than 2, is bilinear.
+        Copies up to ``slack`` times as large are used as is. Otherwise the last step, by less than 2, is bilinear.
         """
         copy, factor = self.reduced(1.0 / scale)
         height, width = copy.shape[:2]

@@ -30,8 +30,8 @@ class CoarseMaps:
     photo_points: (h, w, 2) photo points (full-resolution pixels) of the pixel centres.
     expected_error: how wrong the network expects uv to be, in film units; None where it does not say.
     phases: cosine and sine of where in its cell each pixel lies, a full turn from cell to cell: across the film, then
-        down; the shorter the pair, the less sure. in_grid: probability that a film pixel lies in a cell. covered: that
-        something lies before a pixel of the sheet. None where the network does not say.
+        down. The shorter the pair, the less sure the network is. in_grid: probability that a film pixel lies in a cell.
+        covered: probability that something lies in front of a pixel of the sheet. None where the network does not say.
     """
 
     mask: Float[np.ndarray, "h w"]
@@ -64,7 +64,7 @@ class SliceGrid:
     rows, cols: number of slices down and across.
     vertices: (rows + 1, cols + 1, 2) film uv of the corners of the cells, row 0 the top.
     vertices_photo: (rows + 1, cols + 1, 2) the same corners as photo points.
-    confidence: in [0, 1], how well the photo bears the grid out.
+    confidence: in [0, 1], how well the photo supports the grid.
     """
 
     rows: int
@@ -90,11 +90,11 @@ class SliceGrid:
 
     @property
     def lopsided(self) -> float:
-        """How unlike the margins around it are on both sides of the film, along the worse axis, in film units."""
+        """How much the margins on opposite sides of the grid differ, along the worse axis, in film units."""
         return float(np.abs(self.vertices[0, 0] - (1.0 - self.vertices[-1, -1])).max())
 
     def turned(self, way: Orientation) -> SliceGrid:
-        """The grid of the film read after it was moved as ``way`` says; see ``BackwardMap.turned``."""
+        """The grid of the film after it was moved as ``way`` says; see ``BackwardMap.turned``."""
         vertices, photo = (way.moved(points) for points in (way.film_from_seen(self.vertices), self.vertices_photo))
         rows, cols = photo.shape[0] - 1, photo.shape[1] - 1
         return SliceGrid(rows, cols, vertices.copy(), photo.copy(), self.confidence)
@@ -138,7 +138,7 @@ class StatusCode(Enum):
 class Status:
     """How a rectification ended: ``status.ok``, and ``str(status)`` for a person.
 
-    ok: the film lies where the result says. has_film: a film is given, sure (ok) or not (``StatusCode.UNSURE``).
+    ok: the film lies where the result says. has_film: there is a film, sure (ok) or not (``StatusCode.UNSURE``).
     doubts: why it is not sure, each in a few words.
     """
 
@@ -172,7 +172,7 @@ class StageReport:
 
 @dataclass(frozen=True)
 class LeftOut:
-    """A photo that a fused film is not made of: its index among those that were given, and why."""
+    """A photo that a fused film is not made of: its index among the given photos, and why."""
 
     photo: int
     why: str
@@ -180,31 +180,31 @@ class LeftOut:
 
 @dataclass(frozen=True)
 class Signs:
-    """What speaks for a map and against it.
+    """The evidence for and against a map.
 
     overlap_before: intersection over union of the network's mask with the sheet's outline before refinement.
-    overlap_after: the same of the mask seen in one more look, with the outline of the finished map.
-    alike: share of the detail that the cells have in common beyond what chance gives, 0 without a grid.
+    overlap_after: the same for the mask seen in one more look and the outline of the finished map.
+    alike: share of detail that the cells have in common, beyond chance; 0 without a grid.
     grid: whether the grid is known along both axes. corrected: whether the correction was believed.
     edges: number of the sheet's edges that were seen.
     film_px, photo_px: side of a square of the film's area in the photo, and the photo's longer side.
-    levels: number of grey levels, of 255, that the photo makes use of.
-    support: least mean probability, over the sides, that the sheet's edge lies where the finished map puts it.
-    in_step: agreement of the grid with what the last look tells of the cells, along the worse axis; 0 without a grid.
+    levels: number of grey levels, of 255, that the photo uses.
+    support: mean probability that the sheet's edge lies where the finished map puts it, for the side where it is least.
+    in_step: agreement of the grid with the cells seen in the last look, along the worse axis; 0 without a grid.
     seen_beside: root mean square over the film of the displacement between the finished map and what that look sees,
-        smoothed to a quadratic function of film points, in parts of the film's size.
-    stated: the error that refinement itself expects, in parts of the film's size.
-    edges_beside: how far beside the finished map's edges that one is read which is read farthest, at the median along
-        it, in film units.
-    borders_shown: mean probability that borders between cells show where the grid has them.
-    lopsided: of the grid (``SliceGrid.lopsided``).
+        smoothed to a quadratic function of film points, as a fraction of the film's size.
+    stated: the error that refinement itself expects, as a fraction of the film's size.
+    edges_beside: distance between an edge as it is read and as the finished map has it, at the median along the edge
+        where it is largest, in film units.
+    borders_shown: mean probability that borders between cells are visible where the grid has them.
+    lopsided: ``SliceGrid.lopsided`` of the grid.
     sheet: whether a bent sheet explains what was seen.
-    flat: whether the photo was found to be the flat film itself; only ``lopsided`` and ``off_frame`` count then.
-    off_frame: how far from such a photo's frame what is refined from there ends, in parts of the film's size.
-    doubted: whether it was in doubt at first, so that this is the surest of several refinements.
+    flat: whether the photo was found to be the flat film itself; then only ``lopsided`` and ``off_frame`` count.
+    off_frame: for such a photo, how far from its frame a refinement started there ends, in parts of the film's size.
+    doubted: whether the film was in doubt at first, so that this is the surest of several refinements.
     weakest: the edge with the least support, as the film lies in the photo: top, bottom, left or right.
-    outside: edges, named likewise, that lie outside the photo for the most part.
-    near: whether the film shows in a look at a part of the photo alone.
+    outside: edges, named the same way, that lie mostly outside the photo.
+    near: whether the film shows only in a look at a part of the photo.
     """
 
     overlap_before: float
@@ -240,23 +240,23 @@ class RectifyResult:
     rectified: (h, w, 3) uint8 sRGB: flat, light kept.
     backward: the map from film uv to photo points.
     grid: the slice grid, or None where none was found.
-    orientation: how the film as it lay in the photo was moved to read right; not at all where that is not sure.
-    upright_probability: that the film as it is given reads right; None where nothing could be read.
-    glare: (h, w) bool, where the photo is clipped or veiled so that nothing could be recovered; not beyond its edge,
-        where the film is black and its confidence 0.
-    covered: (h, w) bool, where something lies before the film (a hand, a clip, tape): the film shows it, not the print.
+    orientation: how the film was moved, from the way it lay in the photo, to read right; not at all if that is unsure.
+    upright_probability: probability that the film as returned reads right; None if nothing could be read.
+    glare: (h, w) bool, where the photo is so clipped or veiled that nothing could be recovered. Not beyond the photo's
+        edge, where the film is black and its confidence 0.
+    covered: (h, w) bool, where something hides the film (a hand, a clip, tape): the film shows it, not the print.
     confidence: (h, w) float32 in [0, 1], how far the film can be trusted; 0 on glare and where it is covered.
     expected_error_px: mean distance, in pixels of the photo, by which film points are expected to be off; the true one
-        is as often larger as smaller.
-    limit_px: largest distance, in pixels of the photo, that a film whose status is OK may be off in truth. That it is
-        off by less must be 95 % probable (``TrustConfig.least_chance``), and nothing else may speak against it
+        is larger as often as smaller.
+    limit_px: largest error, in pixels of the photo, that the status OK allows. The true one must be smaller with a
+        probability of 95 % (``TrustConfig.least_chance``), and nothing else may speak against the film
         (``status.doubts``).
-    signs: what speaks for the map and against it, of which both are told (``rectify/trust.py``).
+    signs: the evidence for and against the map, from which both are computed (``rectify/trust.py``).
     photo_size: height and width of the photo in pixels.
-    photo: of a film fused from several photos the index of the one that rectified, backward and the grid's vertices in
-        the photo are of: the first whose map is sure, or else that shows a film. photos: how many were given to be
-        fused, 1 of others.
-    left_out: which of these it is not made of.
+    photo: for a film fused from several photos, the index of the photo that rectified, backward and the grid's vertices
+        in the photo are of: the first whose map is sure, or else the first that shows a film. photos: how many photos
+        were given to be fused; 1 for other films.
+    left_out: the photos that the film is not made of.
     """
 
     status: Status
@@ -279,15 +279,15 @@ class RectifyResult:
     left_out: tuple[LeftOut, ...] = ()
 
     def made_of(self, photos: Sequence[Photo]) -> list[Photo]:
-        """Those of the photos that were given, in their order, that the film is made of."""
+        """Those of the given photos that the film is made of, in their order."""
         without = {one.photo for one in self.left_out}
         return [photo for index, photo in enumerate(photos) if index not in without]
 
     def of_photo(self, size: tuple[int, ...], where: object = None) -> None:
-        """Refuse a photo of another ``size`` (height, width) than the one that this is the result of.
+        """Refuse a photo whose ``size`` (height, width) differs from that of the photo that this result is of.
 
         Raises:
-            ConfigError: it is another photo.
+            ConfigError: it is a different photo.
         """
         if self.photo_size is not None and tuple(size[:2]) != self.photo_size:
             got, allowed = (f"{w} x {h} pixels" for h, w in (size[:2], self.photo_size))

@@ -1,4 +1,4 @@
-"""``hybrid rectify`` over many photos: each is rectified and written, and what a person should know of it is told."""
+"""``hybrid rectify`` over many photos: each is rectified and written, and what a person should know is reported."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ class Outcome:
 
     ok: a film was found and every file is written. unsure: that film may be off.
     message: the status, or the error, as a sentence.
-    files: what was written, in that order.
-    warnings: what a person should look at, a sentence each.
+    files: what was written, in order.
+    warnings: what a person should look at, one sentence each.
     """
 
     photo: Path
@@ -53,10 +53,11 @@ def rectify_files(
     workers: int = 1,
     dicom: bool = False,
 ) -> list[Outcome]:
-    """Rectify photos into the folder ``out``; a bad photo is told, and the next one follows.
+    """Rectify photos into the folder ``out``; a photo that fails is reported, and the next one follows.
 
-    made: what goes into the JSON of how it was made. verbose: whether each stage is told, too. workers: processes that
-    share the photos. Photos of one name are one task, so that they are numbered in their order. dicom: as write_result.
+    made: what the JSON says of how a film was made. verbose: whether to report each stage, too. workers: processes that
+    share the photos. Photos of one name are one task, so that they are numbered in their order. dicom: as in
+    write_result.
     """
     make_folder(out)
     named: dict[str, list[Path]] = {}
@@ -85,7 +86,7 @@ def _all_rectified(
 
 
 def _lost(paths: Sequence[Path], error: HybridError) -> list[tuple[Outcome, str]]:
-    """Outcomes of photos whose worker died, and what is said of them."""
+    """Outcomes of photos whose worker died, and what is printed about them."""
     return [(Outcome(path, False, str(error)), f"{path}\n  ERROR  {error}") for path in paths]
 
 
@@ -93,7 +94,7 @@ def _rectified(
     path: Path, out: Path, rectify: Rectify, rectified_format: RectifiedFormat, made: Mapping[str, Any], verbose: bool,
     dicom: bool,
 ) -> tuple[Outcome, str]:  # fmt: skip
-    """How a photo ended, and what is said of it."""
+    """How a photo ended, and what is printed about it."""
     try:
         start = time.perf_counter()
         photo = read_photo(path)
@@ -107,7 +108,7 @@ def _rectified(
     except (HybridError, OSError, MemoryError) as error:
         outcome = Outcome(path, False, told(error, out))
         return outcome, f"{path}\n  ERROR  {outcome.message}"
-    except Exception as error:  # a defect of this program must not cost the photos that are still to come
+    except Exception as error:  # a bug in this program must not cost the photos that are still to come
         outcome = Outcome(path, False, f"internal error: {type(error).__name__}: {error}")
         return outcome, f"{path}\n  ERROR  {outcome.message}\n{traceback.format_exc()}"
 
@@ -115,8 +116,8 @@ def _rectified(
 def report_lines(
     path: Path, result: RectifyResult, files: Iterable[Path], warnings: Iterable[str], verbose: bool = True
 ) -> list[str]:
-    """What is printed for one photo: its status, what to look at, and where the pictures are; with ``verbose`` a line
-    for each stage before that."""
+    """What is printed for one photo: its status, what to look at, and where the pictures are; with ``verbose``, first a
+    line for each stage."""
     seconds = sum(stage.seconds for stage in result.stages)
     lines = [str(path), *(f"  {stage}" for stage in result.stages if verbose)]
     grid = f"{result.grid.rows} x {result.grid.cols} slices" if result.grid is not None else "no grid of slices"
@@ -128,10 +129,10 @@ def report_lines(
 
 
 TELL_LOST = 0.03
-"""From this share of the film on it is told what is lost to glare, or hidden."""
+"""Share of the film above which parts lost to glare, or hidden, are reported."""
 SURE_UPRIGHT = 0.95
-"""A film that reads right as it is given with less than this probability is one to look at: of 84 photos turned or
-mirrored, with small writing, 2 were not put upright, both of them with less; of 12 that lay right none had less."""
+"""A film that reads right with a probability below this is one to look at: of 84 photos turned or mirrored, with small
+writing, 2 were not put upright, both of them with less; of 12 that lay right none had less."""
 
 
 def warnings_of(result: RectifyResult) -> list[str]:
@@ -150,12 +151,12 @@ def warnings_of(result: RectifyResult) -> list[str]:
 
 
 def left_out_photos(paths: Sequence[Path], result: RectifyResult) -> list[str]:
-    """Which of the photos that were to be fused the film is not made of, and why."""
+    """Which of the photos to be fused the film is not made of, and why."""
     return [f"{paths[one.photo].name} is left out: {one.why}." for one in result.left_out]
 
 
 def further_pictures(paths: Sequence[Path]) -> list[str]:
-    """Of which photos the files hold more pictures, which were not read."""
+    """Which photos have files with more pictures, which were not read."""
     names = ["It"] if len(paths) == 1 else [path.name for path in paths]
     return [
         f"{name} is the first of {count} pictures in its file."

@@ -14,24 +14,24 @@ _ARC, _SIDE = 17, 33
 
 @dataclass(frozen=True)
 class RoundCorners:
-    """Radius of a sheet's corners, in parts of its width (u) and of its height (v); each in (0, 0.5]."""
+    """Radius of a sheet's corners, as a fraction of its width (u) and of its height (v); each in (0, 0.5]."""
 
     u: float
     v: float
 
     def cut(self, uv: Float[np.ndarray, "*n 2"]) -> Bool[np.ndarray, "*n"]:
-        """Which film points lie beyond the arcs; not those that are NaN."""
+        """Which film points lie beyond the arcs; NaN points do not."""
         radius = np.array([self.u, self.v], uv.dtype)
         within = 1 - np.minimum(uv, 1 - uv) / radius  # from where the arc begins, in radii
         beyond = np.square(np.maximum(within, 0)).sum(axis=-1) > 1
         return np.asarray(beyond & (within.min(axis=-1) > 0))
 
     def turned(self, quarters: int) -> RoundCorners:
-        """Those of the sheet turned by so many quarters."""
+        """Those of the sheet after this many quarter turns."""
         return RoundCorners(self.v, self.u) if quarters % 2 else self
 
     def centres(self) -> Float[np.ndarray, "4 2"]:
-        """Film points about which the arcs turn, in the order of FILM_CORNERS."""
+        """Film points that are the centres of the arcs, in the order of FILM_CORNERS."""
         return np.abs(FILM_CORNERS - [self.u, self.v])
 
     def outline(self) -> Float[np.ndarray, "n 2"]:

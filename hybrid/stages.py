@@ -31,8 +31,8 @@ class Clock:
         self.reports += (StageReport(name, report.ran, report.reason, time.perf_counter() - start),)
 
     def counts(self, reports: Sequence[StageReport]) -> None:
-        """Of stages that ran several times, has these reported; seconds are of the first run, the others' being in the
-        stages that called for them."""
+        """Put these reports in place of those of stages that ran several times. Seconds stay those of the first run;
+        the others are part of the stages that called for them."""
         said = {report.name: report for report in reports}
         self.reports = tuple(
             replace(said[report.name], seconds=report.seconds) if report.name in said else report

@@ -17,7 +17,7 @@ from hybrid.pyramid import Photo, Pyramid
 
 @dataclass(frozen=True)
 class Side:
-    """One side of the sheet. ``axis``: the coordinate that is known on it; ``edge``: its value; ``inward``: +-1."""
+    """One side of the sheet. ``axis``: the coordinate that is fixed on it; ``edge``: its value; ``inward``: +-1."""
 
     name: str
     axis: int
@@ -25,7 +25,7 @@ class Side:
     inward: float
 
     def film_points(self, along: Float[np.ndarray, " n"], depth: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 2"]:
-        """Film points at places along the side, so far inside of it."""
+        """Film points at places along the side, at these depths inside it."""
         points = np.empty((len(along), 2))
         points[:, self.axis], points[:, 1 - self.axis] = self.edge + self.inward * depth, along
         return points
@@ -41,7 +41,7 @@ SIDES = (
 
 @dataclass(frozen=True)
 class StripConfig:
-    """rows: across the edge, from ``reach`` (film units) outside its predicted place to as much inside. columns: along
+    """rows: across the edge, from ``reach`` (film units) outside its predicted place to as far inside. columns: along
     it, each the mean of ``fine`` samples."""
 
     rows: int = 96
@@ -60,18 +60,18 @@ class StripConfig:
         return float(self.depth[1] - self.depth[0])
 
     def depth_of(self, row: np.ndarray) -> np.ndarray:
-        """The same at fractions of rows."""
+        """The same at fractional rows."""
         return np.interp(row, np.arange(self.rows), self.depth)
 
     def row_of(self, depth: np.ndarray) -> np.ndarray:
-        """Its inverse, going on beyond the strip."""
+        """Its inverse, continued beyond the strip."""
         return (depth - self.depth[0]) / self.pitch
 
 
 @dataclass(frozen=True, eq=False)
 class StripReader:
-    """What reads strips. strip: how they are cut. logs: of strips, four after four that belong together, and of where
-    the photo covers them, the log-probabilities of the rows at which the edge crosses each column; the last: it is not
+    """What reads strips. strip: how they are cut. logs: from strips, in fours that belong together, and from where the
+    photo covers them, the log-probabilities of the rows at which the edge crosses each column; the last: that it is not
     in the strip."""
 
     strip: StripConfig
@@ -81,8 +81,8 @@ class StripReader:
 def view_across(
     photo: Photo, film: BackwardMap, side: Side, depth: Float[np.ndarray, " d"], columns: int, fine: int
 ) -> tuple[Float[np.ndarray, "d p 3"], Bool[np.ndarray, "d p"]]:
-    """The photo across one side: rows at these depths inside of it, columns that are means of ``fine`` samples along
-    it; and where the photo covers all of them."""
+    """The photo across one side: rows at these depths inside it, columns that are means of ``fine`` samples along it;
+    and where the photo covers all of these samples."""
     along, across = film_centres_1d(columns * fine), side.edge + side.inward * depth
     if side.axis == 1:
         view = view_film(photo, film, along, across)
@@ -94,7 +94,7 @@ def view_across(
 
 
 def _all_of_each(inside: Bool[np.ndarray, "d n"], fine: int) -> Bool[np.ndarray, "d p"]:
-    """Whether all of each ``fine`` columns are true."""
+    """Whether all columns in each group of ``fine`` are true."""
     if inside.all():
         return np.ones((len(inside), inside.shape[1] // fine), dtype=bool)
     return np.logical_and.reduce([inside[:, k::fine] for k in range(fine)])
@@ -116,7 +116,7 @@ def edge_strips(
 def strips_across(
     photo: Photo, lines: Sequence[tuple[Side, BackwardMap]], config: StripConfig
 ) -> tuple[UInt8[np.ndarray, "k r c 3"], Bool[np.ndarray, "k r c"]]:
-    """Strips across lines, each as a map of its own predicts it, and where the photo covers them."""
+    """Strips across lines, each predicted by a map of its own, and where the photo covers them."""
     images = np.empty((len(lines), config.rows, config.columns, 3), np.uint8)
     inside = np.empty(images.shape[:3], bool)
     for k, (side, film) in enumerate(lines):

@@ -1,4 +1,4 @@
-"""How many threads work on a photo: one in linear algebra, those that OpenCV may use on a picture's strips."""
+"""How many threads work on a photo: one in linear algebra, and on strips of a picture as many as OpenCV may use."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from threadpoolctl import LibController, ThreadpoolController
 
 
 class _OneThread:
-    """The limit of linear algebra to one thread, which is the process's: of calls that overlap the first sets it and
-    the last takes it back. So none goes on with more, by which results would differ in their last digits, and the
+    """Limits linear algebra to one thread. The limit is the process's: of calls that overlap, the first sets it and the
+    last lifts it. So no call continues with more threads, which would change the last digits of results, and the
     process is left as it was."""
 
     def __init__(self) -> None:
@@ -38,8 +38,8 @@ class _OneThread:
 
 
 def _set_threads(library: LibController, threads: int) -> None:
-    """As the library itself does: from threadpoolctl 3.8 on what one thread has set no other may take back, and which
-    call ends last is not known."""
+    """As the library itself does: from threadpoolctl 3.8 on, no thread can take back what another has set, and it is
+    not known which call ends last."""
     getattr(library, "_real_set_num_threads", library.set_num_threads)(threads)
 
 
@@ -47,14 +47,14 @@ _ONE_THREAD = _OneThread()
 
 
 def one_thread() -> AbstractContextManager[None]:
-    """Linear algebra uses one thread meanwhile: on matrices this small, several wait more than they work."""
+    """Linear algebra uses one thread meanwhile: on matrices this small, several threads wait more than they work."""
     return _ONE_THREAD
 
 
 def in_strips(work: Callable[[slice], None], height: int, rows: int) -> None:
-    """``work`` on each strip of so many rows of a picture, so that all its steps stay in the processor's cache.
+    """Run ``work`` on each strip of so many rows of a picture, so that all its steps stay in the processor's cache.
 
-    As many strips at a time as OpenCV has threads, which is a worker's share of the processors where several work.
+    As many strips run at a time as OpenCV has threads, which is a worker's share of the processors if several work.
     """
     strips = (slice(top, min(top + rows, height)) for top in range(0, height, rows))
     with ThreadPoolExecutor(max_workers=max(cv2.getNumThreads(), 1)) as pool:
@@ -63,7 +63,7 @@ def in_strips(work: Callable[[slice], None], height: int, rows: int) -> None:
 
 @lru_cache(maxsize=1)
 def _linear_algebra() -> tuple[LibController, ...]:
-    """Looks for the libraries once; they are loaded by then."""
+    """Find the libraries once; they are loaded by then."""
     return tuple(x for x in ThreadpoolController().lib_controllers if x.user_api == "blas")
 
 

@@ -1,4 +1,4 @@
-"""The same work on many photos, shared out among processes of this machine."""
+"""The same work on many photos, shared among processes of this machine."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ Done = TypeVar("Done")
 def shared_out(
     work: Callable[[Tool, Task], Done], make_tool: Callable[[], Tool], tasks: Sequence[Task], workers: int
 ) -> Iterator[Done | HybridError]:
-    """``work(tool, task)`` for each task, in their order; an error that says so for one that ends its process.
+    """``work(tool, task)`` for each task, in order; for a task that ends its process, an error that says so.
 
-    Each worker makes a tool of its own, and uses its share of the processors. One worker is this process itself;
-    more are new ones, so all arguments have to be such as can be sent to them. Where the caller stops early, or is
-    interrupted, tasks under way are finished and no others begun.
+    Each worker makes its own tool and uses its share of the processors. One worker is this process itself; more are new
+    processes, so it must be possible to send all arguments to them. If the caller stops early or is interrupted,
+    running tasks are finished and no others are started.
     """
     count = min(workers, len(tasks))
     if count < 2:
@@ -39,14 +39,14 @@ def shared_out(
     while at < len(tasks):
         left = [number for number in range(at, len(tasks)) if number not in ready]
         with _pool(make_tool, count) as pool:
-            with deaf_to_interrupts():  # a task that finds no process idle starts one
+            with deaf_to_interrupts():  # a task that finds no idle process starts one
                 futures = {number: pool.submit(_do, work, tasks[number]) for number in left}
             try:
                 while at < len(tasks):
                     yield ready.pop(at) if at in ready else futures[at].result()
                     at += 1
                 return
-            except BrokenProcessPool:  # so end all that were under way or waiting, whichever of them is to blame
+            except BrokenProcessPool:  # this ends all that were running or waiting, whichever of them is to blame
                 ended = [number for number in left if number >= at and futures[number].exception() is None]
         ready |= {number: futures[number].result() for number in ended}
         under_way = [number for number in left if number >= at and number not in ready][:count]
@@ -54,7 +54,7 @@ def shared_out(
 
 
 def _alone(work: Callable[[Tool, Task], Done], make_tool: Callable[[], Tool], task: Task) -> Done | HybridError:
-    """A task in a process of its own, which it may end without harm to others."""
+    """Run a task in a process of its own, which it may end without harm to others."""
     with _pool(make_tool, 1) as pool:
         with deaf_to_interrupts():
             future = pool.submit(_do, work, task)
@@ -67,7 +67,7 @@ def _alone(work: Callable[[Tool, Task], Done], make_tool: Callable[[], Tool], ta
 
 @contextmanager
 def _pool(make_tool: Callable[[], Any], count: int) -> Iterator[ProcessPoolExecutor]:
-    """Processes that share the processors, each with a tool."""
+    """Processes that share the processors, each with its own tool."""
     starting = partial(_start, make_tool, max(_processors() // count, 1))
     pool = ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), starting)
     try:
@@ -78,8 +78,8 @@ def _pool(make_tool: Callable[[], Any], count: int) -> Iterator[ProcessPoolExecu
 
 @contextmanager
 def deaf_to_interrupts() -> Iterator[None]:
-    """Processes that are started within have no ear for Ctrl-C: their parent hears it, and ends them or waits for them;
-    else each of them would print a stack trace. Nothing changes outside the main thread, which alone may ask for this.
+    """Processes started inside ignore Ctrl-C: their parent receives it, and ends them or waits for them; otherwise each
+    of them would print a stack trace. Outside the main thread, which alone may do this, nothing changes.
     """
     main = threading.current_thread() is threading.main_thread()
     handler = signal.signal(signal.SIGINT, signal.SIG_IGN) if main else None
@@ -91,7 +91,7 @@ def deaf_to_interrupts() -> Iterator[None]:
 
 
 def leave_with_parent() -> None:
-    """End this process when its parent is gone, killed perhaps: else it would wait for tasks for ever."""
+    """End this process when its parent is gone, killed perhaps: otherwise it would wait for tasks for ever."""
     parent = multiprocessing.parent_process()
     if parent is not None:
 
@@ -120,7 +120,7 @@ def _start(make_tool: Callable[[], Any], threads: int) -> None:
     torch.set_num_threads(threads)
     try:
         _TOOL = make_tool()
-    except HybridError as error:  # raised here it would be told as a process that died
+    except HybridError as error:  # raised here, it would be reported as a process that died
         _NO_TOOL = error
 
 
@@ -131,7 +131,7 @@ def _do(work: Callable[[Any, Task], Done], task: Task) -> Done:
 
 
 def _processors() -> int:
-    """Those that this process may use."""
+    """Processors that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 

@@ -1,4 +1,4 @@
-"""The baselines from photo to backward map: DewarpNet as published and with its due, FiReNet with its recovery."""
+"""The baselines, from photo to backward map: DewarpNet as published and corrected, FiReNet with its recovery."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ from hybrid.learn.views import view_image, whole_view
 
 
 def dewarpnet_map(network: DewarpNet, photo: UInt8[np.ndarray, "H W 3"]) -> BackwardMap:
-    """The network's map of a photo squeezed into its square input, as released, in units of the photo's sides."""
+    """The network's map of a photo resized to its square input, as released, in units of the photo's sides."""
     px = network.config.input_px
     return BackwardMap(first_map(_answer(network, cv2.resize(photo, (px, px))).backward))
 
 
 def corrected(network: DewarpNet, photo: UInt8[np.ndarray, "H W 3"]) -> BackwardMap:
-    """DewarpNet given its due, in pixels: the photo shown as in training, its nodes read as nodes (convention 5)."""
+    """DewarpNet corrected, in pixels: the photo is shown as in training, nodes are read as nodes (convention 5)."""
     view = whole_view((photo.shape[0], photo.shape[1]))
     output = _answer(network, view_image(photo, view, network.config.input_px))
     return _in_photo(BackwardMap(first_map(output.backward)), view)
@@ -45,10 +45,10 @@ def published_points(backward: BackwardMap, size: tuple[int, int]) -> Float[np.n
     """Photo points that the published inference reads for every pixel of a film image of the photo's ``size``.
 
     backward: in units of the photo's sides. The released network predicts values at the centres of a 128 x 128 film
-    image; these are taken from the map first, so that nothing below is the fault of our nodes. Then, as released:
-    a 3 x 3 mean, which mirrors the values at the rim and so pulls the outline inwards; a resize as if the map were an
+    image; the map is first sampled there, so that our nodes cause none of the errors below. Then follow, as released, a
+    3 x 3 mean, which mirrors the values at the rim and so pulls the outline inwards; a resize as if the map were an
     image, which repeats its rim; and a lookup in which 0 and 1 are the centres of the photo's outermost pixels (the
-    meaning of ``grid_sample`` when the code was written), where the training data had them at the photo's sides.
+    meaning of ``grid_sample`` when the code was written), whereas the training data put them at the photo's sides.
     """
     height, width = size
     blurred = cv2.blur(backward.dense((NODES, NODES)), (3, 3))
@@ -80,7 +80,7 @@ def published_map(backward: BackwardMap, size: tuple[int, int]) -> BackwardMap:
 
 @dataclass(frozen=True, eq=False)
 class Recovery:
-    """What FiReNet makes of a photo, which it is shown as in training: the smallest square around it.
+    """FiReNet's result for a photo, which it sees as in training: in the smallest square around it.
 
     seen: its map in units of the square's sides, on as many nodes as the network's maps have pixels. albedo: the print
     as the square shows it, display grey. view: the square, in pixels of the photo.
@@ -96,15 +96,15 @@ class Recovery:
         return _in_photo(self.seen, self.view)
 
     def film(self, size: tuple[int, int]) -> Float[np.ndarray, "h w"]:
-        """The paper's final output D_ab: the albedo map unwarped, display grey, at the network's resolution, which is
-        then enlarged."""
+        """The paper's final output D_ab: the albedo map unwarped at the network's resolution and then enlarged, in
+        display grey."""
         maps = self.albedo.shape
         flat = sample_bilinear(self.albedo, rescale_points(self.seen.dense(maps), (1, 1), maps))
         return cv2.resize(flat, size[::-1], interpolation=cv2.INTER_LINEAR)
 
 
 def recover(network: FiReNet, photo: UInt8[np.ndarray, "H W 3"], outline: bool = True) -> Recovery:
-    """FiReNet with its recovery. outline: by the points of its deformation map, too, if it has one.
+    """FiReNet with its recovery. outline: also use the points of its deformation map, if it has one.
 
     Raises:
         PhotoError: the network finds no film.
@@ -125,14 +125,14 @@ def _answer(network: torch.nn.Module, image: UInt8[np.ndarray, "px px 3"]) -> An
     """The network's output for an image of its input's size."""
     network = network.eval().to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
     batch = image_batch([image])
-    return network(batch.contiguous(memory_format=torch.channels_last))  # a tenth quicker on processors, as FilmNet's
+    return network(batch.contiguous(memory_format=torch.channels_last))  # a tenth faster on CPUs, as with FilmNet
 
 
 def _in_photo(backward: BackwardMap, view: BackwardMap) -> BackwardMap:
-    """A map in units of a view's sides, in pixels of the photo."""
+    """Convert a map in units of a view's sides to pixels of the photo."""
     return BackwardMap(view.photo_from_film(backward.nodes))
 
 
 def in_pixels(backward: BackwardMap, size: tuple[int, int]) -> BackwardMap:
-    """A map in units of the photo's sides, in pixels of a photo of ``size`` (height, width)."""
+    """Convert a map in units of the photo's sides to pixels of a photo of ``size`` (height, width)."""
     return backward.cropped((0.0, 0.0), (float(size[1]), float(size[0])))

@@ -14,7 +14,7 @@ GROUPS = 8
 
 
 def scaled(channels: int, width: float) -> int:
-    """Channels of a layer at a width factor: the nearest multiple of GROUPS, at least one group of them."""
+    """Channels of a layer at a width factor: the nearest multiple of GROUPS, at least GROUPS."""
     return GROUPS * max(1, round(channels * width / GROUPS))
 
 
@@ -40,8 +40,8 @@ class TripleConv(nn.Sequential):
 class UNetEncoder(nn.Module):
     """Features of an image at full resolution and after each halving.
 
-    Each step convolves first and halves by max pooling after it, as the published code does: most of the arithmetic
-    is done at the finer of the two resolutions.
+    Each step convolves first and then halves by max pooling, as the published code does: most of the arithmetic is done
+    at the finer of the two resolutions.
     """
 
     def __init__(self, inputs: int, widths: Sequence[int]) -> None:
@@ -51,7 +51,7 @@ class UNetEncoder(nn.Module):
         self.bottom = TripleConv(widths[-1], widths[-1])
 
     def forward(self, image: Tensor) -> list[Tensor]:
-        """Features from fine to coarse, of (B, inputs, H, W) whose sides divide by 2 to the number of halvings."""
+        """Features, fine to coarse, of (B, inputs, H, W) with sides divisible by 2 to the number of halvings."""
         features = [self.first(image)]
         for step in self.steps:
             features.append(functional.max_pool2d(step(features[-1]), 2))
@@ -79,13 +79,14 @@ class UNetDecoder(nn.Module):
         return self.decoded(self.features(encoded))
 
     def decoded(self, features: Tensor) -> Tensor:
-        """The output of the finest features, in single precision."""
+        """The output for the finest features, in single precision."""
         return in_single_precision(self.head, features)
 
 
 def in_single_precision(layer: nn.Module, x: Tensor) -> Tensor:
-    """What a last layer makes of ``x``, whatever autocast has others compute in: bfloat16 tells one half to a 256th."""
-    if not torch.amp.is_autocast_available(x.device.type):  # tensors without values, of which only shapes are asked
+    """Apply a last layer to ``x`` in single precision, whatever type autocast computes other layers in: near one half,
+    bfloat16 has steps of a 256th."""
+    if not torch.amp.is_autocast_available(x.device.type):  # meta tensors, used for their shapes only
         return layer(x)
     with torch.autocast(x.device.type, enabled=False):
         return layer(x.float())

@@ -1,5 +1,5 @@
-"""Training views of BorderNet: strips across the borders between cells that a map and a grid predict, and where these
-really are."""
+"""Training views of BorderNet: strips across the borders between cells that a map and a grid predict, and where the
+borders really are."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ from hybrid.strips import StripConfig, strip_copy
 
 @dataclass(frozen=True)
 class BorderAugment:
-    """How the map that flattens a film errs, and the grid that the film is held to.
+    """Errors of the map that flattens a film, and of the grid laid over it.
 
-    found_share: maps that FilmNet made, where these are known. plane_error, bend_error: range of one sigma of the error
-    of the corners and of a smooth bent one, in parts of the film; FilmNet's maps have only the former added.
-    bend_nodes: numbers of nodes of the bent error. place_error: one sigma of where the ends of the grid lie, in film
-    units. far_share: of all views those in which the grid lies far beside; far: by how much at most, in cells. colours:
+    found_share: share of FilmNet's maps, where these are known. plane_error, bend_error: ranges of one sigma of the
+    error of the corners and of a smooth bending error, as a fraction of the film; FilmNet's maps get only the former.
+    bend_nodes: numbers of nodes of the bending error. place_error: one sigma of the grid's shift and of its change in
+    length, in film units. far_share: share of views with the grid far off; far: how far at most, in cells. colours:
     whether they are disturbed.
     """
 
@@ -44,10 +44,10 @@ class BorderAugment:
 
 
 def open_borders(folders: Sequence[Path]) -> list[EdgePlace]:
-    """All samples of some data sets whose grid is recorded and has borders inside of the sheet.
+    """All samples of some data sets whose grid is recorded and has borders inside the sheet.
 
     Raises:
-        DataError: a data set or maps that cannot be read.
+        DataError: a data set or maps cannot be read.
     """
     return [one for one in open_edges(folders) if _axes_with_borders(_grid(one, Orientation(0, False)))]
 
@@ -56,8 +56,8 @@ def border_view(
     sample: EdgePlace, strip: StripConfig, rng: np.random.Generator, augment: BorderAugment
 ) -> tuple[UInt8[np.ndarray, "4 r c 3"], Bool[np.ndarray, "4 r c"], Float[np.ndarray, "4 c2"]]:
     """Strips across GROUP borders along one axis of a sample, where the photo covers them, and the true rows in each
-    pair of columns (NaN: hidden, beyond the ends of the grid, or outside of the strip). The film is turned and mirrored
-    anyhow."""
+    pair of columns (NaN: hidden, beyond the ends of the grid, or outside the strip). The film is turned and mirrored at
+    random."""
     place, way = sample.place, Orientation(int(rng.integers(4)), bool(rng.random() < 0.5))
     photo, film = photo_of(place), film_of(place)
     if augment.colours:
@@ -92,18 +92,18 @@ def border_view(
 
 
 def _grid(sample: EdgePlace, way: Orientation) -> Float[np.ndarray, "2 3"]:
-    """As ``grid_along``, of the film read after it was moved; one cell where it is not recorded."""
+    """The grid of the moved film, as ``grid_along`` gives it; a single cell where it is not recorded."""
     vertices = vertices_of(sample.place)
     return UNKNOWN_GRID if vertices is None else grid_along(way.inverse.seen_from_film(vertices))
 
 
 def _axes_with_borders(grid: Float[np.ndarray, "2 3"]) -> list[int]:
-    """Along which there are borders between cells, or at the ends of a grid inside of the sheet."""
+    """Axes along which there are borders between cells, or ends of the grid inside the sheet."""
     return [axis for axis, (first, pitch, cells) in enumerate(grid) if len(inner_lines(first, pitch, round(cells))[0])]
 
 
 def _some(count: int, rng: np.random.Generator) -> list[int]:
-    """GROUP of so many, in order; some of them twice where there are not enough."""
+    """GROUP indices below count, in order; some repeat where there are too few."""
     if count >= GROUP:
         return np.sort(rng.choice(count, GROUP, replace=False)).tolist()
     return sorted(k % count for k in range(GROUP))

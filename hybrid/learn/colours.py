@@ -1,7 +1,7 @@
 """What cameras and their software do to colours, for training: geometry and truth stay as they are.
 
-``taken_badly`` is done to a photo: little light and the noise that comes with it, sharpening, strong compression; each
-on a share of photos. ``disturbed`` is done to what a network sees of one: gain and gamma, grey, blur, noise.
+``taken_badly`` is applied to a photo: low light with its noise, sharpening and strong compression; each on a share of
+photos. ``disturbed`` is applied to a network's view of one: gain and gamma, grey, blur, noise.
 """
 
 from __future__ import annotations
@@ -11,22 +11,22 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 DIM_SHARE, SHARPENED_SHARE, COMPRESSED_SHARE = 0.1, 0.08, 0.15
-"""Of photos: taken in little light, sharpened, stored at a low quality."""
+"""Shares of all photos: those taken in low light, those sharpened, and those stored at a low quality."""
 DIM_STOPS = (1.0, 4.0)
-"""By how many stops little light is less."""
+"""Range of the stops by which low light is darker."""
 LIFTED = 0.7
-"""Of these stops, the largest part by which the camera makes up for it afterwards, with the noise."""
+"""Largest fraction of these stops that the camera makes up for afterwards, amplifying the noise as well."""
 READ_NOISE, SHOT_NOISE = (0.0005, 0.004), (0.005, 0.03)
-"""One sigma of noise in linear light: what is always there, and what grows with the root of the light."""
+"""Ranges of one sigma of noise in linear light: the constant part, and the part that grows with the light's root."""
 SHARPENING, SHARPENING_PX = (0.5, 2.0), (0.7, 2.5)
 QUALITY = (8, 60)
-"""Of JPEG."""
+"""Range of the JPEG quality."""
 MOVED_SHARE, MOVED_PX = 0.06, (2.0, 7.0)
-"""Of views those blurred by motion, and over how many pixels of the view."""
+"""Share of views blurred by motion, and the range of its length in pixels of the view."""
 
 
 def taken_badly(photo: UInt8[np.ndarray, "H W 3"], rng: np.random.Generator) -> UInt8[np.ndarray, "H W 3"]:
-    """A photo as a poorer camera, or one in poorer light, would have given it; most as they are."""
+    """A photo as a poorer camera, or poorer light, would have given it; most photos stay as they are."""
     if rng.random() < DIM_SHARE:
         photo = in_little_light(photo, rng)
     if rng.random() < SHARPENED_SHARE:
@@ -39,7 +39,7 @@ def taken_badly(photo: UInt8[np.ndarray, "H W 3"], rng: np.random.Generator) -> 
 
 
 def in_little_light(photo: UInt8[np.ndarray, "H W 3"], rng: np.random.Generator) -> UInt8[np.ndarray, "H W 3"]:
-    """A photo with less light and more noise, part of the light made up for by the camera."""
+    """A photo with less light and more noise; the camera makes up for part of the light."""
     stops = rng.uniform(*DIM_STOPS)
     level = np.arange(256, dtype=np.float32) / 255
     light = level**2.2 * np.float32(2.0**-stops)
@@ -52,15 +52,15 @@ def in_little_light(photo: UInt8[np.ndarray, "H W 3"], rng: np.random.Generator)
 
 
 def compressed(photo: UInt8[np.ndarray, "H W 3"], quality: int) -> UInt8[np.ndarray, "H W 3"]:
-    """A photo as JPEG of some quality keeps it."""
+    """A photo after JPEG compression at a given quality."""
     stored = cv2.imencode(".jpg", cv2.cvtColor(photo, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
     seen = cv2.imdecode(stored, cv2.IMREAD_COLOR)
-    assert seen is not None  # it was stored just now
+    assert seen is not None  # it was encoded just now
     return cv2.cvtColor(seen, cv2.COLOR_BGR2RGB)
 
 
 def disturbed(image: UInt8[np.ndarray, "h w 3"], rng: np.random.Generator) -> UInt8[np.ndarray, "h w 3"]:
-    """Gain and gamma per channel; on a share of the views each grey, blur, motion and noise."""
+    """A view with random gain and gamma per channel, and with grey, blur, motion or noise on a share of views each."""
     x = np.arange(256, dtype=np.float32) / 255
     gain = np.exp2(rng.normal(0, 0.25) + rng.normal(0, 0.06, 3))
     table = np.stack([np.clip(x ** np.exp2(rng.normal(0, 0.2)) * g, 0, 1) for g in gain], axis=-1)
@@ -78,7 +78,7 @@ def disturbed(image: UInt8[np.ndarray, "h w 3"], rng: np.random.Generator) -> UI
 
 
 def _trace(length: float, direction: float) -> Float[np.ndarray, "k k"]:
-    """The weights of a straight motion over so many pixels, in a direction (radians)."""
+    """The blur kernel of a straight motion of some length (pixels) in a direction (radians)."""
     reach = int(np.ceil(length / 2))
     y, x = np.mgrid[-reach : reach + 1, -reach : reach + 1].astype(np.float32)
     along, across = (np.cos(a) * x + np.sin(a) * y for a in (direction, direction + np.pi / 2))

@@ -24,13 +24,13 @@ from hybrid.learn.views import VIEW_NODES, film_view, output_points, plane_of, s
 class AugmentConfig:
     """How the view and the colours are varied.
 
-    empty_share: views without a film, where the photo has room for one: there is nothing to find in many a photo.
-    whole_share: views that are windows of the photo, as in the first look. plane_share: views that flatten the film by
-    a homography, as in the later ones; the others flatten it by a bent map. zoom: of the windows. roll_deg,
-    shift: one sigma of their rotation and of their shift (in parts of their side). margin: around a flattened film.
-    plane_error, bend_error: range of the error, in parts of the film, of the maps by which films are flattened.
-    Every view is turned by any number of quarter turns and mirrored or not. colours: whether they are disturbed,
-    something is put behind some films, and corners of some are rounded.
+    empty_share: share of views without a film, where the photo has room for one: many photos contain no film.
+    whole_share: share of views that are windows of the photo, as in the first look. plane_share: share of views that
+    flatten the film by a homography, as in the later looks; the rest use a bent map. zoom: of the windows. roll_deg,
+    shift: one sigma of their rotation and shift (as a fraction of their side). margin: around a flattened film.
+    plane_error, bend_error: range of the error, as a fraction of the film, of the maps that flatten films. Every view
+    is turned by a random number of quarter turns and mirrored or not. colours: whether colours are disturbed, something
+    is put behind some films, and some films get round corners.
     """
 
     empty_share: float = 0.04
@@ -48,18 +48,18 @@ class AugmentConfig:
 BEND_ERROR_NODES = 5
 """Nodes along each side of the smooth random error of a bent map."""
 UNKNOWN_GRID = np.array([[0.0, 1.0, 1.0], [0.0, 1.0, 1.0]])
-"""Stands for the cells of a film where they are not known; teaches nothing."""
+"""Placeholder where a film's cells are not known; it adds nothing to the loss."""
 WHOLE_WEIGHT, FLATTENED_WEIGHT = 1.0, 4.0
-"""Flattened views have smaller errors, which are what counts in the end, so they weigh more."""
+"""Flattened views weigh more, since their smaller errors are what counts in the end."""
 
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """A training view: image (n, n, 3) uint8 and the truth on the pixel centres of the network's output.
+    """A training view: image (n, n, 3) uint8 and the truth at the pixel centres of the network's output.
 
-    uv: film coordinates of the film as seen in the view. grid: of its cells, across and down: where the first begins,
-    pitch, number; None where they are not known. orientation: index of what makes the film read right. weight: of the
-    view in the loss. has_shape, has_print: whether xyz, normal and what covers the film, and albedo, are known.
+    uv: film coordinates of the film as seen in the view. grid: of its cells, across and down: start of the first, pitch
+    and number; None where unknown. orientation: index of the move that makes the film read right. weight: of the view
+    in the loss. has_shape, has_print: whether xyz, normal and covered, and whether albedo, are known.
     """
 
     image: UInt8[np.ndarray, "n n 3"]
@@ -149,12 +149,12 @@ def random_view(
 
 
 def _turned_anyhow(view: BackwardMap, rng: np.random.Generator) -> BackwardMap:
-    """A view in one of the eight ways to hold it."""
+    """The view in a random one of its eight orientations."""
     return view.turned(Orientation(int(rng.integers(4)), bool(rng.random() < 0.5)))
 
 
 def _without_film(film: BackwardMap, size: tuple[int, int], rng: np.random.Generator) -> BackwardMap | None:
-    """A window of the photo that shows no film, or None where a few tries find none."""
+    """A window of the photo that shows no film, or None if a few tries find none."""
     points = film.nodes.reshape(-1, 2)
     for _ in range(12):
         side = max(size) * rng.uniform(0.2, 0.5)
@@ -173,7 +173,7 @@ def random_window(size: tuple[int, int], rng: np.random.Generator, config: Augme
 
 
 def disturbed_map(film: BackwardMap, nodes: int, error: float, rng: np.random.Generator) -> BackwardMap:
-    """A film's map with a smooth random error: of one sigma ``error`` (parts of the film) on ``nodes``^2 points."""
+    """A film's map with a smooth random error: one sigma is ``error`` (fraction of the film) at ``nodes``^2 points."""
     at_nodes = rng.normal(0, error, (nodes, nodes, 2))
     if nodes < MIN_NODES:
         return corners_moved(film, at_nodes)
@@ -182,7 +182,7 @@ def disturbed_map(film: BackwardMap, nodes: int, error: float, rng: np.random.Ge
 
 
 def corners_moved(film: BackwardMap, by: Float[np.ndarray, "2 2 2"]) -> BackwardMap:
-    """The map whose corners lie so far, in film units, from a film's, and all else linearly between them."""
+    """A film's map with its corners moved by offsets in film units, and all else by bilinear interpolation."""
     lattice = film_nodes(VIEW_NODES)
     u, v = lattice[..., :1], lattice[..., 1:]
     (a, b), (c, d) = by
@@ -191,7 +191,7 @@ def corners_moved(film: BackwardMap, by: Float[np.ndarray, "2 2 2"]) -> Backward
 
 
 def orientation_in(truth: Truth) -> Orientation:
-    """How the film lies in a view, from its film coordinates there; upright where hardly any film is seen."""
+    """How the film lies in a view, from its film coordinates there; upright if hardly any film is seen."""
     seen = truth.mask
     if seen.sum() < 8:
         return Orientation(0, False)
@@ -205,7 +205,7 @@ def orientation_in(truth: Truth) -> Orientation:
 
 
 def grid_along(vertices: Float[np.ndarray, "r c 2"]) -> Float[np.ndarray, "2 3"]:
-    """Where the first cell begins, pitch and number of cells along both axes, of the corners of an even grid."""
+    """Start of the first cell, pitch and number of cells along both axes, from the cell corners of an even grid."""
     low, high = vertices.min(axis=(0, 1)), vertices.max(axis=(0, 1))
     upright = np.ptp(vertices[0, :, 0]) > np.ptp(vertices[0, :, 1])
     cells = np.array(vertices.shape[1::-1] if upright else vertices.shape[:2]) - 1
@@ -220,7 +220,7 @@ def axes_of(view: BackwardMap) -> Float[np.ndarray, "2 2"]:
 
 
 def turned_axes(vectors: np.ndarray, axes: Float[np.ndarray, "2 2"]) -> np.ndarray:
-    """Vectors (..., 3) in camera axes, in those of the camera turned (and mirrored) with the view."""
+    """Vectors (..., 3) in camera axes, expressed in the axes of a camera turned (and mirrored) with the view."""
     turned = vectors.copy()
     turned[..., :2] = vectors[..., :2] @ axes
     return turned

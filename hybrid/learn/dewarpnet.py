@@ -1,6 +1,6 @@
 """DewarpNet (Das et al., ICCV 2019), the paper's baseline: a shape network, then a backward-map network.
 
-What its inference does with the backward map, as published and as it should, is in ``baselines``.
+``baselines`` holds what its inference does with the backward map, as published and corrected.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ from hybrid.errors import ConfigError, describe
 from hybrid.learn.blocks import in_single_precision, scaled
 
 CODE_CENTRE = 0.5
-"""What a code of 3D coordinates holds at the film's centre."""
+"""Value of a code of 3D coordinates at the film's centre."""
 
 NODES = 128
 """Side of the backward-map network's input and output."""
 
 ENCODER_DEPTHS = (6, 12, 16, 16, 16)
 DECODER_DEPTHS = (16, 16, 12, 6, 6)
-"""Layers of each dense block, in the order of the data's way through."""
+"""Layers of each dense block, in the order of the forward pass."""
 
 Layers = Literal["published", "read", "dense"]
 
@@ -35,10 +35,10 @@ Layers = Literal["published", "read", "dense"]
 class DewarpNetConfig:
     """Widths and depths.
 
-    width: factor of all channel counts; 1 as published. halvings: of the shape network; the input's side divides by
-    2 to this power. latent: numbers between the dense network's halves. input_px: side of the shape network's input.
-    layers: of the dense blocks. "published" holds all and reads the first of each block, as the released code does;
-    "read" holds only those that are read: the same function in half the memory; "dense" holds and reads all, which
+    width: factor of all channel counts; 1 as published. halvings: of the shape network; the input's side is a multiple
+    of 2 to this power. latent: numbers between the dense network's halves. input_px: side of the shape network's input.
+    layers: of the dense blocks. "published" holds all but reads only the first of each block, as the released code
+    does; "read" holds only those that are read: the same function in half the memory; "dense" holds and reads all, as
     the paper describes.
     """
 
@@ -73,17 +73,17 @@ class BackwardOutput:
 
 @dataclass(frozen=True, eq=False)
 class DewarpNetOutput:
-    """What the two networks say."""
+    """Outputs of the two networks."""
 
     shape: ShapeOutput
     backward: Float[Tensor, "b 2 n n"]
 
 
 def coordinate_code(xyz: Float[Tensor, "b 3 h w"], mask: Bool[Tensor, "b h w"]) -> Float[Tensor, "b 3 h w"]:
-    """3D coordinates as networks read and write them: moved into (0, 1) on the film, 0 off it.
+    """3D coordinates as networks read and write them: shifted into (0, 1) on the film, 0 off it.
 
     No point of a sheet is farther than half a diagonal from its centre, so only 0 means "no film here". Without the
-    move the film's centre would look like background. The publications scale each map to [0.1, 1] for this end.
+    shift, the film's centre would look like background. The publications scale each map to [0.1, 1] for this purpose.
     """
     return torch.where(mask[:, None], xyz + CODE_CENTRE, torch.zeros_like(xyz))
 
@@ -92,7 +92,7 @@ def coordinate_code(xyz: Float[Tensor, "b 3 h w"], mask: Bool[Tensor, "b h w"]) 
 
 
 def _shape_widths(config: DewarpNetConfig) -> list[int]:
-    """Channels after each halving: 64, doubled until 512 at width 1."""
+    """Channels after each halving: 64, doubled up to 512 at width 1."""
     return [scaled(64 << min(k, 3), config.width) for k in range(config.halvings)]
 
 
@@ -124,7 +124,7 @@ class ShapeNet(nn.Module):
         x = self.bottom(skipped[-1])
         for up, beside in zip(self.up, reversed(skipped), strict=True):
             x = torch.cat([beside, up(x)], dim=1)
-        # The hyperbolic tangent is the network's, the cut at 0 follows it in training and inference.
+        # The hyperbolic tangent is the network's own; training and inference both clamp its output at 0.
         return ShapeOutput(torch.tanh(in_single_precision(self.last, x)).clamp(0.0, 1.0))
 
 
@@ -136,7 +136,7 @@ class _DenseBlock(nn.Module):
 
     Only ``read`` of the ``held`` layers take part. The released code adds up earlier outputs but never calls a layer
     beyond a block's first, so that a block of n layers gives 2 ** (n - 2) times its first layer's output; the batch
-    normalisation that follows every block divides the factor out, and it is left out here.
+    normalisation that follows every block divides this factor out, so it is left out here.
     """
 
     def __init__(self, channels: int, held: int, read: int) -> None:
@@ -191,7 +191,7 @@ def _dense_decoder(config: DewarpNetConfig) -> nn.Sequential:
 class BackwardNet(nn.Module):
     """3D coordinates -> backward map: dense blocks down to one vector and up again, 45.1 M at width 1.
 
-    Training takes at least two samples a batch: there is a batch normalisation of single values at the waist.
+    Training takes at least two samples per batch: the bottleneck has a batch normalisation of single values.
     """
 
     def __init__(self, config: DewarpNetConfig) -> None:
@@ -199,12 +199,12 @@ class BackwardNet(nn.Module):
         self.config = config
         self.encoder = _dense_encoder(config)
         self.decoder = _dense_decoder(config)
-        # Pixel positions as two more channels; the first layer normalises them, so that their scale is free.
+        # Pixel positions as two more channels; the first layer normalises them, so their scale does not matter.
         position = torch.from_numpy(film_nodes((NODES, NODES))).float().permute(2, 0, 1)[None]
         self.register_buffer("position", position, persistent=False)
 
     def forward(self, code: Float[Tensor, "b 3 h w"]) -> BackwardOutput:
-        """The map of a code of 3D coordinates of any size; every so many pixels are read, none are mixed."""
+        """The map for a code of 3D coordinates of any size, which is subsampled without averaging."""
         small = functional.interpolate(code, (NODES, NODES), mode="nearest")
         position = self.get_buffer("position").expand(len(small), -1, -1, -1)
         features = self.decoder[:-1](self.encoder(torch.cat([small, position], dim=1)))
@@ -215,7 +215,7 @@ class BackwardNet(nn.Module):
 class DewarpNet(nn.Module):
     """Image -> 3D coordinates -> backward map.
 
-    At width 1 it holds 86.9 M parameters and does 13 GFLOP at 256 x 256, the published figures. Both hold together
+    At width 1 it has 86.9 M parameters and takes 13 GFLOP at 256 x 256, the published figures. Both are true at once
     only because the released dense blocks never read 39.9 M of the parameters (see ``_DenseBlock``): with
     ``layers="read"`` there are 47.0 M at the same 13 GFLOP, with ``layers="dense"`` 86.9 M at 20 GFLOP.
     """
@@ -233,7 +233,7 @@ class DewarpNet(nn.Module):
 
 
 def joined(shape_net: ShapeNet, backward_net: BackwardNet) -> DewarpNet:
-    """DewarpNet of two stages that were trained apart; it shares their weights.
+    """DewarpNet made of two separately trained stages; it shares their weights.
 
     Raises:
         ConfigError: the stages have different configurations.

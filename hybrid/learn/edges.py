@@ -1,11 +1,11 @@
-"""EdgeNet: says where, in strips of the photo across the edges that a map predicts, the sheet's edges really are.
+"""EdgeNet: finds the sheet's true edges in strips of the photo across the edges that a map predicts.
 
-FilmNet sees a film some 110 pixels wide; strips along its edges show them four times as finely. Near an edge lie other
-straight lines: rules of the print, other films, bars of the light box. Which of them ends the sheet is told by what is
-on both sides, over the whole length, and by what the sheet's other edges look like; and that can be learnt.
+FilmNet sees a film about 165 pixels wide; strips along its edges show them three times as finely. Near an edge lie
+other straight lines: rules of the print, other films, bars of the light box. What lies on both sides, over the whole
+length, and what the sheet's other edges look like tell which line ends the sheet, and this can be learnt.
 
-BorderNet is the same network, taught strips across the borders between cells (border_data.py): four borders of one axis
-are read together, as a film's four edges are.
+BorderNet is the same network, trained on strips across the borders between cells (border_data.py). It reads four
+borders of one axis together, as EdgeNet reads a film's four edges.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class EdgeNetConfig:
 
     @property
     def strip(self) -> StripConfig:
-        """How strips are cut for it."""
+        """How strips are cut for the network."""
         return StripConfig(rows=self.input_px, columns=2 * self.input_px // 3)
 
 
@@ -44,7 +44,7 @@ class EdgeTargets(Tensors):
 
 
 class EdgeNet(nn.Module):
-    """An encoder to 1/8 of the strip, and a decoder to all of its rows and half of its columns."""
+    """An encoder to 1/8 of the strip's resolution, and a decoder to all of its rows and half of its columns."""
 
     def __init__(self, config: EdgeNetConfig) -> None:
         super().__init__()
@@ -60,12 +60,12 @@ class EdgeNet(nn.Module):
         self.unseen = nn.Conv1d(w8, 4, 3, 1, 1)
 
     def forward(self, strips: Float[Tensor, "b 4 r c"]) -> Float[Tensor, "b r+1 c2"]:
-        """Logits of the rows at which the edge crosses each pair of columns; the last: it is not in the strip.
+        """Logits of the row at which the edge crosses each pair of columns; the last: it is not in the strip.
 
-        strips: of one film after the other, four of each, in the order of SIDES; sRGB in [0, 1], and 1 where the photo
-        covers the strip."""
+        strips: four of each film, in the order of SIDES, film by film; sRGB in [0, 1], and a channel that is 1 where
+        the photo covers the strip."""
         colours, covered = strips[:, :3], strips[:, 3:]
-        dark = torch.log2(8 * colours.mean(dim=1, keepdim=True) + 0.125) / 4  # grey levels of 255 tell from 2 on
+        dark = torch.log2(8 * colours.mean(dim=1, keepdim=True) + 0.125) / 4  # resolves grey levels (of 255) from 2 on
         seen = [colours - 0.4, local_contrast(colours), dark, covered, view_coordinates(strips)]
         x2 = self.down2(torch.cat(seen, dim=1))
         x4 = self.down4(x2)
@@ -73,23 +73,23 @@ class EdgeNet(nn.Module):
         x8 = self.down8[2:](x8 + self.together(_of_all_sides(x8)))
         y4 = self.up4(x4 + functional.interpolate(self.lateral4(x8), scale_factor=2, mode="nearest"))
         y2 = self.up2(x2 + functional.interpolate(self.lateral2(y4), scale_factor=2, mode="nearest"))
-        rows = self.head(y2).transpose(1, 2).flatten(1, 2)  # two rows from each of the half resolution
-        unseen = self.unseen(x8.mean(dim=2)).transpose(1, 2).flatten(1, 2)  # four columns from each of the eighth
+        rows = self.head(y2).transpose(1, 2).flatten(1, 2)  # two rows from each row at half resolution
+        unseen = self.unseen(x8.mean(dim=2)).transpose(1, 2).flatten(1, 2)  # four columns from each column at an eighth
         return torch.cat([rows, unseen[:, None]], dim=1)
 
 
 def _of_all_sides(x: Float[Tensor, "b k r c"]) -> Float[Tensor, "b k r 1"]:
-    """The mean of each row over the four strips of a film, for each of them."""
+    """The mean of each row over a film's four strips, repeated for each strip."""
     films = x.mean(dim=3).unflatten(0, (-1, len(SIDES)))
     return films.mean(dim=1, keepdim=True).expand_as(films).flatten(0, 1)[..., None]
 
 
 SOFT_ROWS = 0.7
-"""Rows by which the truth is blurred for the loss."""
+"""Sigma, in rows, of the blur of the truth in the loss."""
 
 
 def edge_losses(logits: Float[Tensor, "b r1 c"], truth: EdgeTargets) -> dict[str, Tensor]:
-    """Cross-entropy of the row of each column, against the true row blurred."""
+    """Cross-entropy of each column's row against the blurred true row."""
     rows = logits.shape[1] - 1
     row = truth.row
     none = torch.isnan(row)
@@ -108,7 +108,7 @@ def strips_tensor(images: UInt8[np.ndarray, "b r c 3"], inside: Bool[np.ndarray,
 
 
 def strip_reader(network: EdgeNet) -> StripReader:
-    """The network as what reads strips in ``hybrid.rectify.edge_paths`` and ``hybrid.rectify.border_paths``."""
+    """The network as the strip reader of ``hybrid.rectify.edge_paths`` and ``hybrid.rectify.border_paths``."""
 
     def logs(images: UInt8[np.ndarray, "b r c 3"], inside: Bool[np.ndarray, "b r c"]) -> Float[np.ndarray, "b r1 c2"]:
         with torch.inference_mode():

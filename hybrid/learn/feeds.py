@@ -1,4 +1,4 @@
-"""Feeds: where a network's batches come from, how it is tested and what it is shown to do.
+"""Feeds: where a network's batches come from, how it is tested and how its output is drawn.
 
 Batches are pure functions of places and a seed.
 """
@@ -52,11 +52,11 @@ def _first_of(places: Sequence[Any], held_out: int) -> tuple[list[Any], list[Any
 class Feed:
     """Data for one kind of network.
 
-    open: the places (samples, or prints) of some folders. split: those to be tested on, at least so many, and those to
-    be trained on; photos of one film lie side by side, so the two share a film only where it is cut. batch: images and
-    targets of some places for an input of so many pixels, each disturbed by its own random numbers. test: figures of a
-    network on places that it was not trained on, by name. picture: the network on some of these places, drawn; None
-    where there is nothing to draw.
+    open: the places (samples, or prints) of some folders. split: into places for testing, at least a given number, and
+    places for training; photos of one film are adjacent, so both share at most the film at the cut. batch: images and
+    targets of some places at an input size in pixels, each disturbed by its own random numbers. test: figures of a
+    network on held-out places, by name. picture: drawing of the network's output on some of these places; None where
+    there is nothing to draw.
     """
 
     open: Callable[[Sequence[Path]], list[Any]]
@@ -67,7 +67,7 @@ class Feed:
 
 
 def _test_batches(places: Sequence[Any]) -> list[Sequence[Any]]:
-    """The places, as many at a time as are tested together."""
+    """The places in groups that are tested together."""
     return [places[start : start + TEST_BATCH] for start in range(0, len(places), TEST_BATCH)]
 
 
@@ -81,9 +81,9 @@ def _film_batch(places: Sequence[Any], px: int, rngs: Sequence[np.random.Generat
 
 @torch.inference_mode()
 def _film_test(network: nn.Module, places: Sequence[Any], px: int, device: str) -> dict[str, float]:
-    """Errors of views of each kind: mean |uv error| in % of the film; of windows, the mask's intersection over union
-    and the share of films whose orientation is right; of films that a plane flattens, the intersection over union of
-    what covers them, all views together."""
+    """Errors of views of each kind: mean |uv error| in % of the film; for windows, the mask's intersection over union
+    and the share of films whose orientation is right; for films flattened by a plane, the intersection over union of
+    the covered pixels, over all views together."""
     kinds = {"whole": (1.0, 0.0), "plane": (0.0, 1.0), "bent": (0.0, 0.0)}
     row: dict[str, float] = {}
     for kind, (whole, plane) in kinds.items():
@@ -103,8 +103,8 @@ def _film_test(network: nn.Module, places: Sequence[Any], px: int, device: str) 
 
 
 def _film_scores(network: nn.Module, images: Tensor, targets: Targets, device: str) -> np.ndarray:
-    """(B, 5): mean distance of uv, intersection over union of the mask, 1 where the orientation is right; pixels said
-    and known to be covered, and pixels said or known to be."""
+    """(B, 5): mean distance of uv, intersection over union of the mask, 1 where the orientation is right; number of
+    pixels that are covered in both prediction and truth, and number in either."""
     output = network(images.to(device))
     uv, logit, guess = output.uv.cpu(), output.mask_logit.cpu(), output.orientation.cpu().argmax(dim=1)
     inside = targets.mask.float()
@@ -118,7 +118,7 @@ def _film_scores(network: nn.Module, images: Tensor, targets: Targets, device: s
 
 @torch.inference_mode()
 def _film_picture(network: nn.Module, places: Sequence[Any], px: int, device: str) -> Picture:
-    """Whole photos, then films that a bent map has flattened, each with the lines of its uv map."""
+    """Whole photos, then films flattened by a bent map, each with the lines of its uv map."""
     rng, views = np.random.default_rng(0), []
     for k, place in enumerate(places[:PICTURE_VIEWS]):
         whole = 1.0 if k < PICTURE_VIEWS // 2 else 0.0
@@ -143,8 +143,8 @@ def paper_feed(nodes: Callable[[int], int], inputs: Callable[[Tensor, Any], Tens
 
     @torch.inference_mode()
     def test(network: nn.Module, places: Sequence[Any], px: int, device: str) -> dict[str, float]:
-        """Mean distance, over the film, from the true uv (in % of the film) and from the true backward map (in % of
-        the photo), where the network predicts them."""
+        """Mean distance from the true uv over the film (in % of the film) and from the true backward map (in % of the
+        photo), where the network predicts them."""
         rng, rows, sizes = np.random.default_rng(0), [], []
         for part in _test_batches(places):
             images, targets = paper_batch(part, PaperView(px, nodes(px)), [rng] * len(part), _UNDISTURBED)
@@ -177,7 +177,7 @@ def _paper_scores(output: Any, targets: PaperTargets) -> dict[str, float]:
 
 
 def _paper_picture(images: Tensor, targets: PaperTargets, output: Any) -> Picture:
-    """Lines of the predicted uv map, else of the backward map; the true ones alone for a network with neither."""
+    """Lines of the predicted uv map, else of the backward map; only the true lines for a network with neither."""
     uv, backward = getattr(output, "uv", None), getattr(output, "backward", None)
     if uv is None and backward is not None:
         return sample_sheet(
@@ -198,17 +198,17 @@ def _open_all(those_of: Callable[[Path], list[Path]], folders: Sequence[Path]) -
 
 
 def print_feed(config: UprightNetConfig) -> Feed:
-    """Patches of flat prints, for a network of that configuration."""
+    """Patches of flat prints, for a network of this configuration."""
     return _votes_feed(print_paths, _print_view, config)
 
 
 def slice_feed(config: SliceNetConfig) -> Feed:
-    """Slices of flat prints, for a network of that configuration."""
+    """Slices of flat prints, for a network of this configuration."""
     return _votes_feed(sliced_prints, _slice_view, config)
 
 
 def _votes_feed(paths_of: Callable[[Path], list[Path]], view: Callable[..., np.ndarray], config: Any) -> Feed:
-    """Views of flat prints, which are upright; paths_of: the prints of a folder."""
+    """Views of flat prints, all upright; paths_of: the prints of a folder."""
     batch = partial(_votes_batch, view, config)
     return Feed(partial(_open_all, paths_of), batch, partial(_votes_test, batch))
 
@@ -235,7 +235,7 @@ def _votes_test(
 ) -> dict[str, float]:
     """Shares of films and of patches (or slices) that are read right, and the mean -log2 of the films' probabilities.
 
-    Empty ones score alike in every way and are left out; a film of such alone is not read right.
+    Empty patches score alike in every orientation and are left out; a film with only such patches is not read right.
     """
     rng, films, patches = np.random.default_rng(0), [], []
     for part in _test_batches(paths):
@@ -252,13 +252,13 @@ def _votes_test(
 
 
 def edge_feed(config: EdgeNetConfig) -> Feed:
-    """Strips across the edges of films, for a network of that configuration; four of each sample."""
+    """Strips across the edges of films, for a network of this configuration; four of each sample."""
     known, as_it_is = (partial(edge_view, augment=EdgeAugment(colours=colours)) for colours in (True, False))
     return Feed(open_edges, partial(_strip_batch, known, config), partial(_strip_test, as_it_is, config))
 
 
 def border_feed(config: EdgeNetConfig) -> Feed:
-    """Strips across the borders between cells of films, for a network of that configuration; four of each sample."""
+    """Strips across the borders between cells of films, for a network of this configuration; four of each sample."""
     known, as_it_is = (partial(border_view, augment=BorderAugment(colours=colours)) for colours in (True, False))
     return Feed(open_borders, partial(_strip_batch, known, config), partial(_strip_test, as_it_is, config))
 
@@ -285,9 +285,9 @@ def _strip_test(
     px: int,
     device: str,
 ) -> dict[str, float]:
-    """Of the columns that show the line: mean of the distance of the likeliest row, in % of the film if strips reach as
-    far as those across edges do, and the share that is further off than three rows; of all, the share that is rightly
-    said to show it or not."""
+    """Of the columns that show the line: mean distance of the likeliest row (in % of the film if strips reach as far as
+    those across edges do), and the share that is off by more than three rows; of all columns, the share correctly
+    classified as showing the line or not."""
     rng, off, right = np.random.default_rng(0), [], []
     for part in _test_batches(places):
         strips, truth = _strip_batch(view, config, part, px, [rng] * len(part))
@@ -318,8 +318,8 @@ def _light_batch(places: Sequence[Any], px: int, rngs: Sequence[np.random.Genera
 
 @torch.inference_mode()
 def _light_test(network: nn.Module, places: Sequence[Any], px: int, device: str) -> dict[str, float]:
-    """Terms of the loss, mean dB of the recovered films after one gain and offset, and overlap (intersection over
-    union) of what is lost to glare."""
+    """Terms of the loss, mean dB of the recovered films after one gain and offset, and the intersection over union of
+    the pixels lost to glare."""
     rows, sizes, decibels, overlaps = [], [], [], []
     for part in _test_batches(places):
         rngs = [np.random.default_rng(k) for k in range(len(part))]

@@ -24,9 +24,9 @@ HeadName = Literal["uv", "deformation", "albedo"]
 class FiReNetConfig:
     """Width and parts.
 
-    width: factor of all channel counts; 1 as published. maps: decoded by the multi-map module beside the background
-    (table 3's "MM": xyz alone, or all three). heads: decoded from the second encoder (table 3's "Deform": with or
-    without the deformation map). input_px: side of the square input that the network is trained for.
+    width: factor of all channel counts; 1 as published. maps: those that the multi-map module decodes besides the
+    background (table 3's "MM": xyz alone, or all three). heads: decoded from the second encoder (table 3's "Deform":
+    with or without the deformation map). input_px: side of the square input that the network is trained for.
     """
 
     width: float = 1.0
@@ -63,14 +63,14 @@ class FiReNetOutput:
 
 
 class _Kind(NamedTuple):
-    """Channels of a map, and what brings the decoder's numbers into the map's range."""
+    """Channels of a map, and the activation that brings the decoder's output into the map's range."""
 
     channels: int
     activation: Callable[[Tensor], Tensor]
 
 
 def _unit(x: Tensor) -> Tensor:
-    """(0, 1) by the hyperbolic tangent, the published activation."""
+    """Into (0, 1) by the hyperbolic tangent, the published activation."""
     return torch.tanh(x).add(1).div(2)
 
 
@@ -85,20 +85,20 @@ _KINDS: dict[str, _Kind] = {
 
 
 def _decoders(named: nn.ModuleDict) -> list[tuple[str, UNetDecoder]]:
-    """Decoders with the names of what they decode; nn.ModuleDict does not know what it holds."""
+    """Decoders with the names of what they decode; nn.ModuleDict does not know the type of its modules."""
     return cast("list[tuple[str, UNetDecoder]]", list(named.items()))
 
 
 class FiReNet(nn.Module):
     """Image -> encoder -> map decoders -> filtered by the background -> second encoder -> uv, deformation, albedo.
 
-    At width 1 it has 229.7 M parameters and 104 GFLOP at 256 x 256; the publication, 229.7 M and 106 GFLOP. Each of
-    the two encoders has 59.8 M, each of the seven decoders 15.7 M. The paper gives neither widths nor depths; these
-    are of the published code: six halvings from 16 channels, three convolutions with group normalisation a level.
-    What goes into the second encoder the paper calls the combined maps. In the code, as here, it is the finest
-    features of the maps' decoders and the image, multiplied by the background's probability. How many levels of
-    features is an option there; one level gives the published counts, three (its default) 229.8 M and 111 GFLOP. The
-    released decoders also compute a convolution whose result nothing reads (2.1 GFLOP in all); it is left out here.
+    At width 1 it has 229.7 M parameters and 104 GFLOP at 256 x 256; the publication, 229.7 M and 106 GFLOP. Each of the
+    two encoders has 59.8 M, each of the seven decoders 15.7 M. The paper gives neither widths nor depths; these are
+    taken from the published code: six halvings from 16 channels, three convolutions with group normalisation per level.
+    The paper calls the input of the second encoder the combined maps. In the code, as here, it consists of the finest
+    features of the maps' decoders and the image, multiplied by the background's probability. The number of feature
+    levels is an option there; one level gives the published counts, three (its default) 229.8 M and 111 GFLOP. The
+    released decoders also compute a convolution whose result is never read (2.1 GFLOP in all); it is left out here.
     """
 
     def __init__(self, config: FiReNetConfig) -> None:

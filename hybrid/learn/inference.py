@@ -1,4 +1,4 @@
-"""Networks made ready to be used: what is done once, when they are loaded, is not done again at each look."""
+"""Networks prepared to be used: work that is done once, at loading, is not repeated at each look."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from hybrid.learn.tensors import Network
 from hybrid.learn.upright import Mix
 
 MOST_SIZES = 3
-"""Sizes of input for which a convolution's weights are kept as they are wanted; of FilmNet those of one take 30 MB."""
+"""Input sizes for which a convolution keeps its packed weights; for one size, FilmNet's take 30 MB."""
 
 
 class PackedConv(nn.Module):
-    """A convolution whose weights lie as oneDNN wants them, and the ReLU that follows it, if one does.
+    """A convolution whose weights are packed in oneDNN's layout, and the ReLU that follows it, if any.
 
-    PyTorch lays them out anew at each call, which takes up to a third of the time of a look at one small image: FilmNet
-    reads 30 MB of weights for 1.3 GFLOP. How they are wanted depends on the input's size, batch included, on the
-    processor and on the precision: laid out for another size they are turned at each call after all, which on
-    processors without AVX-512 makes a look five times as slow. So that is done once for each size that comes. The
-    operators are those to which ``torch.compile`` turns convolutions on processors.
+    PyTorch packs weights anew at each call, which takes up to a third of the time of a look at one small image: FilmNet
+    reads 30 MB of weights for 1.3 GFLOP. oneDNN's layout depends on the input's size, batch included, on the processor
+    and on the precision: weights packed for another size are still repacked at each call, which makes a look five times
+    as slow on processors without AVX-512. So weights are packed once for each input size. The operators are those to
+    which ``torch.compile`` lowers convolutions on CPUs.
     """
 
     def __init__(self, conv: nn.Conv2d, relu: bool = False, precision: torch.dtype = torch.float32) -> None:
@@ -31,17 +31,17 @@ class PackedConv(nn.Module):
         self.precision, self.then = precision, "relu" if relu else "none"
         self.shape = (conv.padding, conv.stride, conv.dilation, conv.groups)
         self.bias = None if conv.bias is None else conv.bias.detach().to(precision)
-        weights = conv.weight.detach().to(precision).contiguous()  # of others oneDNN packs none in bfloat16
+        weights = conv.weight.detach().to(precision).contiguous()  # in bfloat16, oneDNN packs only contiguous ones
         self.packed = lru_cache(MOST_SIZES)(partial(_laid_out, weights, self.shape))
 
     def forward(self, x: Float[Tensor, "b c H W"]) -> Float[Tensor, "b k h w"]:
-        """The same as without, but for the last bits of its precision, in which it also is."""
+        """The plain convolution's result up to the last bits, in the precision of the weights."""
         x = x.to(self.precision)
         weights = self.packed(x.shape)
         return torch.ops.mkldnn._convolution_pointwise(x, weights, self.bias, *self.shape, self.then, [], "")
 
     def added_to(self, beside: Float[Tensor, "b k h w"], x: Float[Tensor, "b c H W"]) -> Float[Tensor, "b k h w"]:
-        """What the convolution makes of x, added to what lies beside it, and a ReLU: in one pass over the result."""
+        """The convolution of x added to a skip connection, and a ReLU: in one pass over the result."""
         x, beside = x.to(self.precision), beside.to(self.precision)
         return torch.ops.mkldnn._convolution_pointwise.binary(
             x, beside, self.packed(x.shape), self.bias, *self.shape, "add", 1.0, "relu", [], ""
@@ -49,29 +49,29 @@ class PackedConv(nn.Module):
 
 
 def _laid_out(weights: Tensor, shape: tuple, size: torch.Size) -> Tensor:
-    """Weights as oneDNN wants them for inputs of one size, channels last."""
+    """Weights packed by oneDNN for inputs of one size, channels last."""
     return torch.ops.aten.mkldnn_reorder_conv2d_weight(weights.to_mkldnn(), *shape, size)
 
 
 class PackedResidual(nn.Module):
-    """Convolutions beside an identity (``Residual``, ``Mix``): the last of them adds it."""
+    """Convolutions with an identity shortcut (``Residual``, ``Mix``): the last of them adds it."""
 
     def __init__(self, first: nn.Module, last: PackedConv) -> None:
         super().__init__()
         self.first, self.last = first, last
 
     def forward(self, x: Float[Tensor, "b c h w"]) -> Float[Tensor, "b c h w"]:
-        """The same as without, but for the last bits."""
+        """The plain module's result up to the last bits."""
         return self.last.added_to(x, self.first(x))
 
 
 def ready(network: Network, precision: torch.dtype | None = None) -> Network:
-    """A network for inference on the processor: batch normalisation folded into the convolutions, these with packed
-    weights where PyTorch has oneDNN, channels last, no gradients.
+    """A network for inference on the processor: batch normalisation folded into the convolutions, their weights packed
+    where PyTorch has oneDNN, channels last, no gradients.
 
-    precision: of convolutions that a ReLU follows, which are most of the work; the others, which tell places and
-    probabilities, are in single precision. If not told, bfloat16 where the processor has instructions for it: the
-    networks have learnt in that, too.
+    precision: of convolutions followed by a ReLU, which are most of the work; the others, which output positions and
+    probabilities, are in single precision. By default bfloat16 where the processor has instructions for it: the
+    networks were trained in it, too.
     """
     precision = precision or (torch.bfloat16 if fast_bfloat16("cpu") else torch.float32)
     network = network.eval().requires_grad_(False)
@@ -96,7 +96,7 @@ def fast_bfloat16(device: str) -> bool:
 
 
 def _pack(network: nn.Module, precision: torch.dtype) -> None:
-    """Puts packed convolutions in the place of all others within a network, with the ReLU that follows on them."""
+    """Replace all convolutions within a network by packed ones that include the ReLU after them."""
     for name, child in network.named_children():
         match child, [part for part in child.children() if not isinstance(part, nn.Identity)]:
             case nn.Conv2d(), _:
@@ -120,7 +120,7 @@ def _packed(conv: nn.Module, precision: torch.dtype, relu: bool = False) -> Pack
 
 
 def _in_its_precision(layer: nn.Module, given: tuple[Tensor, ...]) -> tuple[Tensor, ...]:
-    """What a layer is given, as precise as its weights."""
+    """A layer's inputs, cast to the type of its weights."""
     return tuple(x.to(next(layer.parameters()).dtype) for x in given)
 
 

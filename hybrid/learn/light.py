@@ -1,8 +1,8 @@
-"""LightNet: says how bright print black and print white are at each place of a flat film.
+"""LightNet: predicts how bright print black and print white are at each point of a flat film.
 
-A reflection is told from print by what both look like: organs end at the borders of slices and recur from slice to
+A reflection can be told from print by what both look like: organs end at the borders of slices and recur from slice to
 slice, windows and lamps do neither, and the brightest bone of one slice is as white as that of the next. The network
-sees the whole film at once, small: light has little detail. What it says is two smooth fields; every detail of the
+sees the whole film at once, small: light has little detail. Its output is two smooth fields; every detail of the
 recovered film comes from the photo.
 """
 
@@ -51,10 +51,10 @@ class LightNetOutput:
 
 
 class LightNet(nn.Module):
-    """An encoder to 1/16 of the film, and a decoder to its half; each field is a sum of three, from coarse to fine. At
-    1/8 and 1/16 each place looks at all others, as what recurs from slice to slice is print.
+    """An encoder to 1/16 of the film's resolution, and a decoder to half of it; each field is a sum of three, from
+    coarse to fine. At 1/8 and 1/16 each position attends to all others, since what recurs from slice to slice is print.
 
-    It sees light in units of the film's mean, so a brighter photo is read alike.
+    Light is in units of the film's mean, so a brighter photo is read the same way.
     """
 
     def __init__(self, config: LightNetConfig) -> None:
@@ -96,7 +96,7 @@ class LightNet(nn.Module):
 
 
 def _halved(inputs: int, outputs: int, blocks: int) -> nn.Sequential:
-    """Half the resolution, and residual blocks at it."""
+    """Halve the resolution, then apply residual blocks."""
     return nn.Sequential(ConvNorm(inputs, outputs, 3, 2), *(Residual(outputs) for _ in range(blocks)))
 
 
@@ -116,8 +116,8 @@ def linear_grey(linear: Float[Tensor, "b 3 h w"]) -> Float[Tensor, "b h w"]:
 @dataclass(frozen=True, eq=False)
 class LightTargets(Tensors):
     """grey: linear grey of the input. black, white: the true levels (linear grey), at half its resolution. contrast:
-    display grey between them. flat: the print in display grey. counted: where grey shows the print and light has left
-    something of it."""
+    display grey between them. flat: the print in display grey. counted: where grey shows the print with enough
+    contrast."""
 
     grey: Float[Tensor, "b n n"]
     black: Float[Tensor, "b h w"]
@@ -128,27 +128,27 @@ class LightTargets(Tensors):
 
 
 SURE_CONTRAST = 0.1
-"""Display grey between black and white from which on their ratio counts in full: below, noise and coding blur it."""
+"""Display grey between black and white from which the gain's error counts in full: below, noise and coding blur it."""
 
 SURE_STEP = 4 / 255
-"""Display grey by which contrast that is read must differ from ``LEAST_CONTRAST`` to say clearly what is glare."""
+"""Display grey by which predicted contrast must differ from ``LEAST_CONTRAST`` to tell clearly whether it is glare."""
 
 UNHEARD = 12.0
-"""Steps above ``LEAST_CONTRAST`` from which on what is lost is another loss's business."""
+"""Steps above ``LEAST_CONTRAST`` beyond which the glare loss gives no gradient and leaves contrast to other losses."""
 
 LEAST_ERROR = 3e-4
-"""Mean square error of the film below which a further gain counts for little."""
+"""Mean square error of the film below which further improvement counts for little."""
 
 FEWEST_PIXELS = 800
-"""Pixels of print from which on a film is compared with it."""
+"""A film is compared with its print only if more pixels of print than this are seen."""
 
 
 def light_losses(output: LightNetOutput, truth: LightTargets) -> dict[str, Tensor]:
     """black: mean difference of the square roots, in units of the film's mean white. gain: mean difference of the logs.
-    contrast: mean difference of what is displayed between black and white, which is nothing where both clip. glare:
-    cross entropy of where that is too little for print to be recovered. slope: of the first two, that of their
-    differences from pixel to pixel, so that no print shows in them. film: log of the mean square error of the recovered
-    film, after one gain and offset."""
+    contrast: mean difference of the display grey between black and white, which vanishes where both levels clip. glare:
+    cross entropy of where that is too little to recover the print. slope: mean step of the first two errors from pixel
+    to pixel, so that no print shows in the fields. film: log of the mean square error of the recovered film, after one
+    gain and offset."""
     unit = truth.white.mean(dim=(1, 2), keepdim=True).clamp(min=1e-4)
     gain = ((truth.white - truth.black) / unit).clamp(min=1e-3)
     roots = [(black / unit + 1e-3).sqrt() for black in (output.black, truth.black)]
@@ -184,7 +184,7 @@ def film_error(output: LightNetOutput, truth: LightTargets) -> tuple[Float[Tenso
     """Mean square error of each film against its print after the best gain and offset, and 1 where enough is seen."""
     black, gain = (_larger(x[:, None], truth.grey.shape[-1] // x.shape[-1])[:, 0] for x in (output.black, output.gain))
     even = ((truth.grey - black) / gain).clamp(max=1.5)
-    even = torch.where(even > 1e-3, even, 1e-3 * torch.exp((even.clamp(max=1e-3) - 1e-3) / 1e-3))  # still has a slope
+    even = torch.where(even > 1e-3, even, 1e-3 * torch.exp((even.clamp(max=1e-3) - 1e-3) / 1e-3))  # keeps a gradient
     share, weight = output.root_share[:, None, None], truth.counted
     shown = share * (even + 1e-5).sqrt() + (1 - share) * even
     count = weight.sum(dim=(1, 2), keepdim=True).clamp(min=1)
@@ -204,10 +204,10 @@ def films_tensor(films: UInt8[np.ndarray, "b n n 3"], seen: Bool[np.ndarray, "b 
 
 
 def level_reader(network: LightNet) -> LevelReader:
-    """The network as what reads levels in ``hybrid.rectify.deilluminate``.
+    """The network as the level reader of ``hybrid.rectify.deilluminate``.
 
-    It reads a film twice, as it lies and turned by 180 degrees, which its light does not know of. The mean of both is
-    nearer to the truth, and the same for a film that lies upside down.
+    It reads a film twice, as it lies and turned by 180 degrees, since light does not depend on which way the print
+    lies. The mean of both is nearer to the truth, and the same for a film that lies upside down.
     """
 
     def read(film: UInt8[np.ndarray, "n n 3"], seen: Bool[np.ndarray, "n n"]) -> Levels:

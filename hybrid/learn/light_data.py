@@ -1,8 +1,8 @@
-"""Training views of LightNet: flat films under some light, with what print black and print white look like in it.
+"""Training views of LightNet: flat films under some light, with the levels of print black and print white in it.
 
-A film of ``python -m data_gen.lit_films`` is a print, and photos of it that are flat already. In half of the views its
-light falls on another print, a test pattern among them, which its gain and veil tell exactly: so the network cannot
-know prints by heart.
+A film of ``python -m data_gen.lit_films`` is a print and photos of it that are already flat. In half of the views, its
+light falls on another print or a test pattern instead, which its known gain and veil describe exactly: so the network
+cannot learn prints by heart.
 """
 
 from __future__ import annotations
@@ -26,16 +26,16 @@ from hybrid.learn.light import LightTargets, films_tensor, linear_grey
 from hybrid.levels import CHANNEL_SHARES, LEAST_CONTRAST
 
 _FINE = 2
-"""Pixels, along both axes, of which each pixel of a test pattern is the mean."""
+"""Supersampling factor of test patterns, along both axes."""
 
 _LINEAR = linear_from_srgb(np.arange(256) / 255).astype(np.float32)
 
 
 @dataclass(frozen=True, eq=False)
 class LitFilm:
-    """A print and flat photos of it. Levels, in linear grey, are stored as their sRGB.
+    """A print and flat photos of it. Levels are linear grey, stored as sRGB.
 
-    photos: (k, n, n, 3) sRGB. flat: (n, n) display grey. black, white: (k, m, m) what they look like in each photo.
+    photos: (k, n, n, 3) sRGB. flat: (n, n) display grey. black, white: (k, m, m) levels in each photo.
     """
 
     photos: UInt8[np.ndarray, "k n n 3"]
@@ -46,7 +46,7 @@ class LitFilm:
 
 @dataclass(frozen=True)
 class LitPlace:
-    """One photo of a file, and the files of all films of its folder, whose prints may be put in its light."""
+    """One photo of a file, and the files of all films of its folder, whose prints may be shown in its light."""
 
     path: Path
     number: int
@@ -57,19 +57,19 @@ class LitPlace:
 class LightAugment:
     """How light and print are varied further.
 
-    other_print: share of views in which the print is another one. Of these alone: patterns, cropped, joined, windowed,
-    milder, shares in which it is a test pattern, in which it is cut out of a film, in which a side of it is a third
-    film's, in which its darkest and brightest greys are cut off, and in which the light is evened out by some part;
-    print_gamma, one sigma of the log of a power of the print; gsdf, share that is printed by DICOM's display function;
-    densities, range of the optical density of its black; tint, one sigma of the log of the channels of veil and gain.
-    uneven, reflected: shares of views with a further smooth factor, and a further smooth veil; most of the log of the
-    one, and of the other in parts of white.
-    toned: share of views that a further tone curve is applied to; tones, least and most of its strength, above 0 where
-    it makes middle greys brighter, as cameras do that expose for the dark of a film. The most is rare.
+    other_print: share of views with another print. Of these alone: patterns, cropped, joined, windowed, milder, shares
+    in which the print is a test pattern, is cut out of a film, has one side from a third film or has its darkest and
+    brightest greys cut off, and in which the light is partly evened out; print_gamma, one sigma of the log of a power
+    applied to the print; gsdf, share printed by DICOM's display function; densities, range of the optical density of
+    print black; tint, one sigma of the log of the channels of veil and gain.
+    uneven, reflected: share of views with a further smooth factor, or veil, and the most of the factor's log, or of the
+    veil as a fraction of white.
+    toned: share of views with a further tone curve; tones, least and most of its strength, above 0 where it brightens
+    middle greys, as cameras do that expose for the dark parts of a film. Strengths near the most are rare.
     spots, bars: shares of views with a small bright reflection, sharp or soft, that mostly clips, and with parallel
-    bars, as of lamps, windows and blinds, that may be faint.
-    exposure, cast: one sigma of the logs of all light and of its channels. noise: most of one sigma (linear).
-    covered: share of views in which something lies before the film; told: how often the network is told so.
+    bars, possibly faint, as of lamps, windows and blinds.
+    exposure, cast: one sigma of the log of all light and of each channel. noise: largest sigma (linear).
+    covered: share of views in which something lies in front of the film; told: how often the network is told so.
     cut: share of views in which the film leaves the photo.
     """
 
@@ -120,14 +120,14 @@ def open_lit_films(folders: Sequence[Path]) -> list[LitPlace]:
     """All photos of the films of some folders, in order.
 
     Raises:
-        DataError: a folder without any.
+        DataError: a folder has none.
     """
     return [place for folder in folders for place in _open_folder(folder)]
 
 
 def split_films(places: Sequence[LitPlace], held_out: int) -> tuple[list[LitPlace], list[LitPlace]]:
-    """The photos of the first films, at least ``held_out`` of them, and all others, which know nothing of those prints
-    either."""
+    """The photos of the first films, at least ``held_out`` of them, and all other photos, which do not borrow those
+    prints either."""
     held = {place.path for place in places[:held_out]}
     free = {films: tuple(path for path in films if path not in held) for films in {place.films for place in places}}
     first = [place for place in places if place.path in held]
@@ -147,13 +147,13 @@ def read_lit_film(path: Path) -> LitFilm:
     """A film with its photos.
 
     Raises:
-        DataError: not such a file.
+        DataError: it is not such a file.
     """
     return LitFilm(**_arrays(path, ("photos", "flat", "black", "white")))
 
 
 def _arrays(path: Path, names: Sequence[str]) -> dict[str, np.ndarray]:
-    """Some of a film's arrays; photos are nearly all of a file, and a print alone needs none of them."""
+    """Some of a film's arrays; photos make up nearly all of a file, and a print alone needs none of them."""
     try:
         with np.load(path) as file:
             return {name: file[name] for name in names}
@@ -206,7 +206,7 @@ def _evened(
     black: Float32[np.ndarray, "n n"], white: Float32[np.ndarray, "n n"], rng: np.random.Generator,
     augment: LightAugment,
 ) -> tuple[Float32[np.ndarray, "n n"], Float32[np.ndarray, "n n"]]:  # fmt: skip
-    """The levels nearer to their middle, on some views: most photos are lit more evenly than those of a data set."""
+    """Levels that vary less, on some views: most photos are lit more evenly than those of a data set."""
     left = np.float32(rng.random() if rng.random() < augment.milder else 1.0)
     gain = np.maximum(white - black, 1e-4)
     gain = np.median(gain) * (gain / np.median(gain)) ** left
@@ -232,7 +232,7 @@ def _in_light(
 
 
 def _printed(grey: Float32[np.ndarray, "n n"], densest: float | None) -> Float32[np.ndarray, "n n"]:
-    """Light of a print, white: 1, printed by DICOM's display function, or with a display's greys."""
+    """Linear light of a print, white: 1, printed by DICOM's display function, or with a display's greys."""
     if densest is None:
         return linear_from_srgb(grey).astype(np.float32)
     greys = np.linspace(0, 1, 256)
@@ -261,7 +261,7 @@ def pattern_kinds(rng: np.random.Generator) -> np.ndarray:
 
 
 def pattern_cell(side: int, kinds: np.ndarray, ground: int, rng: np.random.Generator) -> UInt8[np.ndarray, "s s"]:
-    """One cell with a pattern of these kinds on it, and strokes as of writing in a corner."""
+    """One cell with a pattern of one of these kinds, and with strokes like writing in a corner."""
     kind, v, u = int(rng.choice(kinds)), *np.meshgrid(*(2 * [np.linspace(-1, 1, side)]), indexing="ij")
     half, low, high = rng.uniform(0.4, 0.9, 2), *np.sort(rng.uniform(0.1, 1, 2))
     radius = np.hypot(u / half[0], v / half[1])
@@ -287,7 +287,7 @@ def _lit_anew(
     light: Float32[np.ndarray, "n n 3"], black: Float32[np.ndarray, "n n"], white: Float32[np.ndarray, "n n"],
     rng: np.random.Generator, augment: LightAugment,
 ) -> tuple[Float32[np.ndarray, "n n 3"], Float32[np.ndarray, "n n"], Float32[np.ndarray, "n n"]]:  # fmt: skip
-    """A further gain and veil, other exposure, colours and noise; then the sensor clips."""
+    """Further gain and veil, another exposure, other colours and noise; then the sensor clips."""
     px = len(black)
     share, most = augment.uneven
     factor = np.exp(rng.normal(0, augment.exposure)) * np.ones((px, px), np.float32)
@@ -303,7 +303,7 @@ def _lit_anew(
     if rng.random() < augment.bars:
         added = added + _lamp(_bars(px, rng), 0.05, rng) * (white * factor).mean()
     cast = np.exp(rng.normal(0, augment.cast, 3)).astype(np.float32)
-    cast /= cast @ np.array(CHANNEL_SHARES, np.float32)  # grey, which the levels are told in, stays
+    cast /= cast @ np.array(CHANNEL_SHARES, np.float32)  # leaves grey unchanged, and so the levels
     noise = rng.standard_normal(light.shape, dtype=np.float32) * np.float32(augment.noise * rng.random())
     lit = (light * factor[..., None] + added[..., None]) * cast
     lit, black, white = (np.clip(x, 0, 1) for x in (lit, black * factor + added, white * factor + added))
@@ -317,8 +317,8 @@ def _lit_anew(
 
 
 def toned(light: Float[np.ndarray, "*n"], strength: float) -> Float[np.ndarray, "*n"]:
-    """Light in [0, 1] after a tone curve that leaves 0 and 1: of strength 1 a quarter becomes two fifths, of -1 a
-    seventh."""
+    """Light in [0, 1] after a tone curve that fixes 0 and 1: strength 1 turns a quarter into two fifths, strength -1
+    into a seventh."""
     if strength < 0:
         return light / (1 - strength * (1 - light))
     return light * (1 + strength) / (1 + strength * light)
@@ -336,7 +336,7 @@ def _lamp(shape: Bool[np.ndarray, "n n"], least: float, rng: np.random.Generator
 
 
 def _bars(px: int, rng: np.random.Generator) -> Bool[np.ndarray, "n n"]:
-    """One to four parallel bars, turned by any angle, and bent a little as in a sheet that is."""
+    """One to four parallel bars at any angle, slightly bent as on a bent sheet."""
     bent = rng.uniform(0, 0.06) * np.stack([_smooth(px, 4, rng) for _ in range(2)], axis=-1)
     angle, (half, length) = rng.uniform(0, np.pi), np.exp(rng.uniform(np.log([0.008, 0.04]), np.log([0.12, 0.6])))
     at = film_centres((px, px)) + bent - rng.random(2)
@@ -349,7 +349,7 @@ def _bars(px: int, rng: np.random.Generator) -> Bool[np.ndarray, "n n"]:
 def _hidden(
     light: Float32[np.ndarray, "n n 3"], white: float, rng: np.random.Generator, augment: LightAugment
 ) -> tuple[Float32[np.ndarray, "n n 3"], Bool[np.ndarray, "n n"], Bool[np.ndarray, "n n"]]:
-    """The film with something before it, or cut off; where print is seen, and where the network is told so."""
+    """The film with something in front of it, or cut off; where print is seen, and where the network is told so."""
     shown = seen = np.ones(light.shape[:2], bool)
     if rng.random() < augment.covered:
         inside = _blob(len(light), rng)

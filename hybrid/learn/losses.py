@@ -17,10 +17,10 @@ from hybrid.learn.tensors import Tensors
 class Targets(Tensors):
     """Truth at the network's output resolution; 0 where the mask is False.
 
-    uv: of the film as seen. covered: something lies before the film; never where the mask is True. grid: of its cells,
-    across and down: where the first begins, pitch, number. orientation: index of what makes it read right. weight: of
-    what each view says of uv and of its cells. has_shape, has_print, has_grid: 1 where xyz, normal and what covers the
-    film, albedo, and the cells are known; 0 where they are not and teach nothing.
+    uv: of the film as seen. covered: something lies in front of the film; never where the mask is True. grid: of its
+    cells, across and down: start of the first, pitch and number. orientation: index of the move that makes it read
+    right. weight: of each view in the losses of uv and cells. has_shape, has_print, has_grid: 1 where xyz, normal and
+    covered, where albedo, and where the cells are known; 0 where they are not and add nothing to the loss.
     """
 
     mask: Bool[Tensor, "b h w"]
@@ -38,7 +38,7 @@ class Targets(Tensors):
 
 
 COVERED_COUNTS = 4.0
-"""How many times as much as others the places count where something lies before the film."""
+"""How many times as much as others places count where something lies in front of the film."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ class LossWeights:
 def masked_mean(
     values: Float[Tensor, "b h w"], mask: Bool[Tensor, "b h w"], weight: Float[Tensor, " b"] | None = None
 ) -> Float[Tensor, ""]:
-    """Mean over the pixels of each film, then (weighted) over the films, so that a small one counts as a large one."""
+    """Mean over the pixels of each film, then (weighted) over the films, so that small films count as large ones do."""
     inside = mask.to(values.dtype)
     means = (values * inside).sum(dim=(1, 2)) / inside.sum(dim=(1, 2)).clamp(min=1.0)
     return (means if weight is None else means * weight).mean()
@@ -95,7 +95,8 @@ def normal_loss(output: FilmNetOutput, targets: Targets) -> Float[Tensor, ""]:
 
 
 def covered_loss(output: FilmNetOutput, targets: Targets) -> Float[Tensor, ""]:
-    """Cross-entropy, over the sheet, of whether something lies before it; the rare places where it does count more."""
+    """Cross-entropy, over the sheet, of whether something lies in front of it; the rare places where it does count
+    more."""
     share = torch.tensor(COVERED_COUNTS, dtype=output.uv.dtype, device=output.uv.device)
     truth = targets.covered.to(output.uv.dtype)
     error = functional.binary_cross_entropy_with_logits(output.covered_logit, truth, reduction="none", pos_weight=share)
@@ -103,7 +104,7 @@ def covered_loss(output: FilmNetOutput, targets: Targets) -> Float[Tensor, ""]:
 
 
 def cell_phases(uv: Float[Tensor, "b 2 h w"], grid: Float[Tensor, "b 2 3"]) -> Float[Tensor, "b 2 2 h w"]:
-    """Cosine and sine of where in its cell each place lies, across and down; a full turn from cell to cell."""
+    """Cosine and sine of each place's position in its cell, across and down; a full turn from cell to cell."""
     first, pitch = (grid[..., k, None, None] for k in (0, 1))
     turns = 2 * torch.pi * (uv - first) / pitch
     return torch.stack([torch.cos(turns), torch.sin(turns)], dim=2)
@@ -116,8 +117,8 @@ def in_grid(uv: Float[Tensor, "b 2 h w"], grid: Float[Tensor, "b 2 3"]) -> Bool[
 
 
 def phase_loss(output: FilmNetOutput, targets: Targets) -> Float[Tensor, ""]:
-    """Mean squared distance of the phases from the true ones, in cells: the expected pair is the shorter, the less is
-    known."""
+    """Mean squared distance of the phases from the true ones, in cells: the less is known, the shorter the expected
+    pair."""
     error = (output.phases - cell_phases(targets.uv, targets.grid)).square().sum(dim=(1, 2))
     return masked_mean(error, targets.mask & in_grid(targets.uv, targets.grid), targets.weight * targets.has_grid)
 

@@ -33,11 +33,11 @@ class FilmNetOutput:
 
     mask_logit: film where positive. uv: coordinates of the film as seen (``hybrid.backward.Orientation``). xyz: camera
     axes turned and mirrored with the view, relative to the film's centre, in film diagonals. albedo: display grey of
-    the print. log_scale: natural log of the expected absolute error of uv (Laplace). phases: cosine and sine of where
-    in its cell each place lies, a full turn from cell to cell; across, then down the film as seen; the shorter the
-    pair, the less sure. grid_logit: in a cell, not in a margin, where positive. covered_logit: of places on the sheet,
-    something lies before it where positive. orientation: logits of the eight ways in which the film may lie. normal:
-    unit towards the side that is seen, in the axes of xyz, predicted while training only, else None.
+    the print. log_scale: natural log of the expected absolute error of uv (Laplace). phases: cosine and sine of each
+    place's position in its cell, a full turn from cell to cell; across, then down the film as seen; the shorter the
+    pair, the less certain. grid_logit: in a cell, not in a margin, where positive. covered_logit: something lies in
+    front of the sheet where positive, valid on it only. orientation: logits of the eight ways the film may lie. normal:
+    unit vector towards the side seen, in the axes of xyz; predicted in training only, else None.
     """
 
     mask_logit: Float[Tensor, "b h w"]
@@ -68,7 +68,7 @@ class ConvNorm(nn.Sequential):
 
 
 class Residual(nn.Module):
-    """Two 3 x 3 convolutions beside an identity."""
+    """Two 3 x 3 convolutions with an identity shortcut."""
 
     def __init__(self, channels: int) -> None:
         super().__init__()
@@ -80,8 +80,8 @@ class Residual(nn.Module):
 
 
 class Attention(nn.Module):
-    """Each place looks at all others (Vaswani et al. 2017), beside an identity. Before any training it changes
-    nothing."""
+    """Attention of each place to all others (Vaswani et al. 2017), with an identity shortcut. Before training it
+    changes nothing."""
 
     def __init__(self, channels: int, heads: int) -> None:
         super().__init__()
@@ -98,19 +98,19 @@ class Attention(nn.Module):
 
 
 def silent(conv: nn.Conv2d) -> nn.Conv2d:
-    """The convolution, which says nothing until it has learnt."""
+    """The convolution with all parameters set to zero, so that it adds nothing until trained."""
     for values in conv.parameters():
         nn.init.zeros_(values)
     return conv
 
 
 class FilmNet(nn.Module):
-    """An encoder to 1/32 of the input and a decoder back to 1/8, whose head writes 2 x 2 output pixels each.
+    """An encoder to 1/32 of the input's resolution and a decoder back to 1/8, whose head writes 2 x 2 pixels per place.
 
-    Most of the work is done at 1/8 and below, where the whole film is within reach of a few convolutions; on the way up
-    each place looks at all others besides, as its place on the sheet is told by edges far off. Each pixel is told where
-    it is in the view (Liu et al. 2018, CoordConv), and uv is predicted as a difference from that. Beside the colours it
-    sees their local contrast, in which a dark film on dark ground looks like any other.
+    Most of the work is done at 1/8 and below, where a few convolutions reach across the whole film; on the way up, each
+    place also attends to all others, since distant edges tell where on the sheet it lies. Each pixel is given its
+    position in the view (Liu et al. 2018, CoordConv), and uv is predicted as an offset from it. Besides colours, the
+    network sees their local contrast, in which a dark film on dark ground looks like any other.
     """
 
     def __init__(self, config: FilmNetConfig) -> None:
@@ -140,7 +140,7 @@ class FilmNet(nn.Module):
         y16 = self.up16(self.among16(x16 + _doubled(self.lateral16(x32))))
         y8 = self.up8(self.among8(x8 + _doubled(self.lateral8(y16))))
         maps = functional.pixel_shuffle(self.head(torch.cat([y8, view_coordinates(y8)], dim=1)), 2)
-        maps = maps.float()  # bfloat16 would tell uv to a 256th of the film
+        maps = maps.float()  # bfloat16 would resolve uv only to a 256th of the film
         return FilmNetOutput(
             mask_logit=maps[:, 0],
             uv=maps[:, 1:3] + view_coordinates(maps) + 0.5,
@@ -160,16 +160,16 @@ def _doubled(x: Tensor) -> Tensor:
 
 
 def view_coordinates(maps: Float[Tensor, "b c h w"]) -> Float[Tensor, "b 2 h w"]:
-    """Places (x, y) of the pixel centres in the view, from its middle, in parts of its sides."""
+    """Positions (x, y) of the pixel centres relative to the view's middle, as fractions of its sides."""
     h, w = maps.shape[-2:]
     x, y = (torch.from_numpy(film_centres_1d(n)).to(maps) - 0.5 for n in (w, h))
     return torch.stack([x.expand(h, w), y[:, None].expand(h, w)]).expand(len(maps), 2, h, w)
 
 
 def local_contrast(images: Float[Tensor, "b 3 H W"], window: int = 32) -> Float[Tensor, "b 1 H W"]:
-    """Grey less its mean, over its standard deviation, both over about ``window`` pixels around; within +-1.
+    """Grey minus its mean, over its standard deviation, both in a window of about ``window`` pixels; within +-1.
 
-    The same for any gain of the image, but that what differs by less than about 0.01 stays faint: it is noise.
+    It does not depend on the image's gain, except that differences of less than about 0.01 stay faint: they are noise.
     """
     grey = images.mean(dim=1, keepdim=True)
     size = grey.shape[-2:]

@@ -1,5 +1,4 @@
-"""Which way a flat film reads right: what its writing, its slices and their order say together, and what was to be
-expected."""
+"""Which way a flat film reads right: the evidence of its writing, its slices and their order, combined with a prior."""
 
 from __future__ import annotations
 
@@ -22,14 +21,14 @@ from hybrid.learn.upright import WAYS, PatchVotes, UprightNet, joined
 from hybrid.learn.upright_patches import text_patches
 
 AT_ONCE = 16
-"""Patches that are read before it is asked whether that was enough."""
+"""Patches that are read before each check whether that was enough."""
 TURNS_OF_WAYS = tuple(-way.turns % 4 if way.mirrored else way.turns for way in WAYS)
-"""The turn that makes the slices lie as after each way: mirroring, which comes first, swaps quarters to both sides."""
+"""The turn that slices, mirrored or not, take in each way: mirroring comes first and swaps left and right quarters."""
 
 
 @dataclass(frozen=True)
 class OrientationReader:
-    """The networks that see which way is up: by what is written, and by what slices show."""
+    """The networks that see which way is up: one reads the writing, one looks at slices."""
 
     writing: UprightNet
     slices: SliceNet
@@ -39,12 +38,12 @@ class OrientationReader:
 class UprightConfig:
     """When a film is turned or mirrored.
 
-    turned, mirrored: shares of films that are photographed turned by quarters, and from behind.
-    min_probability: a film is moved only where it is this sure, these shares counted in, that it then reads right, or
-    that it does not as it lies. enough: reading ends where it is this probable that a film reads right as it lies; one
-    to be moved is read to its end. min_film_px: writing is not read on films whose longer side is less, min_slice_px:
-    nor are slices where a cell's shorter side is. turn: how far every film is turned clockwise, if not as it reads;
-    mirror: whether it is mirrored left to right before that.
+    turned, mirrored: shares of films that are photographed turned by quarter turns, and from behind. min_probability: a
+    film is moved only if, given these shares, it is this probable that it then reads right, or that it does not as it
+    lies. enough: reading stops once it is this probable that a film reads right as it lies; a film that is to be moved
+    is read to the end. min_film_px: writing is not read on films whose longer side is less than this; min_slice_px:
+    slices are not read where a cell's shorter side is less. turn: how far every film is turned clockwise, if not as it
+    reads; mirror: whether it is mirrored left to right before that.
     """
 
     turned: float = 0.1
@@ -71,7 +70,7 @@ class UprightConfig:
 
     @property
     def prior(self) -> Float[np.ndarray, " 8"]:
-        """Probability of each of the eight ways before anything was read; turning and mirroring are independent."""
+        """Probability of each of the eight ways before anything is read; turning and mirroring are independent."""
         turns = np.array([1 - self.turned, *[self.turned / 3] * 3])
         return np.concatenate([(1 - self.mirrored) * turns, self.mirrored * turns])
 
@@ -81,9 +80,10 @@ def orientation_chances(
     config: UprightConfig,
 ) -> tuple[Float32[np.ndarray, " 8"] | None, str]:  # fmt: skip
     """Probabilities that a flat film (sRGB) has to be moved in each of the eight ways to read right, and what was read;
-    None where all is too small.
+    None if everything is too small.
 
-    It is read until it surely reads right as it lies. vertices: film uv of the grid's corners, where one was found.
+    Reading stops once the film surely reads right as it lies. vertices: film uv of the grid's corners, where one was
+    found.
     """
     if vertices is not None and least_side(vertices, film.shape) < config.min_slice_px:
         vertices = None
@@ -91,7 +91,7 @@ def orientation_chances(
     if vertices is None and not written:
         return None, ""
     chances, read = None, ""
-    before = torch.from_numpy(config.prior).log().float()  # of what cannot be: minus infinity
+    before = torch.from_numpy(config.prior).log().float()  # where a way cannot be: minus infinity
     for logits, of in _readings(reader, cv2.cvtColor(film, cv2.COLOR_RGB2GRAY), vertices, written):
         chances, read = functional.softmax(logits + before, dim=0).numpy(), of
         if chances[0] >= config.enough:
@@ -103,9 +103,9 @@ def _readings(
     reader: OrientationReader, grey: UInt8[np.ndarray, "h w"], vertices: Float[np.ndarray, "r c 2"] | None,
     written: bool,
 ) -> Iterator[tuple[Float[Tensor, " 8"], str]]:  # fmt: skip
-    """Logits of the eight ways by ever more of the film, and what that is: where there is a grid, the order of its
-    slices; the patches that are most written on, which mostly are enough; what slices show; then the other patches, a
-    few at a time."""
+    """Logits of the eight ways from more and more of the film, and what that is: the order of slices, where there is a
+    grid; the patches with most writing, which usually are enough; what slices show; then the other patches, a few at a
+    time."""
     by_writing = by_cells = torch.zeros(8, dtype=torch.float32, device="cpu")
     first_read = "writing"
     if vertices is not None:
@@ -128,13 +128,13 @@ def _readings(
 
 @torch.inference_mode()
 def _by_writing(network: UprightNet, patches: Float32[Tensor, "n p p"], votes: list[PatchVotes]) -> Float[Tensor, " 8"]:
-    """Logits of the eight ways by some more patches and by the ``votes`` of those before, to which theirs are added."""
+    """Logits of the eight ways from some more patches and the earlier ``votes``, to which theirs are appended."""
     votes.append(network(patches[None]))
     return joined(votes).films[0]
 
 
 def upright_way(chances: Float32[np.ndarray, " 8"], config: UprightConfig) -> tuple[Orientation, str]:
-    """How to move a film with those ``orientation_chances``, and why, in words."""
+    """How to move a film with these ``orientation_chances``, and why, in words."""
     best = WAYS[int(chances.argmax())]
     probability = float(chances[best.index])
     said = ", ".join([f"turned by {90 * best.turns} degrees"] * (best.turns > 0) + ["mirrored"] * best.mirrored)

@@ -1,7 +1,7 @@
 """Training views of the paper's networks: windows of the photo, with the film's maps and its backward map.
 
-As for FilmNet the film is taken as it is seen (``hybrid.backward.Orientation``): a film that lies on its side, or that
-is seen from behind, would else ask these networks for what they cannot read at their resolution.
+As for FilmNet, coordinates are of the film as seen (``hybrid.backward.Orientation``): a film that lies on its side, or
+is seen from behind, would otherwise ask these networks for what they cannot read at their resolution.
 """
 
 from __future__ import annotations

@@ -1,14 +1,15 @@
 """The losses of the paper, each with its equation, and those of its baselines.
 
-Norms are taken over the two or three numbers of a pixel and averaged over pixels and films, so that neither the
-image's nor the film's size changes a term's weight, as they would in the paper's sums. The paper scales all maps to
-[-1, 1] before it adds their terms; here uv, albedo and background lie in [0, 1], coordinates and depth are in diagonals
-of the film, and only normals in [-1, 1]: these count twice as much as there, depth less. Maps of the photo are compared
-on the film. There the published code compares whole images with 0 as the background's truth.
+Norms are taken over the two or three numbers of a pixel and averaged over pixels and films, so that neither the image's
+nor the film's size changes a term's weight, as they would in the paper's sums. The paper scales all maps to [-1, 1]
+before it adds their terms; here uv, albedo and background lie in [0, 1], coordinates and depth are in diagonals of the
+film, and only normals in [-1, 1]: against these terms normals count twice as much as in the paper, depth less. Maps of
+the photo are compared on the film, whereas the published code compares whole images with 0 as the background's truth.
 
-Where the published code differs from the paper (it never puts the terms of equation (3) to use: its training sums L1
-terms alone): the shift and disturbance are squared, the de-shifted difference is a smooth L1 loss and takes the error
-less its mean where equation (3) takes the smaller of the two, and the deviation is one number for the whole batch.
+The published code never puts the terms of equation (3) to use: its training only sums L1 terms. Its versions of them
+differ from the paper's; the shift and disturbance are squared, the de-shifted difference is a smooth L1 loss of the
+error less its mean where equation (3) takes the smaller of the two, and the deviation is one number for the whole
+batch.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ BETA = 2.0
 """The paper's weights of disturbance and de-shifted difference in equation (4)."""
 
 _MIN_VARIANCE = 1e-12
-"""Below it the deviation is as good as 0, and the square root's slope would grow beyond all bounds."""
+"""Below it the deviation is practically 0, and the square root's slope would grow without bound."""
 
 
 def everywhere(error: Float[Tensor, "b c h w"]) -> Bool[Tensor, "b h w"]:
@@ -48,7 +49,7 @@ def l1_loss(error: Float[Tensor, "b c h w"], mask: Bool[Tensor, "b h w"]) -> Flo
 def shape_terms(output: FiReNetOutput, targets: PaperTargets) -> dict[str, Tensor]:
     """Terms of equation (2), whose sum it is: L_shape = L_3D + L_nor + L_dp + L_bg.
 
-    Without the maps that an ablation leaves out. The background's error is of its probability, on all pixels.
+    Maps that an ablation leaves out have no term. The background's error is that of its probability, on all pixels.
     """
     background = torch.sigmoid(output.mask_logit) - targets.mask.to(targets.uv.dtype)
     terms = {
@@ -95,7 +96,7 @@ def deshifted_difference_loss(error: Float[Tensor, "b c h w"], mask: Bool[Tensor
 def deformation_loss(
     error: Float[Tensor, "b c h w"], mask: Bool[Tensor, "b h w"], alpha: float = ALPHA, beta: float = BETA
 ) -> Float[Tensor, ""]:
-    """Equation (4): L_df = L_shift + alpha L_disturb + beta L_diff; the uv map's loss L_uv is made alike."""
+    """Equation (4): L_df = L_shift + alpha L_disturb + beta L_diff; the uv map's loss L_uv has the same form."""
     disturb, diff = disturbance_loss(error, mask), deshifted_difference_loss(error, mask)
     return shift_loss(error, mask) + alpha * disturb + beta * diff
 
@@ -105,7 +106,7 @@ def transformation_terms(
 ) -> dict[str, Tensor]:
     """Terms of equation (5), whose sum it is: L_trans = L_df + L_uv + L_ab; without L_df where an ablation has none.
 
-    The deformation map lives on the film's nodes, all of which have a truth, so that it takes no mask.
+    The deformation map lives on the film's nodes, all of which have a truth, so it needs no mask.
     """
     terms = {
         "uv": deformation_loss(output.uv - targets.uv, targets.mask, alpha, beta),
@@ -128,7 +129,7 @@ def firenet_losses(output: FiReNetOutput, targets: PaperTargets) -> dict[str, Te
 def shape_net_losses(output: ShapeOutput, targets: PaperTargets) -> dict[str, Tensor]:
     """L1 of the coordinate code on the whole image, background included, which the backward-map network relies on.
 
-    The DewarpNet paper adds an error of gradients; its released training has that term switched off.
+    The DewarpNet paper adds a gradient error; its released training has that term switched off.
     """
     error = output.code - coordinate_code(targets.xyz, targets.mask)
     return {"code": l1_loss(error, everywhere(error))}
@@ -158,7 +159,7 @@ def backward_net_losses(output: BackwardOutput, targets: PaperTargets) -> dict[s
 
 
 def dewarpnet_losses(output: DewarpNetOutput, targets: PaperTargets) -> dict[str, Tensor]:
-    """Both stages of DewarpNet, for training them as one."""
+    """Losses of both stages of DewarpNet, for training them as one."""
     return shape_net_losses(output.shape, targets) | backward_net_losses(BackwardOutput(output.backward), targets)
 
 

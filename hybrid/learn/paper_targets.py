@@ -18,7 +18,7 @@ class PaperTargets(Tensors):
 
     uv: film coordinates in [0, 1], v down. xyz: camera axes, relative to the film's centre, in film diagonals. normal:
     unit vectors in camera axes, towards the side that is seen. albedo: display grey of the print. backward: photo
-    points on n x n nodes of the film, in units of the photo's sides; true everywhere, also where the film leaves the
+    points on n x n nodes of the film, in units of the photo's sides; true everywhere, even where the film leaves the
     photo or hides itself.
     """
 
@@ -33,7 +33,7 @@ class PaperTargets(Tensors):
     def depth(self) -> Float[Tensor, "b h w"]:
         """Depth along the optical axis relative to the film's centre, in film diagonals.
 
-        With 3D coordinates in the camera's axes it is the third of them; the paper's are in the world's.
+        With 3D coordinates in camera axes it is the third of them; the paper's coordinates are in world axes.
         """
         return self.xyz[:, 2]
 

@@ -1,4 +1,4 @@
-"""Pictures of what a network has learnt: views with the quarter lines of the film, as they are and as predicted."""
+"""Pictures of what a network has learnt: views with the quarter lines of the film, true and predicted."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from hybrid.draw import contact_sheet, draw_curves, resized
 
 Picture = UInt8[np.ndarray, "h w 3"]
 Curves = list[Float[np.ndarray, "_ 2"]]
-"""Curves in a view, in parts of its sides."""
+"""Curves in a view, as fractions of its sides."""
 
 PICTURE_VIEWS, COLUMNS, TILE_PX = 8, 4, 288
 QUARTERS = (0.25, 0.5, 0.75)
@@ -37,7 +37,7 @@ def lines_of_uv(uv: Float[Tensor, "2 h w"], mask: Bool[Tensor, "h w"]) -> Curves
 
 
 def _in_view(curve: Float[np.ndarray, "_ 2"], size: tuple[int, ...]) -> Float[np.ndarray, "_ 2"]:
-    """A curve of (row, column) indices, as points (x, y) in parts of the sides."""
+    """A curve of (row, column) indices, as points (x, y) in fractions of the sides."""
     return rescale_points(photo_from_opencv(np.stack([curve[:, 1], curve[:, 0]], axis=-1)), (size[0], size[1]), (1, 1))
 
 

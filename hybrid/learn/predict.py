@@ -18,21 +18,21 @@ from hybrid.records import CoarseMaps
 
 @dataclass(frozen=True)
 class PredictConfig:
-    """How the network looks at a photo: at the whole, then again and again at the film as it flattened it last."""
+    """How the network looks at a photo: first at the whole, then repeatedly at the film as last flattened."""
 
     looks: int = 4
-    """At most, the first included."""
+    """Number of looks at most, including the first."""
     settled: float = 0.01
-    """A look that moves the film by less, on average and in parts of its size, is the last."""
+    """A look that moves the film by less than this, on average and as a fraction of its size, is the last."""
     margin: float = 0.07
-    """Around the film (part of the view) in the looks at the film alone."""
+    """Around the film (fraction of the view) in the looks at the film alone."""
     sides: tuple[int, ...] = (0, 2, 5, 7)
-    """Ways in which the last look holds the film (indices of Orientation): the first is that of all looks, the others
-    count where refinement starts from them, too (RectifyConfig.tries). The mean over all is a little nearer to
-    the truth; once refined that no longer shows."""
+    """Orientations in which the last look shows the film (indices of Orientation): all looks use the first, the others
+    count where refinement also starts from them (RectifyConfig.tries). The mean over all is slightly nearer to the
+    truth; after refinement that no longer shows."""
     least_px: int = 400
-    """Large photos are reduced by powers of two to a longer side of this to twice this: several times what the network
-    reads of them."""
+    """Large photos are reduced by powers of two to a longer side between this and twice this: several times what the
+    network reads of them."""
 
     def __post_init__(self) -> None:
         require_at_least(self, 1, "looks", "least_px")
@@ -42,7 +42,7 @@ class PredictConfig:
 
 
 def look(network: FilmNet, photo: UInt8[np.ndarray, "H W 3"], views: Sequence[BackwardMap]) -> list[CoarseMaps]:
-    """The network's maps of what each view of the photo shows; one pass for all. uv is of the film as seen."""
+    """The network's maps of what each view of the photo shows, in one pass. uv is of the film as seen."""
     n = network.config.input_px
     images = torch.from_numpy(np.stack([view_image(photo, view, n) for view in views])).permute(0, 3, 1, 2)
     with torch.inference_mode():
@@ -60,7 +60,8 @@ def look(network: FilmNet, photo: UInt8[np.ndarray, "H W 3"], views: Sequence[Ba
 def look_from_sides(
     network: FilmNet, photo: UInt8[np.ndarray, "H W 3"], view: BackwardMap, sides: Sequence[int]
 ) -> list[CoarseMaps]:
-    """The maps of one view, turned and mirrored in several ways for the network; film coordinates as in the view."""
+    """The maps of one view that the network sees turned and mirrored in several ways; film coordinates as in the
+    view."""
     ways = [Orientation.from_index(side) for side in sides]
     looks = look(network, photo, [view.turned(way) for way in ways])
     return [as_in_view(maps, way) for maps, way in zip(looks, ways, strict=True)]
@@ -69,9 +70,9 @@ def look_from_sides(
 def as_in_view(maps: CoarseMaps, way: Orientation) -> CoarseMaps:
     """Maps of a turned view, with film coordinates as if it had not been turned.
 
-    Cells that are counted from the other end have their phases run backwards: a grid has a whole number of them.
+    Where cells are counted from the other end, phases run backwards: a grid has a whole number of cells.
     """
-    assert maps.phases is not None  # FilmNet tells them
+    assert maps.phases is not None  # FilmNet predicts them
     moved = way.seen_from_film(np.eye(2)) - way.seen_from_film(np.zeros(2))  # where u and v go
     swapped, reverse = bool(moved[0, 1] != 0), moved.sum(axis=0) < 0
     phases = maps.phases[..., ::-1, :] if swapped else maps.phases

@@ -33,7 +33,7 @@ def image_input(images: Tensor, targets: Any) -> Tensor:
 
 
 def coordinate_input(images: Tensor, targets: PaperTargets) -> Tensor:
-    """The true 3D map, as a network of 3D maps sees it: what such a network is trained on alone."""
+    """The true 3D map, as a network of 3D maps reads it: the input when such a network is trained alone."""
     return coordinate_code(targets.xyz, targets.mask)
 
 
@@ -57,12 +57,12 @@ class Preset:
     """One network, and how it is trained.
 
     config, build: ``build(config)`` makes the network; ``config.input_px`` is the side of its input. losses: terms by
-    name, of output and targets. weights: of the terms; those left out count once. nodes: side of the true backward map
-    for an input of so many pixels; 0 if it is not needed. inputs: what the network reads. own_feed: where its batches
-    come from, if not the paper's. batch, learning_rate: as published. px_multiple: what the input's side is a multiple
-    of. one_size: whether the network takes inputs of its configuration's size only. least_batch: images that each
-    process needs in a step: those whose maps end in a single pixel cannot be normalised over fewer. layout: of its
-    weights in memory, while it is trained.
+    name, from output and targets. weights: of the terms; those left out count once. nodes: side of the true backward
+    map for an input of so many pixels; 0 if it is not needed. inputs: what the network reads. own_feed: where its
+    batches come from, if not the paper's. batch, learning_rate: as published. px_multiple: the input's side is a
+    multiple of this. one_size: whether the network takes only inputs of its configuration's size. least_batch: images
+    that each process needs in a step: networks whose maps shrink to a single pixel cannot be normalised over fewer.
+    layout: of the weights in memory during training.
     """
 
     config: FilmNetConfig | UprightNetConfig | SliceNetConfig | EdgeNetConfig | LightNetConfig | PaperConfig
@@ -200,8 +200,8 @@ PRESETS: dict[str, Preset] = {
     "net_bw": _NET_BW,
     "net_uv": replace(_NET_BW, build=NetUv, losses=paper_losses.net_uv_losses, nodes=no_nodes),
 }
-"""DewarpNet's stages are trained apart first, shape from photos and the map from true 3D maps. ``dewarpnet.joined``
-makes one network of them, which "dewarpnet" trains further (``hybrid train --start``)."""
+"""DewarpNet's stages are first trained separately, shape from photos and the map from true 3D maps.
+``dewarpnet.joined`` makes one network of them, which "dewarpnet" trains further (``hybrid train --start``)."""
 
 
 def preset(name: str) -> Preset:

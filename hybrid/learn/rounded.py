@@ -1,6 +1,6 @@
-"""Round corners, cut off the sharp ones of training films: sheets of film come out of their box rounded.
+"""Rounds the sharp corners of training films: sheets of film come out of their box rounded.
 
-The twelve check photos with round corners end 0.27 px off (geometric mean), 0.33 by networks that had seen none.
+The twelve check photos with round corners end 0.27 px off (geometric mean), or 0.33 with networks that had seen none.
 """
 
 from __future__ import annotations
@@ -16,16 +16,16 @@ from hybrid.learn.draws import log_uniform
 from hybrid.round_corners import RoundCorners
 
 SHARE = 0.5
-"""Films whose corners are rounded."""
+"""Share of films whose corners are rounded."""
 
 RADIUS = (0.005, 0.04)
-"""Range of the radius, in parts of the film's longer side: 2 to 17 mm of 430."""
+"""Range of the radius, as a fraction of the film's longer side: 2 to 17 mm of 430."""
 
 
 def round_some(
     photo: UInt8[np.ndarray, "h w 3"], film: BackwardMap, own: RoundCorners | None, rng: np.random.Generator
 ) -> tuple[UInt8[np.ndarray, "h w 3"], RoundCorners | None]:
-    """The photo, and the round corners of its film: its own, or such as some of the others get; None if it has none."""
+    """The photo, and the round corners of its film: its own, or random ones on some others; None if it has none."""
     if own is not None or rng.random() >= SHARE:
         return photo, own
     down, across = film.mean_film_pixels()
@@ -37,7 +37,7 @@ def round_some(
 def with_round_corners(
     photo: UInt8[np.ndarray, "h w 3"], film: BackwardMap, corners: RoundCorners, rng: np.random.Generator
 ) -> UInt8[np.ndarray, "h w 3"]:
-    """The photo with ground in place of the film's corners: what is seen further out, as it is or blurred."""
+    """The photo with ground in place of the film's corners: a patch from further out, as it is or blurred."""
     size, changed = (photo.shape[0], photo.shape[1]), photo.copy()
     cut = cut_share(film, corners, size, 1)
     for at, centre in zip(film.photo_from_film(FILM_CORNERS), film.photo_from_film(corners.centres()), strict=True):
@@ -55,9 +55,9 @@ def with_round_corners(
 
 
 def cut_share(film: BackwardMap, corners: RoundCorners, size: tuple[int, int], rim_px: int) -> UInt8[np.ndarray, "h w"]:
-    """Share, of 255, that is cut off in each pixel of a photo of ``size`` (h, w), with the rim around it, in which the
-    lens mixed film and ground. Where both outlines are one, along the sides, little may be left of it: it is meant near
-    the corners alone."""
+    """Share, of 255, of each pixel of a photo of ``size`` (h, w) that is cut off, with the rim around it, in which the
+    lens mixed film and ground. Along the sides, where both outlines coincide, little may be left of it: it is meant for
+    use near the corners only."""
     left = filled(film.photo_from_film(corners.outline()), size)
     kernel = np.ones((2 * rim_px + 1, 2 * rim_px + 1), np.uint8)
     return cv2.min(cv2.dilate(cv2.subtract(filled(film.outline(), size), left), kernel), 255 - left)

@@ -1,4 +1,4 @@
-"""One sample of a data set, read at the points at which a view looks at it."""
+"""One sample of a data set, read at the points of a view."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Place = tuple[Shard, int]
 """A sample: its shard and its number in it."""
 
 CHANNELS = {"uv": 2, "xyz": 3, "albedo": 1}
-"""Numbers for each pixel of the maps whose means are taken."""
+"""Channels of the maps that are interpolated."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,10 +29,10 @@ class Truth:
     """The maps of a sample at some photo points; 0 where the mask is False.
 
     uv: film coordinates. xyz: camera axes, relative to the film's centre, in film diagonals. normal: unit, camera axes,
-    towards the side that is seen. albedo: display grey of the print. covered: something lies before the film; not where
-    the mask is True. A map that the sample lacks is 0 everywhere; has_shape: whether it has xyz and normal, and with
-    them what covers the film; has_print: whether it has albedo. vertices: film coordinates of the corners of the cells;
-    None where these are not known.
+    towards the side that is seen. albedo: display grey of the print. covered: something lies in front of the film; not
+    where the mask is True. A map that the sample lacks is 0 everywhere; has_shape: whether it has xyz and normal, and
+    thus covered; has_print: whether it has albedo. vertices: film coordinates of the corners of the cells; None where
+    these are not known.
     """
 
     mask: Bool[np.ndarray, "h w"]
@@ -46,7 +46,7 @@ class Truth:
     vertices: Float[np.ndarray, "r c 2"] | None
 
     def without(self, cut: Bool[np.ndarray, "h w"]) -> Truth:
-        """The same of a sheet from which film points are cut off."""
+        """The truth for the sheet with these film points cut off."""
         left = self.mask & ~cut
         maps = {name: np.where(left[..., None], getattr(self, name), 0) for name in ("uv", "xyz", "normal")}
         return replace(self, mask=left, albedo=np.where(left, self.albedo, 0), **maps)
@@ -56,7 +56,7 @@ def open_places(folders: Sequence[Path]) -> list[Place]:
     """All samples of some data sets, in order.
 
     Raises:
-        DataError: a data set that cannot be read.
+        DataError: a data set cannot be read.
     """
     return [(shard, k) for folder in folders for shard in open_dataset(folder) for k in range(len(shard))]
 
@@ -98,7 +98,7 @@ def _round_corners(record: dict) -> RoundCorners | None:
 
 
 def sheet_outline(film: BackwardMap, corners: RoundCorners | None) -> Float[np.ndarray, "n 2"]:
-    """Photo points of the edge of a film with round corners, or with sharp ones, once around."""
+    """Photo points once around the edge of a film with round or sharp corners."""
     return film.outline() if corners is None else film.photo_from_film(corners.outline())
 
 
@@ -110,10 +110,10 @@ def vertices_of(place: Place) -> Float[np.ndarray, "r c 2"] | None:
 
 
 def truth_at(place: Place, points: Float[np.ndarray, "h w 2"], photo_size: tuple[int, int]) -> Truth:
-    """The maps of a sample at photo points: bilinear, of film pixels only; the normal of the nearest one.
+    """The maps of a sample at photo points: bilinear, over film pixels only; the normal is that of the nearest one.
 
-    Only the four neighbours of each point are read: the maps stay on disk where nothing looks at them. Where some of
-    the four are no film, the mean of the others stands for another place; uv and xyz are carried on from there.
+    Only the four neighbours of each point are read: the rest of the maps stays on disk. Where some of the four show no
+    film, the mean of the others belongs to a different place; uv and xyz are extrapolated from there.
     """
     shard, index = place
     mask = shard.stored("mask", index)
@@ -158,7 +158,7 @@ def truth_at(place: Place, points: Float[np.ndarray, "h w 2"], photo_size: tuple
 
 
 def _carried_on(values: np.ndarray, off: np.ndarray, at: np.ndarray, seen: np.ndarray) -> np.ndarray:
-    """Values carried on by ``off`` map pixels along their mean slope over the film."""
+    """Values extrapolated by ``off`` map pixels along their mean slope over the film."""
     if seen.sum() < 8:
         return values
     rows = np.column_stack([at[seen], np.ones(int(seen.sum()))])
@@ -167,7 +167,7 @@ def _carried_on(values: np.ndarray, off: np.ndarray, at: np.ndarray, seen: np.nd
 
 
 def _nearest_normal(place: Place, at: np.ndarray, seen: np.ndarray) -> np.ndarray:
-    """Normals at OpenCV coordinates of the maps, of the nearest pixel of film; stored normals cannot be averaged."""
+    """Normals of the film pixels nearest to OpenCV coordinates of the maps; stored normals cannot be averaged."""
     shard, index = place
     mask, stored = shard.stored("mask", index), shard.stored("normal", index)
     x, y = (np.clip(np.rint(at[..., k]).astype(np.int64), 0, mask.shape[1 - k] - 1) for k in (0, 1))
@@ -177,7 +177,7 @@ def _nearest_normal(place: Place, at: np.ndarray, seen: np.ndarray) -> np.ndarra
 
 
 def _side_seen(place: Place) -> np.float32:
-    """What a normal towards the side that reads right is multiplied by, to point to the side that the photo shows."""
+    """Factor that turns a normal of the side that reads right towards the side that the photo shows."""
     return np.float32(-1 if orientation(film_of(place)).mirrored else 1)
 
 
@@ -193,7 +193,7 @@ def _nearest_film(mask: np.ndarray, at: Float[np.ndarray, "n 2"]) -> Int[np.ndar
 def _covered(
     place: Place, at: np.ndarray, photo_size: tuple[int, int], corners: RoundCorners | None
 ) -> Bool[np.ndarray, "h w"]:
-    """Where a pixel of the maps lies well within the sheet's outline and shows no film, at OpenCV coordinates."""
+    """Whether map pixels at OpenCV coordinates lie well within the sheet's outline but show no film."""
     mask = film_mask(place)
     size = (mask.shape[0], mask.shape[1])
     edge = sheet_outline(film_of(place), corners)
@@ -205,7 +205,7 @@ def _covered(
 
 
 def _relative(stored: np.ndarray, seen: np.ndarray, record: dict) -> np.ndarray:
-    """Stored 3D coordinates as those relative to the film's centre, in film diagonals."""
+    """Stored 3D coordinates made relative to the film's centre, in film diagonals."""
     xyz = xyz_from_stored(stored, record["coding"]["xyz"])
     centre = np.asarray(record["grid"]["camera"]).reshape(-1, 3).mean(axis=0)
     return np.where(seen[..., None], (xyz - centre) / np.hypot(*record["size_mm"]), 0).astype(np.float32)

@@ -1,4 +1,4 @@
-"""Reading a data set: tar shards mapped into memory, their arrays looked at in place (written by data_gen).
+"""Reading a data set: memory-mapped tar shards, whose arrays are read in place (written by data_gen).
 
 DIR/dataset.json      what made it: seed, count, every option, format and conventions version
 DIR/manifest.json     each finished shard: name, count of samples, bytes, sha256
@@ -25,12 +25,12 @@ from hybrid.errors import DataError, describe
 from hybrid.learn.coding import decode_albedo, decode_normal, decode_uv, decode_xyz
 
 FORMAT = 2
-"""Of the data set's files; raised with each change after which old files cannot be read."""
+"""Version of the data set's files; raised with each change that makes old files unreadable."""
 
 TAR_BLOCK = 512
 
 OPEN_SHARDS = 256
-"""Shards kept mapped at a time: each holds a file open, of which a process may commonly have 1024."""
+"""Shards kept mapped at a time: each keeps a file open, and a process may commonly open 1024."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class ShardEntry:
 
 @dataclass(frozen=True, eq=False)
 class Shard:
-    """One shard; its file is opened when something in it is first asked for. Samples are counted from 0 here."""
+    """One shard; its file is opened at the first access to it. Samples are counted from 0 here."""
 
     path: Path
     entry: ShardEntry
@@ -59,7 +59,7 @@ class Shard:
         return self.member("photo.jpg", k).tobytes()
 
     def record(self, k: int) -> dict[str, Any]:
-        """All that is said of a sample: size_mm, camera, grid, coding, the parameters that were drawn."""
+        """All metadata of a sample: size_mm, camera, grid, coding, the parameters that were drawn."""
         return json.loads(self.member("json", k).tobytes())
 
     def stored(self, name: str, k: int) -> np.ndarray:
@@ -74,10 +74,10 @@ class Shard:
         return f"{name}.npy" in self._index
 
     def field(self, name: str, k: int) -> np.ndarray:
-        """A map as the conventions have it: float32, NaN where the mask is False; mask and glare are boolean.
+        """A map as the conventions define it: float32, NaN where the mask is False; mask and glare are boolean.
 
-        uv (h, w, 2), xyz (h, w, 3) mm in camera axes, normal (h, w, 3) unit, albedo (h, w), depth (h, w) mm,
-        backward (gh, gw, 2) nodes in pixels of the photo.
+        uv (h, w, 2), xyz (h, w, 3) mm in camera axes, normal (h, w, 3) unit, albedo (h, w), depth (h, w) mm, backward
+        (gh, gw, 2) nodes in pixels of the photo.
         """
         if name in ("mask", "glare", "backward"):
             return self.stored(name, k)
@@ -143,7 +143,7 @@ def read_index(path: Path) -> TarIndex:
 
 def _tar_members(path: Path) -> Iterator[tuple[str, int, int]]:
     """Name, offset and size of each file in an uncompressed USTAR tar."""
-    file = os.open(path, os.O_RDONLY)  # plain reads: touching mapped pages would read what is around them as well
+    file = os.open(path, os.O_RDONLY)  # plain reads: touching mapped pages would also read those around them
     try:
         at = 0
         while (header := os.pread(file, TAR_BLOCK, at))[:1] != b"\0":
@@ -158,7 +158,7 @@ def _tar_members(path: Path) -> Iterator[tuple[str, int, int]]:
 
 @lru_cache(maxsize=OPEN_SHARDS)
 def _mapped(path: Path, sha256: str) -> np.ndarray:
-    """The bytes of a shard. The hash keeps a shard apart from one that replaced it under the same name."""
+    """The bytes of a shard. The hash distinguishes a shard from one that replaced it under the same name."""
     with path.open("rb") as file:
         return np.frombuffer(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ), np.uint8)
 
@@ -212,7 +212,7 @@ def read_manifest(folder: Path) -> list[ShardEntry]:
     """The finished shards of a data set, in order; none where there is no manifest yet.
 
     Raises:
-        DataError: a manifest that is not one.
+        DataError: the file is not a manifest.
     """
     path = folder / "manifest.json"
     if not path.exists():
@@ -228,8 +228,8 @@ def open_dataset(folder: Path, verify: bool = False) -> list[Shard]:
     """The finished shards of a data set folder, in order, none of them opened yet.
 
     Raises:
-        DataError: no data set there or none of its shards is finished; another version; a shard that is missing or
-            of another size than the manifest says or, with ``verify``, of another sha256.
+        DataError: no data set there, or none of its shards is finished; another version; a shard is missing or differs
+            from the manifest in its size or, with ``verify``, in its sha256.
     """
     read_description(folder)
     shards = [Shard(folder / entry.name, entry) for entry in read_manifest(folder)]
@@ -247,8 +247,8 @@ def open_dataset(folder: Path, verify: bool = False) -> list[Shard]:
 
 
 def data_digest(folders: Sequence[Path]) -> str:
-    """Of what some folders hold, in their order, wherever they lie: of shards the hashes that their manifest lists, of
-    numbered files the names and sizes, with what their dataset.json says made them."""
+    """Digest of what some folders hold, in their order, wherever they lie: of the hashes of shards that the manifest
+    lists, or of the names and sizes of numbered files and their dataset.json."""
     digest = hashlib.sha256()
     for folder in folders:
         held = [f"{entry.name} {entry.sha256}" for entry in read_manifest(folder)]

@@ -1,4 +1,4 @@
-"""Training views of SliceNet: slices of flat prints as a flattened photo shows them, bent, cut out a little wrong."""
+"""Training views of SliceNet: slices of flat prints as a flattened photo shows them, bent and cut out slightly off."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from hybrid.learn.slices import SliceNetConfig, cell_squares, standardised
 from hybrid.learn.upright_data import PrintAugment, photographed, print_paths, read_print
 
 _PER_PIXEL = 1.5
-"""Pixels of the film, at most, for each pixel of a picture before it is read there: so that none is passed over."""
+"""Film pixels, at most, per pixel of a picture read there: larger films are reduced first, so that none is skipped."""
 
 
 @dataclass(frozen=True)
 class SliceAugment:
-    """How slices are disturbed besides what a photo does to them; all slices of a view alike but for ``shift``.
+    """How slices are disturbed besides what a photo does to them; alike in a view, but for ``shift`` and ``hidden``.
 
-    roll_deg, stretch: one sigma of the angle, and of the log of the aspect. zoom: range. bend: one sigma, in parts of
-    the cell, of a smooth displacement, so that other patients are shaped otherwise. shift: one sigma of the middle's,
-    in parts of the cell. gamma: one sigma of log2, of each view's greys. hidden: share of slices of which a part is
-    hidden. strange: share of views that show test patterns, which lie any way: what is no anatomy has to say nothing.
-    shown: slices of a view.
+    roll_deg, stretch: one sigma of the angle, and of the log of the aspect. zoom: range. bend: one sigma, as a fraction
+    of the cell, of a smooth displacement that imitates differently shaped patients. shift: one sigma of the middle's,
+    as a fraction of the cell. gamma: one sigma of its log2, for each view. hidden: share of slices with a hidden part.
+    strange: share of views that show test patterns, which lie any way: the network must not prefer any turn of what is
+    not anatomy. shown: slices of a view.
     """
 
     roll_deg: float = 5.0
@@ -43,10 +43,10 @@ class SliceAugment:
 
 
 def sliced_prints(folder: Path) -> list[Path]:
-    """The flat prints of a folder that says where their slices are.
+    """The flat prints of a folder that records where their slices are.
 
     Raises:
-        DataError: there are none, or they were made before it did.
+        DataError: there are none, or they were made before this was recorded.
     """
     paths = print_paths(folder)
     if not paths[0].with_suffix(".json").exists():
@@ -92,7 +92,7 @@ def slice_view(
 
 
 def _strange_view(px: int, rng: np.random.Generator, shown: int) -> Float32[np.ndarray, "n p p"]:
-    """Cells of test patterns, noisy, all turned alike by any number of quarters."""
+    """Noisy cells of test patterns, all turned by the same random number of quarter turns."""
     kinds, ground, turns = pattern_kinds(rng), int(rng.integers(0, 60)), int(rng.integers(4))
     cells = np.stack([np.rot90(pattern_cell(2 * px, kinds, ground, rng), turns) for _ in range(shown)])
     cells = cells.reshape(shown, px, 2, px, 2).mean(axis=(2, 4)) + rng.normal(0, rng.uniform(1, 8), (shown, px, px))
@@ -100,7 +100,7 @@ def _strange_view(px: int, rng: np.random.Generator, shown: int) -> Float32[np.n
 
 
 def _bent_places(px: int, rng: np.random.Generator, augment: SliceAugment) -> Float[np.ndarray, "p p 2"]:
-    """Where the pixels of a picture are read, from the cell's middle in parts of its side; half of them mirrored."""
+    """Where the pixels of a picture are read, from the cell's middle in fractions of its side; half are mirrored."""
     angle, aspect = np.deg2rad(rng.normal(0, augment.roll_deg)), np.exp(rng.normal(0, augment.stretch) / 2)
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     flip = np.diag([rng.choice([-1.0, 1.0]), 1.0])
@@ -112,7 +112,7 @@ def _bent_places(px: int, rng: np.random.Generator, augment: SliceAugment) -> Fl
 def _read(
     film: UInt8[np.ndarray, "h w"], places: Float[np.ndarray, "p p 2"], side: float, px: int
 ) -> UInt8[np.ndarray, "p p"]:
-    """The film at these places (pixels); what is larger than a picture of ``px`` is brought down before."""
+    """The film at these places (pixels); what is larger than a picture of ``px`` is reduced first."""
     low = np.maximum(np.floor(places.min(axis=(0, 1))).astype(int) - 2, 0)
     high = np.ceil(places.max(axis=(0, 1))).astype(int) + 3
     part = film[low[1] : high[1], low[0] : high[0]]
@@ -124,7 +124,7 @@ def _read(
 
 
 def _hide(picture: UInt8[np.ndarray, "p p"], rng: np.random.Generator) -> None:
-    """A part of the picture at one grey, as under a finger or in glare."""
+    """Set a part of the picture to one grey, as under a finger or in glare."""
     px = len(picture)
     middle, axes = rng.uniform(0, px, 2), rng.uniform(0.08, 0.3, 2) * px
     ellipse = (tuple(middle.tolist()), tuple((2 * axes).tolist()), float(rng.uniform(0, 180)))

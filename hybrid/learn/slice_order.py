@@ -1,9 +1,9 @@
-"""In what order slices stand on a flat film, and so which way it reads.
+"""The order of the slices on a flat film, and so which way it reads.
 
-Films are filled row by row, and what is left empty is left at the end. Anatomy changes little from slice to slice:
-read in the right order, cells that follow each other are alike, also across the end of a row. A mirrored film, heads on
-which look as others do, breaks that order, as does one turned by a quarter; one turned by a half keeps it, but for its
-empty cells. Small pictures are enough, where writing can no longer be read.
+Films are filled row by row, and empty cells are left at the end. Anatomy changes little from slice to slice; in the
+right order, successive cells are alike, even across the end of a row. A mirrored film, on which heads look like any
+others, breaks that order, as does one turned by a quarter; one turned by a half keeps it, except for its empty cells.
+Small pictures, in which writing can no longer be read, are enough.
 """
 
 from __future__ import annotations
@@ -18,21 +18,21 @@ from hybrid.learn.upright import WAYS
 PICTURE_PX = 16
 """Side of the pictures that are compared."""
 LEAST_CELLS = 4
-"""Of fewer cells with slices nothing is told."""
+"""With fewer cells that show slices, the order tells nothing."""
 EMPTY = 0.3
-"""A cell is empty whose spread of greys is less than this part of the median cell's."""
+"""A cell is empty if its spread of greys is less than this fraction of the median cell's."""
 REACH = 2.0
-"""Cells this far apart in the order count 1/e of what the same cells would count."""
+"""Distance in the order at which the weight of a pair of cells has fallen to 1/e."""
 JITTER = 0.05
-"""Adds to how unlike two cells are, in parts of the median of all pairs: some are the same slice twice."""
+"""Added to the dissimilarity of two cells, as a fraction of the median of all pairs: some are the same slice twice."""
 BY_LIKENESS, BY_EMPTY = 0.88, 2.0
-"""Weights of both signs (``order_signs``), fitted, as the next, to films of 882 simulated photos of training scans."""
+"""Weights of both signs (``order_signs``), fitted like the next to films of 882 simulated photos of training scans."""
 UNORDERED = 0.11
 """Share of films whose order tells nothing."""
 
 
 def order_chances(film: UInt8[np.ndarray, "h w"], vertices: Float[np.ndarray, "r c 2"]) -> Float64[np.ndarray, " 8"]:
-    """Probability, by the order of its slices alone, that a flat film (sRGB grey) has to be moved in each of WAYS to
+    """Probability, from the order of its slices alone, that a flat film (sRGB grey) has to be moved in each of WAYS to
     read right. vertices: film uv of the grid's corners."""
     shape = (vertices.shape[0] - 1, vertices.shape[1] - 1)
     signs = order_signs(cell_pictures(film, vertices, PICTURE_PX), shape)
@@ -41,8 +41,8 @@ def order_chances(film: UInt8[np.ndarray, "h w"], vertices: Float[np.ndarray, "r
 
 
 def order_signs(pictures: UInt8[np.ndarray, "n p p"], shape: tuple[int, int]) -> Float64[np.ndarray, "8 2"]:
-    """What speaks for each way: how much more alike cells are that are near each other in the order in which it has
-    them read; whether all that are empty, if some are, but not most, then come last. All 0 where too few have slices.
+    """Evidence for each way: how much more alike cells are that are near each other in its reading order; whether all
+    empty cells, if some but not most are empty, come last in it. All 0 where too few cells have slices.
 
     pictures: of the cells of a grid of this shape (rows, columns), row by row as the film lies.
     """

@@ -1,7 +1,7 @@
-"""SliceNet: looks at the slices of a flat film and says which of the film's four sides is up.
+"""SliceNet: looks at the slices of a flat film and tells which of the film's four sides is up.
 
-Where writing is too small to be read (``hybrid.learn.upright``) anatomy still shows: spines and tables lie below. Heads
-look alike from both sides, and some bodies nearly so, so whether a film is mirrored is not asked of slices.
+Where writing is too small to be read (``hybrid.learn.upright``), anatomy still shows: spines and tables lie below.
+Heads look alike from both sides, and some bodies nearly so, so slices are not used to tell whether a film is mirrored.
 """
 
 from __future__ import annotations
@@ -22,19 +22,19 @@ from hybrid.learn.upright import Mix, PatchVotes
 LEAST_SPREAD = 6.0
 """Grey levels: spread in its disc below which a cell is taken for empty."""
 WITHIN = 0.96
-"""Diameter of the disc that is looked at, in parts of a cell's shorter side: what stands in corners is left out, so
-that of the print's typography nothing is learnt."""
+"""Diameter of the disc that is looked at, as a fraction of a cell's shorter side: text in the corners is left out, so
+that the network does not learn the print's typography."""
 
 UNLIKE = 0.002
-"""Share of films that show what it has not learnt, and about which it may be wrong however sure it is."""
+"""Share of films that show what the network has not learnt, so that it may be wrong however sure it is."""
 UPSIDE_DOWN = 0.02
 """Share of films whose slices are printed upside down: more than there are, for a film is not turned over lightly."""
 
 
 @dataclass(frozen=True)
 class SliceNetConfig:
-    """widths: channels at 1/2, 1/4, 1/8 and 1/16 of a picture. input_px: side of the pictures. count: of a film, at
-    most."""
+    """widths: channels at 1/2, 1/4, 1/8 and 1/16 of a picture. input_px: side of the pictures. count: pictures of a
+    film, at most."""
 
     widths: tuple[int, int, int, int] = (12, 24, 48, 80)
     input_px: int = 48
@@ -42,7 +42,7 @@ class SliceNetConfig:
 
 
 class SliceNet(nn.Module):
-    """Scores how much a slice looks as slices do that are the right way up; each is scored in four turns.
+    """Scores how much a slice looks like one that is the right way up; each is scored in all four turns.
 
     It is trained on mirrored slices as well as on others.
     """
@@ -84,7 +84,7 @@ def slice_pictures(
 def cell_pictures(
     film: UInt8[np.ndarray, "h w"], vertices: Float[np.ndarray, "r c 2"], px: int
 ) -> UInt8[np.ndarray, "n p p"]:
-    """The squares of ``cell_squares``, row by row, each brought to ``px`` pixels."""
+    """The squares of ``cell_squares``, row by row, each resized to ``px`` pixels."""
     return np.stack([_inner(film, *square, px) for square in cell_squares(vertices, film.shape)])
 
 
@@ -98,14 +98,14 @@ def cell_squares(
 
 
 def least_side(vertices: Float[np.ndarray, "r c 2"], shape: Sequence[int]) -> float:
-    """The side of the least of these squares."""
+    """The side of the smallest of these squares."""
     return min(side for _, side in cell_squares(vertices, shape))
 
 
 def _inner(
     film: UInt8[np.ndarray, "h w"], middle: Float[np.ndarray, " 2"], side: float, px: int
 ) -> UInt8[np.ndarray, "p p"]:
-    """The square, brought to ``px`` pixels."""
+    """The square, resized to ``px`` pixels."""
     near = [slice(max(round(at - side / 2), 0), max(round(at + side / 2), round(at - side / 2) + 2)) for at in middle]
     part = film[near[1], near[0]]
     shrinks = min(part.shape) >= px
@@ -113,7 +113,7 @@ def _inner(
 
 
 def standardised(pictures: UInt8[np.ndarray, "n p p"]) -> Float32[np.ndarray, "n p p"]:
-    """Greys within the disc less their mean, over their spread, within +-4; all 0 outside, and in empty cells."""
+    """Greys within the disc minus their mean, over their spread, clipped to +-4; 0 outside and in empty cells."""
     inside = disc(pictures.shape[-1])
     grey = pictures[:, inside].astype(np.float32)
     grey -= grey.mean(axis=1, keepdims=True)
@@ -132,7 +132,7 @@ def disc(px: int) -> Bool[np.ndarray, "p p"]:
 
 
 def turn_logits(network: SliceNet, film: UInt8[np.ndarray, "h w"], vertices: Float[np.ndarray, "r c 2"]) -> Tensor:
-    """How likely a flat film with this grid has to be turned by 0 to 3 quarters clockwise: (4,) logits, all alike where
+    """How likely a flat film with this grid has to be turned by 0 to 3 quarters clockwise: (4,) logits, all equal if
     all cells are empty."""
     pictures = slice_pictures(film, vertices, network.config)
     if not len(pictures):

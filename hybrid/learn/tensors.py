@@ -1,4 +1,4 @@
-"""Between arrays, channels last, and the tensors of networks, channels first; records of tensors."""
+"""Conversion between arrays (channels last) and tensors of networks (channels first); records of tensors."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Record = TypeVar("Record", bound="Tensors")
 
 @dataclass(frozen=True, eq=False)
 class Tensors:
-    """A record all of whose fields are tensors."""
+    """A record whose fields are all tensors."""
 
     def to(self: Record, device: str) -> Record:
         """The same on another device."""

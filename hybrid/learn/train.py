@@ -1,7 +1,7 @@
-"""The trainer: ``hybrid train --preset NAME --data SHARDS --out DIR``. Resumes exactly; one seed, one result.
+"""The trainer: ``hybrid train --preset NAME --data SHARDS --out DIR``. Resumes exactly; one seed gives one result.
 
-Several processes share the work under ``torchrun``: each takes its part of every batch, and the first one tests,
-writes and shows progress.
+Several processes share the work under ``torchrun``: each takes its part of every batch, and the first one tests, writes
+and shows progress.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ from hybrid.learn.weights import load_into, save_weights
 @dataclass(frozen=True)
 class TrainConfig:
     """Train a network on data of ``python -m data_gen.generate`` (for upright and slices ``data_gen.flat_prints``, for
-    light ``data_gen.lit_films``). The same command goes on with a run that was cut off."""
+    light ``data_gen.lit_films``). The same command resumes an interrupted run."""
 
     data: tuple[Path, ...]
     """Data set folders."""
@@ -55,19 +55,19 @@ class TrainConfig:
     input_px: int | None = None
     """Side of the network's input, if not the preset's."""
     start: tuple[Path, ...] = ()
-    """Weights to start from, as for fine-tuning; of dewarpnet those of its stages, shape first, where they were trained
-    apart."""
+    """Weights to start from, as for fine-tuning; for dewarpnet those of its stages, shape first, if these were trained
+    separately."""
     passes: int = 200_000
-    """Images shown in all."""
+    """Total number of images shown."""
     coarse_share: float = 0.0
-    """Share of them shown at ``coarse_px``, which costs less, before the rest at the network's own input size (networks
-    with one input size only: none)."""
+    """Share of them shown first, at ``coarse_px``, which costs less; the rest follow at the network's own input size
+    (networks with one input size only: none)."""
     coarse_px: int = 128
     """Side of the input of that share."""
     held_out: int = 512
-    """The first samples of the data, only tested on; 0 for no tests. Of flat films all photos of one are held out."""
+    """First samples of the data, used for tests only; 0 for no tests. Photos of one flat film are held out together."""
     batch: int | None = None
-    """Images of a step, if not the preset's."""
+    """Images per step, if not the preset's."""
     learning_rate: float | None = None
     """Of AdamW with a warm-up and one half cosine, if not the preset's."""
     weight_decay: float = 1e-2
@@ -79,19 +79,19 @@ class TrainConfig:
     loaders: int = 1
     """Processes that prepare views."""
     steps_per_test: int = 500
-    """Steps from test to test."""
+    """Steps between tests."""
     minutes_per_save: float = 3.0
-    """Minutes from checkpoint to checkpoint."""
+    """Minutes between checkpoints."""
     device: Literal["cpu", "cuda"] = "cpu"
     """Where the network is trained."""
 
     def __post_init__(self) -> None:
-        Plan.of(self)  # options that cannot be are refused before any data is read
+        Plan.of(self)  # refuses impossible options before any data is read
 
 
 @dataclass(frozen=True)
 class Plan:
-    """A training with everything decided: the preset as asked for, batch, rate and number of steps."""
+    """A training run with everything decided: the preset as asked for, batch, rate and number of steps."""
 
     config: TrainConfig
     preset: Preset
@@ -139,10 +139,10 @@ class Plan:
 
 
 def _refuse_numbers(config: TrainConfig) -> None:
-    """Refuse numbers that no training can have, whatever its preset.
+    """Refuse numbers that are invalid whatever the preset.
 
     Raises:
-        ConfigError: one is.
+        ConfigError: one is invalid.
     """
     coarse_px = config.coarse_px if config.coarse_share else None
     for name, value, least in (
@@ -187,8 +187,8 @@ class Rank:
 
 
 class _Batches(Dataset):
-    """This process's part of batch ``step``: image for image a pure function of the seed and of its number in the run,
-    so that a resumed run, or one of another number of processes, sees the same."""
+    """This process's part of batch ``step``: each image is a pure function of the seed and of its number in the run, so
+    that a resumed run, or one with another number of processes, sees the same."""
 
     def __init__(self, plan: Plan, places: list[Any], rank: Rank) -> None:
         self.plan, self.places, self.rank = plan, places, rank
@@ -197,7 +197,7 @@ class _Batches(Dataset):
         return self.plan.steps
 
     def __getitem__(self, step: int) -> tuple[Tensor, Any] | HybridError:
-        """An error is given, not raised: PyTorch would make a stack trace of it where a loader meets it."""
+        """An error is returned, not raised: PyTorch would turn it into a stack trace in a loader process."""
         plan, seed = self.plan, self.plan.config.seed
         mine = range(step * plan.batch + self.rank.number, (step + 1) * plan.batch, self.rank.count)
         places = [self.places[_place_of(k, seed, len(self.places))] for k in mine]
@@ -209,7 +209,7 @@ class _Batches(Dataset):
 
 
 def _place_of(image: int, seed: int, count: int) -> int:
-    """Which of ``count`` places an image of the run shows: each once, in another order, before any comes again."""
+    """Which of ``count`` places an image of the run shows: in each epoch every place once, in a new order."""
     epoch, k = divmod(image, count)
     return int(_order(seed, epoch, count)[k])
 
@@ -222,12 +222,12 @@ def _order(seed: int, epoch: int, count: int) -> np.ndarray:
 def train(config: TrainConfig) -> None:
     """Run or resume a training; writes ``PRESET.safetensors``, ``checkpoint.pt``, ``curves.csv`` and ``samples.png``.
 
-    A run that is resumed with more passes goes on along the longer schedule.
+    A run that is resumed with more passes continues on the longer schedule.
 
     Raises:
-        ConfigError: an option that cannot be, or not on this machine, or that is not the one that a run to resume began
-        with, or other data; fewer samples than are held out. DataError: data that cannot be read, or of which the loss
-        is no number.
+        ConfigError: an option is impossible, in general or on this machine; an option or the data differ from those
+        that the run to resume began with; no samples are left besides those held out. DataError: data cannot be read,
+        or the loss is not a number.
     """
     plan = Plan.of(config)
     if config.device == "cuda" and not torch.cuda.is_available():
@@ -259,19 +259,19 @@ def train(config: TrainConfig) -> None:
 
 
 def _begin_loader(number: int) -> None:
-    """One thread in a process that prepares views: PyTorch sees to its own only."""
+    """Allow one thread in a process that prepares views: PyTorch limits only its own."""
     cv2.setNumThreads(1)
     threadpool_limits(1)
 
 
 def _run(state: _State, loader: DataLoader, held_out: list[Any]) -> None:
-    """The steps that are left, with tests and saves on the way."""
+    """Run the remaining steps, with tests and saves on the way."""
     plan, config = state.plan, state.plan.config
     saved = time.monotonic()
     done = {"total": plan.steps * plan.batch, "initial": state.step * plan.batch}
     with tqdm(unit="image", disable=not state.rank.first, **done) as bar, _saved_if_stopped(state):
         if state.step >= plan.steps and state.rank.first:
-            state.save()  # what it left may have been taken away since, or never have been written
+            state.save()  # its files may have been removed since, or never written
         for batch in loader:
             if isinstance(batch, HybridError):
                 raise batch
@@ -292,7 +292,7 @@ def _run(state: _State, loader: DataLoader, held_out: list[Any]) -> None:
 
 @contextmanager
 def _saved_if_stopped(state: _State) -> Iterator[None]:
-    """Ctrl-C loses nothing: the step that was done last is saved."""
+    """Ctrl-C loses nothing: the last finished step is saved."""
     try:
         yield
     except KeyboardInterrupt:
@@ -303,9 +303,9 @@ def _saved_if_stopped(state: _State) -> Iterator[None]:
 
 @contextmanager
 def _undivided() -> Iterator[None]:
-    """Ctrl-C comes after what is done here, not amid it: half a step would be saved, and resumed as none, or a step
-    without the figures of its test."""
-    if threading.current_thread() is not threading.main_thread():  # no other is interrupted
+    """Ctrl-C takes effect after this block, not within it: otherwise half a step would be saved and resumed as none, or
+    a step would lack the figures of its test."""
+    if threading.current_thread() is not threading.main_thread():  # Ctrl-C interrupts no other
         yield
         return
     asked: list[int] = []
@@ -319,8 +319,8 @@ def _undivided() -> Iterator[None]:
 
 
 def _test(state: _State, held_out: list[Any]) -> dict[str, float]:
-    """Figures of the averaged network on the samples held out, at the size that it is being trained for; writes what
-    it makes of some of them."""
+    """Figures of the averaged network on the held-out samples, at the input size of the current step; also writes a
+    picture of its output on some of them."""
     config, feed, px = state.plan.config, state.plan.preset.feed, state.plan.px_at(state.step - 1)
     if not held_out:
         return {}
@@ -330,7 +330,7 @@ def _test(state: _State, held_out: list[Any]) -> dict[str, float]:
 
 
 class _State:
-    """Network, its average, optimiser and step; saved and loaded whole."""
+    """Network, its average, optimiser and step; saved and loaded together."""
 
     def __init__(self, plan: Plan, rank: Rank, samples: int) -> None:
         config = plan.config
@@ -368,7 +368,7 @@ class _State:
         self.optimiser.zero_grad(set_to_none=True)
         weighted_sum(terms, chosen.weights).backward()
         norm = torch.nn.utils.clip_grad_norm_(self.network.parameters(), 5.0)
-        if not torch.isfinite(norm):  # of all processes' gradients together: all end here, before any weight is lost
+        if not torch.isfinite(norm):  # of all processes' gradients together: all stop here, before any weight is lost
             do = "What is saved is from before: mend the data and go on, or begin anew with a lower --learning-rate."
             got = f"a loss that is no number, in step {self.step + 1}"
             raise DataError(describe(what="train", where=self.plan.config.out, got=got, do=do))
@@ -378,7 +378,7 @@ class _State:
         return {f"train_{name}": float(term.detach()) for name, term in terms.items()}
 
     def save(self) -> None:
-        """Checkpoint and weights; each replaces its predecessor only when it is whole."""
+        """Checkpoint and weights; each replaces its predecessor only once it is complete."""
         config = self.plan.config
         names = ("network", "averaged", "optimiser")
         part = self.path.with_suffix(".part")
@@ -411,12 +411,12 @@ class _State:
 
     @contextmanager
     def _told_if_damaged(self) -> Iterator[None]:
-        """What PyTorch makes of a file that is no checkpoint of this training, as an error with what to do."""
+        """Turn PyTorch's errors about a file that is no checkpoint of this run into one that says what to do."""
         try:
             yield
         except (OSError, MemoryError, torch.OutOfMemoryError):
             raise
-        except Exception as error:  # a damaged file makes it raise nearly anything
+        except Exception as error:  # PyTorch raises nearly anything for a damaged file
             got = f"no whole checkpoint ({(str(error).splitlines() or [type(error).__name__])[0]})"
             weights = f"the weights in {self.plan.config.preset}.safetensors beside it can be named by --start"
             do = f"Delete it, or choose another --out; {weights}."
@@ -447,7 +447,7 @@ def _load_start(network: nn.Module, files: tuple[Path, ...]) -> None:
 
 @contextmanager
 def _processes(device: str) -> Iterator[Rank]:
-    """Joins the other processes where ``torchrun`` started several."""
+    """Join the other processes if ``torchrun`` started several."""
     count = int(os.environ.get("WORLD_SIZE", "1"))
     if count == 1:
         yield Rank(0, 1)
@@ -465,17 +465,17 @@ _KEPT = (
     *("width", "input_px", "start", "coarse_share", "coarse_px", "held_out"),
     *("batch", "learning_rate", "weight_decay", "ema", "seed"),
 )
-"""Options that a run keeps when it is resumed, besides its preset, data and precision."""
+"""Options that must not change when a run is resumed, besides its preset, data and precision."""
 
 MOST_SEED = 2**64 - 1
-"""The largest that PyTorch takes."""
+"""The largest seed that PyTorch accepts."""
 
 _AS_BEFORE = {"data": "data, in the order", "precision": "kind of processor"}
-"""What to go on with, where it is no option."""
+"""What to go on with, where it is not an option."""
 
 
 def _cut_curves(path: Path, passes: int) -> None:
-    """Leave out what a run wrote after its last checkpoint: it will be written again."""
+    """Remove what a run wrote after its last checkpoint: it will be written again."""
     if path.exists() and (lines := path.read_text().splitlines(keepends=True)):
         kept = [row for row in lines[1:] if int(row.split(",")[0]) <= passes]
         write_bytes(path, "".join([lines[0], *kept]).encode())

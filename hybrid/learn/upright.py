@@ -1,7 +1,7 @@
-"""UprightNet: reads the writing on a flat film and says which way is up, and whether it is seen from behind.
+"""UprightNet: reads the writing on a flat film and tells which way is up, and whether it is seen from behind.
 
-FilmNet sees films too small to read them, and slices alone may be printed upside down or mirrored; writing never is. So
-this small network looks at many small patches of the film once it is flat, each of which casts a vote.
+FilmNet sees films too small to read their writing, and slices alone may be printed upside down or mirrored; writing
+never is. So this small network looks at many small patches of the flattened film, each of which casts a vote.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ WAYS = tuple(Orientation.from_index(index) for index in range(8))
 @dataclass(frozen=True)
 class UprightNetConfig:
     """widths: channels at 1/2, 1/4 and 1/8 of a patch. input_px: side of the patches. film_px, patches: longer side of
-    the films that they are cut from, and how many at most of each (``PatchConfig``)."""
+    the films that they are cut from, and their largest number per film (``PatchConfig``)."""
 
     widths: tuple[int, int, int] = (12, 32, 64)
     input_px: int = 48
@@ -39,9 +39,9 @@ class UprightNetConfig:
 
 @dataclass(frozen=True)
 class PatchVotes:
-    """votes: for each patch the log-probability that it has to be moved in each of some ways to read right: the eight
-    of WAYS, or the first four. written: which patches show anything. alike: correlation of the patches of one film,
-    which do not err independently.
+    """votes: for each patch, log-probabilities of the ways in which it may have to be moved to read right: the eight of
+    WAYS, or the first four. written: which patches show anything. alike: correlation of the patches of one film, which
+    do not err independently.
     """
 
     votes: Float[Tensor, "b n ways"]
@@ -50,20 +50,20 @@ class PatchVotes:
 
     @property
     def films(self) -> Float[Tensor, "b ways"]:
-        """Logits of the ways for each film: n patches count as n / (1 + (n - 1) alike) that knew nothing of each
-        other would (the design effect of samples in clusters, Kish 1965)."""
+        """Logits of the ways for each film: n patches count as n / (1 + (n - 1) alike) independent ones (the design
+        effect of cluster samples, Kish 1965)."""
         others = (self.written.sum(dim=1, keepdim=True) - 1).clamp(min=0)
         return self.votes.sum(dim=1) / (1 + others * self.alike)
 
 
 def joined(parts: Sequence[PatchVotes]) -> PatchVotes:
-    """Votes of more patches of the same films."""
+    """The votes of several sets of patches of the same films, as one."""
     votes, written = (torch.cat([getattr(part, name) for part in parts], dim=1) for name in ("votes", "written"))
     return replace(parts[0], votes=votes, written=written)
 
 
 class Mix(nn.Module):
-    """A 3 x 3 convolution beside an identity."""
+    """A 3 x 3 convolution with an identity shortcut."""
 
     def __init__(self, channels: int) -> None:
         super().__init__()
@@ -74,9 +74,9 @@ class Mix(nn.Module):
 
 
 class UprightNet(nn.Module):
-    """Scores how much a patch looks like writing that reads right; a patch is scored in each of the eight ways.
+    """Scores how much a patch looks like writing that reads right; each patch is scored in all eight ways.
 
-    So it cannot favour a way, what it learns of one way it knows of all, and patches without writing score alike.
+    So it cannot favour a way, what it learns about one way holds for all, and patches without writing score alike.
     """
 
     def __init__(self, config: UprightNetConfig) -> None:
@@ -103,7 +103,7 @@ def _moved(patches: Float[Tensor, "*b p p"], way: Orientation) -> Float[Tensor, 
 
 
 def upright_losses(output: PatchVotes, truth: Int64[Tensor, " b"]) -> dict[str, Tensor]:
-    """Cross-entropy of each patch, and of each film by its votes. truth: indices of what makes the films read right."""
+    """Cross-entropy of each patch, and of each film by its votes. truth: indices of the ways to read right."""
     every = truth[:, None, None].expand(*output.votes.shape[:2], 1)
     return {
         "patch": -output.votes.gather(2, every).mean(),

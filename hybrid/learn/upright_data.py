@@ -20,12 +20,12 @@ from hybrid.learn.upright_patches import text_patches
 class PrintAugment:
     """How a flat print is turned into what a flattened photo shows.
 
-    photo_px: range of the film's longer side in the photo. squeeze: of the share of its length in which one side of a
-    slanted film is seen, the least square. zoom: range of what the size of the letters differs by.
-    stretch, roll_deg: one sigma of the aspect's and of the angle's error that flattening left over. gain: range.
-    gamma: one sigma of log2. veil: most light added (of white 1), half of it even. blur_px: range of one sigma,
-    in the photo's pixels. sharpen: most that a phone overdoes it. noise: range of one sigma, in grey levels of 255.
-    quality: range of the JPEG's. shown: patches of a view, drawn from all that the film is cut into.
+    photo_px: range of the film's longer side in the photo. squeeze: least square of the factor by which one side of a
+    slanted film is foreshortened. zoom: range of the factor on the size of the letters. stretch, roll_deg: one sigma of
+    the errors of aspect and angle that flattening leaves. gain: range. gamma: one sigma of log2. veil: most light added
+    (white is 1), half of it even. blur_px: range of one sigma, in the photo's pixels. sharpen: most that a phone
+    oversharpens. noise: range of one sigma, in grey levels of 255. quality: range of the JPEG's. shown: patches of a
+    view, drawn from all patches of the film.
     """
 
     photo_px: tuple[float, float] = (480.0, 1400.0)
@@ -72,7 +72,7 @@ def read_print(path: Path) -> UInt8[np.ndarray, "h w"]:
 def upright_view(
     flat: UInt8[np.ndarray, "h w"], config: UprightNetConfig, rng: np.random.Generator, augment: PrintAugment
 ) -> Float32[np.ndarray, "n p p"]:
-    """The patches of a print as a flattened photo shows it; upright, for the network looks at it in all ways itself."""
+    """Patches of a print as a flattened photo shows it; upright, since the network itself looks at them in all ways."""
     cut = replace(config.cut, film_px=config.film_px * rng.uniform(*augment.zoom))
     patches = text_patches(photographed(flat, rng, augment), cut)
     return patches[rng.permutation(len(patches))[: augment.shown]]
@@ -100,7 +100,7 @@ def photographed(
 def _reduced(
     flat: np.ndarray, scale: Float[np.ndarray, " 2"], rng: np.random.Generator, augment: PrintAugment
 ) -> np.ndarray:
-    """The print at the photo's resolution; stretched and turned by little. scale: across and down."""
+    """The print at the photo's resolution; slightly stretched and turned. scale: across and down."""
     size = np.rint(np.array(flat.shape[::-1]) * scale).astype(int).tolist()
     angle, skew = np.deg2rad(rng.normal(0, augment.roll_deg, 2))
     linear = (
@@ -110,19 +110,19 @@ def _reduced(
     )
     middle, print_middle = (opencv_from_photo(np.array(each) / 2) for each in (size, flat.shape[::-1]))
     affine = np.column_stack([linear, middle - linear @ print_middle])
-    # A blur and linear interpolation stand for the mean over a pixel's area, at a third of the time.
+    # A blur and linear interpolation stand for the mean over a pixel's area, in a third of the time.
     soft = cv2.GaussianBlur(flat, (0, 0), 0.4 / scale[0], sigmaY=0.4 / scale[1])
     return cv2.warpAffine(soft, affine, size, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
 
 
 def _noise(size: tuple[int, ...], rng: np.random.Generator) -> Float32[np.ndarray, "h w"]:
-    """White noise of spread 1 that repeats itself over the film; no patch sees that."""
+    """White noise of spread 1 that repeats over the film; no patch sees the repetition."""
     height, width = (-(-n // 2) for n in size)
     return np.tile(rng.standard_normal((height, width), dtype=np.float32), (2, 2))[: size[0], : size[1]]
 
 
 def _exposed(film: np.ndarray, rng: np.random.Generator, augment: PrintAugment) -> Float32[np.ndarray, "h w"]:
-    """Grey levels (0 to 255, over it where clipped) of a film in uneven light."""
+    """Grey levels (0 to 255, or more where they will be clipped) of a film in uneven light."""
     tone = (np.arange(256) / 255) ** np.exp2(rng.normal(0, augment.gamma))
     exposed = cv2.LUT(film, (255 * rng.uniform(*augment.gain) * tone).astype(np.float32))
     field = cv2.resize(rng.random((4, 4), dtype=np.float32), film.shape[::-1], interpolation=cv2.INTER_LINEAR)

@@ -1,7 +1,7 @@
 """Where a flat film is written on: the small pictures that UprightNet reads.
 
-Writing is bright, thin, of short strokes and on dark ground, on every film. Finding it needs no network, only a top-hat
-(Meyer 1979): what an opening takes away is thinner than the opening's element.
+On every film, writing is bright and thin, with short strokes on dark ground. Finding it needs no network, only a
+top-hat (Meyer 1979): what an opening removes is thinner than its structuring element.
 """
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ LINES = (
     np.eye(7, dtype=np.uint8),
     np.eye(7, dtype=np.uint8)[::-1],
 )
-"""What holds these lines is no letter but a rule, a scale bar, the table or a skull."""
+"""What contains such a line is not a letter but a rule, a scale bar, the table or a skull."""
 NEAR_PX = 13
-"""What is thick and bright counts so far around: letters stand apart from slices, the edges of bones do not."""
+"""Side of the square over which bright areas count: letters stand apart from slices, the edges of bones do not."""
 DARK = 20.0
-"""Grey level (of 255) that is added to the ground's, so that black ground does not count without bounds."""
+"""Grey level (of 255) added to the ground's, so that black ground does not count without bound."""
 APART = 0.55
-"""Least distance of patches along one axis or the other, in parts of their side, halved."""
+"""Twice the least distance of patches along one axis or the other, as a fraction of their side."""
 FAINT = 0.03
-"""Share of the film's best cue below which nothing is written."""
+"""Fraction of the film's best cue below which a place counts as not written on."""
 FLAT = 4.0
 """Grey levels: spread below which a patch is taken for empty rather than amplified."""
 
@@ -41,7 +41,7 @@ FLAT = 4.0
 class PatchConfig:
     """How films are cut up.
 
-    film_px: longer side to which they are brought; letters are then 3 to 18 pixels high. side_px: of a patch.
+    film_px: longer side to which films are resized; letters are then 3 to 18 pixels high. side_px: side of a patch.
     count: patches of a film.
     """
 
@@ -77,7 +77,7 @@ def text_places(film: UInt8[np.ndarray, "h w"], config: PatchConfig) -> Float[np
 
 
 def standardised(patches: UInt8[np.ndarray, "n p p"]) -> Float32[np.ndarray, "n p p"]:
-    """Patches less their means, over their spreads: neither the light nor the film's base matters. Within +-4."""
+    """Patches minus their means, over their spreads: neither the light nor the film's base matters. Within +-4."""
     grey = patches.astype(np.float32)
     grey -= grey.mean(axis=(1, 2), keepdims=True)
     grey /= grey.std(axis=(1, 2), keepdims=True) + np.float32(FLAT)
@@ -100,7 +100,7 @@ def writing(film: UInt8[np.ndarray, "h w"], scale: float, side: int) -> Float32[
 
 
 def _around(values: UInt8[np.ndarray, "h w"], side: int) -> Float32[np.ndarray, "h w"]:
-    """Means over windows of ``side`` pixels, their middles counting most: so that letters on empty ground have one
+    """Means over windows of ``side`` pixels, in which the middle counts most: letters on empty ground then have one
     best window, not many."""
     odd = (side // 4 * 2 + 1, side // 4 * 2 + 1)
     return cv2.boxFilter(cv2.boxFilter(values, cv2.CV_32F, odd), cv2.CV_32F, odd)

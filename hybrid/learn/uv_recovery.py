@@ -19,7 +19,7 @@ from hybrid.coords import film_centres, film_nodes
 from hybrid.errors import PhotoError, describe
 
 MASK_LEVEL = 0.6
-"""Background probability above which the published code takes a pixel for film."""
+"""Value of the paper's background map, high on film, above which the published code takes a pixel for film."""
 
 QUARTERS = 4
 """Steps along each edge between the points that the deformation map adds: a corner, three points, a corner."""

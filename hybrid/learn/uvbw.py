@@ -34,7 +34,7 @@ class _CoordinateUNet(nn.Module):
     """Two numbers for each pixel from the code of 3D coordinates (``dewarpnet.coordinate_code``).
 
     The paper says "simple U-Net without tricks" and no more. Widths, depths and the linear output are those of the
-    published code; it begins with one convolution where this begins with the three of every other level. 75.4 M
+    published code, which begins with one convolution where this network has three, as at every other level. 75.4 M
     parameters and 314 GFLOP at width 1: most of the work is done at the input's resolution.
     """
 

@@ -1,8 +1,8 @@
 """Views: what the network is shown. A view maps its own unit square to the photo, as a film does (a BackwardMap).
 
-The first view is a square window of the photo. Once the film is roughly known, the next views show it as the map so
-far would flatten it, so that what is left to predict is small: by the homography nearest to that map, in use, and
-by the bent map itself, in training only.
+The first view is a square window of the photo. Once the film is roughly known, the next views show it as the map so far
+would flatten it, so that what is left to predict is small: by the homography nearest to that map or, in training only,
+by the bent map itself.
 """
 
 from __future__ import annotations
@@ -28,14 +28,15 @@ def square_view(centre: tuple[float, float], side: float, turn: float = 0.0) -> 
 
 
 def whole_view(size: tuple[int, int], wider: float = 1.0) -> BackwardMap:
-    """The smallest square around a photo of ``size`` (height, width), or one so many times as wide."""
+    """The smallest square around a photo of ``size`` (height, width), widened by a factor."""
     return square_view((size[1] / 2, size[0] / 2), wider * max(size))
 
 
 def near_views(size: tuple[int, int], nearer: float) -> list[BackwardMap]:
-    """Squares so many times as wide as a photo of ``size`` (height, width), which together show all of it.
+    """Squares that together show all of a photo of ``size`` (height, width).
 
-    nearer: at least a half, at most 1. Along each axis there is one at either end, or one in the middle if that is all.
+    nearer: their side as a fraction of the photo's longer side, at least a half, at most 1. Along each axis there is
+    one at either end, or just one in the middle if that shows all.
     """
     side = nearer * max(size)
     down, across = ((side / 2, length - side / 2) if side < length else (length / 2,) for length in size)
@@ -43,12 +44,12 @@ def near_views(size: tuple[int, int], nearer: float) -> list[BackwardMap]:
 
 
 def film_view(film: BackwardMap, margin: float) -> BackwardMap:
-    """The film as its map flattens it, with ``margin`` (part of the view's side) around it."""
+    """The film as its map flattens it, with ``margin`` (fraction of the view's side) around it."""
     return BackwardMap(film.photo_from_film(film_from_view(film_nodes(VIEW_NODES), margin)))
 
 
 def film_from_view(at: Float[np.ndarray, "*n 2"], margin: float) -> Float[np.ndarray, "*n 2"]:
-    """Film coordinates of view coordinates, where the film lies within ``margin`` on each side."""
+    """Film coordinates of points of a view that shows the film with ``margin`` on each side."""
     return (at - margin) / (1 - 2 * margin)
 
 

@@ -28,7 +28,7 @@ def save_weights(path: Path, network: nn.Module, config: Any, notes: dict[str, A
     """Write a network in half precision with its configuration; ``notes`` (JSON-able) say how it was trained.
 
     Raises:
-        DataError: a weight is no number, or none in half precision.
+        DataError: a weight is not a finite number in half precision.
     """
     metadata = {
         "kind": type(network).__name__,
@@ -50,8 +50,8 @@ def save_weights(path: Path, network: nn.Module, config: Any, notes: dict[str, A
 def load_weights(path: Path, build: Callable[[Any], Network], config_type: type) -> Network:
     """Read a network in single precision, as ``build(config_type(...))`` with the configuration of the file.
 
-    It is built without weights and takes those of the file: neither does PyTorch's state of random numbers change, nor
-    do its defaults of type and device matter.
+    It is built without weights and takes those of the file: PyTorch's random state does not change, and its default
+    type and device do not matter.
 
     Raises:
         DataError: no such file, not a weights file, of another kind or configuration, or made under other conventions.
@@ -73,7 +73,7 @@ def load_into(network: nn.Module, path: Path) -> None:
     """Read weights into a network of the same kind and shape.
 
     Raises:
-        DataError: as ``load_weights``; weights of another shape.
+        DataError: as ``load_weights``, or weights of another shape.
     """
     _, tensors = _read(path, type(network).__name__)
     try:
@@ -129,12 +129,12 @@ def notes_of(path: Path) -> dict[str, Any]:
 
 
 def parameter_count(network: nn.Module) -> int:
-    """Number of parameters, those that no training changes among them."""
+    """Number of parameters, including those that training never changes."""
     return sum(p.numel() for p in network.parameters())
 
 
 def _read(path: Path, kind: str) -> tuple[dict[str, str], dict[str, Tensor]]:
-    """Metadata and tensors, in single precision, of a file of the kind."""
+    """Metadata and tensors, in single precision, of a file of this kind."""
     metadata, tensors = _opened(path)
     if metadata.get("kind") != kind:
         got = metadata.get("kind", "no network of this package")
@@ -147,7 +147,7 @@ def _read(path: Path, kind: str) -> tuple[dict[str, str], dict[str, Tensor]]:
 
 
 def _opened(path: Path) -> tuple[dict[str, str], dict[str, Tensor]]:
-    """Metadata and tensors of a file, as they lie in it."""
+    """Metadata and tensors of a file, as stored."""
     try:
         with safe_open(path, framework="pt") as file:
             return file.metadata() or {}, {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118

@@ -1,8 +1,8 @@
 """Tangent stiffness of a lattice as a band, and its Cholesky factor by LAPACK.
 
-Numbered along its shorter side, a lattice of m x n vertices couples each vertex with others at most 2 m numbers
-away, and the system of 3 m n unknowns is a band of 6 m, which LAPACK factors at the speed of matrix products. The band
-is stored transposed, (unknown, diagonal): as LAPACK wants it, and so that blocks of vertices are strided views.
+If the vertices of an m x n lattice are numbered along its shorter side, each is coupled only with vertices at most 2 m
+numbers away. The matrix of 3 m n unknowns is then a band of 6 m, which LAPACK factors at the speed of matrix products.
+The band is stored transposed, (unknown, diagonal), as LAPACK expects; this also makes blocks of vertices strided views.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from scipy.linalg import get_lapack_funcs
 _PBTRF, _PBTRS = get_lapack_funcs(("pbtrf", "pbtrs"), dtype=np.float64)
 
 SHIFTS = (0.0, 1e-12, 1e-9, 1e-6, 1e-3)
-"""Shares of the mean diagonal that are added, one after the other, until the matrix is definite in floating point."""
+"""Shares of the mean diagonal that are added in turn until the matrix is definite in floating point."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +48,7 @@ def lattice_order(shape: tuple[int, int]) -> Int[np.ndarray, "rows cols"]:
 
 
 def bandwidth(shape: tuple[int, int]) -> int:
-    """Number of diagonals below the main one: second differences reach two lattice lines further."""
+    """Number of diagonals below the main one: second differences reach two lattice lines away."""
     return 3 * 2 * max(min(shape), 2) + 2
 
 
@@ -91,7 +91,7 @@ def add_vertices(band: np.ndarray, shape: tuple[int, int], blocks: Float[np.ndar
 def factor(
     band: Float[np.ndarray, "n b"], shape: tuple[int, int], shifts: tuple[float, ...] = SHIFTS
 ) -> BandFactor | None:
-    """Cholesky factor of a band, which is overwritten; None where no shift makes it definite."""
+    """Cholesky factor of a band, which is overwritten; None if no shift makes it definite."""
     order = lattice_order(shape).ravel()
     mean = float(band[:, 0].mean())
     if not np.isfinite(mean):
@@ -108,7 +108,7 @@ def factor(
 
 
 def _add_pairs(band: np.ndarray, shape: tuple[int, int], way: tuple[int, int], blocks: np.ndarray) -> None:
-    """Add blocks (.., 3, 3) that couple each vertex with the one ``way`` (rows, cols) further, to the lower triangle.
+    """Add blocks (.., 3, 3) that couple each vertex with the one ``way`` (rows, cols) away to the lower triangle.
 
     The first axes of ``blocks`` run over all pairs of the lattice.
     """

@@ -45,11 +45,11 @@ class Camera:
         return self.photo_from_camera(self.camera_points(xyz_world))
 
     def ray_directions(self, photo: Float[np.ndarray, "*n 2"], iterations: int = 4) -> Float[np.ndarray, "*n 3"]:
-        """Directions in camera axes with z = 1 of the rays through photo points, in the precision of the points.
+        """Directions (camera axes, z = 1) of the rays through photo points, in the floating-point type of the points.
 
-        Distortion is undone by fixed-point iteration on the stretch alone, which depends on the distorted radius; each
-        round shrinks the error by about k1 r^2, a hundredfold. In single precision directions are good to 1e-4 px, at
-        the corners of the widest views to 0.015 px.
+        Distortion is undone by fixed-point iteration on the stretch alone, which depends on the distorted radius. Each
+        round shrinks the error by a factor of about k1 r^2, a hundredfold. In single precision, directions are accurate
+        to 1e-4 px, and to 0.015 px at the corners of the widest views.
         """
         kind = np.result_type(photo, np.float32)
         inverse = np.linalg.inv(self.intrinsics[:2, :2]).astype(kind)
@@ -70,17 +70,17 @@ class Camera:
         return Camera(scale @ self.intrinsics, self.camera_from_world, self.distortion, size)
 
     def pixel_rays(self) -> Float[np.ndarray, "h w 3"]:
-        """Directions in camera axes, z = 1, of all pixel centres."""
+        """Directions in camera axes, with z = 1, of the rays through all pixel centres."""
         return self.ray_directions(pixel_centres(self.size))
 
     def cropped(self, left_top: tuple[int, int], size: tuple[int, int]) -> Camera:
-        """The camera of the part of the photo of ``size`` (height, width) whose corner is pixel ``left_top`` (x, y)."""
+        """The camera of the part of the photo that starts at pixel ``left_top`` (x, y), of ``size`` (height, width)."""
         intrinsics = self.intrinsics.copy()
         intrinsics[:2, 2] -= left_top
         return Camera(intrinsics, self.camera_from_world, self.distortion, size)
 
     def _stretch(self, r2: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
-        """How many times further out the lens puts a point at ideal squared radius ``r2``."""
+        """Factor by which the lens moves a point at ideal squared radius ``r2`` outwards."""
         k1, k2 = self.distortion
         return 1 + r2 * (k1 + r2 * k2)
 

@@ -1,7 +1,7 @@
 """Bodies that a film rests on or is touched by: signed distance, contact as a spring on the depth, friction.
 
-Contact acts on vertices. Its Hessian is used without the curvature of the body's surface, which could only make it
-less definite.
+Contact acts on vertices. Its Hessian leaves out the curvature of the body's surface, which could only make it less
+definite.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ class Body(Protocol):
 
     @property
     def friction(self) -> float:
-        """Coulomb's coefficient."""
+        """Coulomb friction coefficient."""
         ...
 
     def distance(self, x: Float[np.ndarray, "v 3"]) -> Distance:
@@ -32,7 +32,7 @@ class Body(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Plane:
-    """A table or wall: the half space below ``point`` against the unit ``normal``."""
+    """A table or wall: the half space behind the plane through ``point`` with the outward unit ``normal``."""
 
     point: Float[np.ndarray, "3"]
     normal: Float[np.ndarray, "3"]
@@ -45,7 +45,7 @@ class Plane:
 
 @dataclass(frozen=True, eq=False)
 class TableEdge:
-    """A table that ends at an edge rounded with ``radius``: at ``point``, with unit normals ``up`` and ``outward``."""
+    """A table with an edge at ``point``, rounded with ``radius``, between faces with normals ``up`` and ``outward``."""
 
     point: Float[np.ndarray, "3"]
     up: Float[np.ndarray, "3"]
@@ -104,9 +104,9 @@ def _from_centre(arm: np.ndarray, radius: float) -> Distance:
 class Touch:
     """A body in contact during one step.
 
-    stiffness: (V,) force per depth. start: positions at the step's beginning. pressure: (V,) the force there, with
-    which friction is reckoned during the step (lagged: it then has a potential and can only take energy away).
-    slip: tangential travel below which a vertex sticks, as a spring.
+    stiffness: (V,) force per depth. start: positions at the start of the step. pressure: (V,) the contact force there,
+    from which friction is computed during the step (lagged: friction then has a potential and can only dissipate
+    energy). slip: tangential travel below which friction holds a vertex like a spring.
     """
 
     body: Body
@@ -130,7 +130,7 @@ def contact_energy(contact: Touch, x: Float[np.ndarray, "v 3"]) -> float:
 
 
 def friction_loss(contact: Touch, x: Float[np.ndarray, "v 3"]) -> float:
-    """What friction takes from the start of the step to ``x``: mu N (t - slip / 2), below ``slip`` quadratic in t."""
+    """Energy lost to friction from the step's start to ``x``: mu N (t - slip / 2), quadratic in t below ``slip``."""
     travel = np.linalg.norm(_slide(contact, x), axis=1)
     eased = np.where(travel < contact.slip, travel**2 / (2 * contact.slip), travel - 0.5 * contact.slip)
     return float(contact.body.friction * np.sum(contact.pressure * eased))
@@ -153,7 +153,7 @@ def contact_gradient(
 def entering(
     contact: Touch, x: Float[np.ndarray, "v 3"], ahead: Float[np.ndarray, "v 3"]
 ) -> tuple[Float[np.ndarray, "v 3"], Float[np.ndarray, "v 3 3"]]:
-    """Gradient and Hessian that vertices add which are outside at ``x`` and would be within the body ``ahead``.
+    """Gradient and Hessian added by vertices that are outside the body at ``x`` and would be inside it at ``ahead``.
 
     Their springs act as if they touched already: the linear model then lands them on the surface.
     """

@@ -21,7 +21,7 @@ class FilmMesh:
     u_lines, v_lines: increasing film coordinates of the lattice columns and rows, from 0 to 1.
     vertices: (rows, cols, 3) mm; for a flat sheet x runs along u, y along v, z is 0, the centre is the origin.
     size_mm: (height, width) of the flat sheet.
-    grid_rows, grid_cols: lattice row and column numbers that carry the lines of the slice grid.
+    grid_rows, grid_cols: numbers of the lattice rows and columns that carry the lines of the slice grid.
     """
 
     u_lines: Float[np.ndarray, " cols"]
@@ -48,7 +48,7 @@ class FilmMesh:
         return self.vertices[np.ix_(self.grid_rows, self.grid_cols)]
 
     def bent(self, vertices: Float[np.ndarray, "rows cols 3"]) -> FilmMesh:
-        """The same sheet with its vertices elsewhere."""
+        """The same sheet with other vertex positions."""
         if vertices.shape != self.vertices.shape:
             raise ValueError(f"FilmMesh.bent: got shape {vertices.shape}; allowed: {self.vertices.shape}")
         return FilmMesh(self.u_lines, self.v_lines, vertices, self.size_mm, self.grid_rows, self.grid_cols)
@@ -60,7 +60,7 @@ class FilmMesh:
     def normals(self, u: np.ndarray, v: np.ndarray) -> Float[np.ndarray, "nv nu 3"]:
         """Unit normals of the smooth surface; they point to the side from which the film reads right.
 
-        For the flat sheet that is -z: x to the right and y down, as a reader sees it, makes +z point away.
+        For the flat sheet that is -z: with x to the right and y down, as a reader sees it, +z points away.
         """
         (across, slope_u), (down, slope_v) = spline_matrices(self.u_lines, u), spline_matrices(self.v_lines, v)
         normal = np.ascontiguousarray(cross(self._product(slope_v, across), self._product(down, slope_u)))
@@ -69,11 +69,11 @@ class FilmMesh:
     def _product(
         self, rows: Float[np.ndarray, "nv m"], cols: Float[np.ndarray, "nu k"]
     ) -> Float[np.ndarray, "nv nu 3"]:
-        """What two one-dimensional interpolations make of the vertices."""
+        """The vertices interpolated along both axes by one-dimensional interpolation matrices."""
         return np.stack([rows @ self.vertices[..., k] @ cols.T for k in range(3)], axis=-1)
 
     def angle_defects(self) -> Float[np.ndarray, "r2 c2"]:
-        """Gaussian curvature times area (rad) at the inner vertices: 2 pi less the angles of the triangles there."""
+        """Gaussian curvature times area (rad) at the inner vertices: 2 pi minus the angles of the triangles there."""
         corners = self._corners()
         total = np.zeros(self.shape[0] * self.shape[1])
         for k in range(3):
@@ -88,7 +88,7 @@ class FilmMesh:
         return tuple(points[self.triangles[:, k]] for k in range(3))
 
     def edge_strain(self) -> Float[np.ndarray, " e"]:
-        """Relative change of length of all lattice edges against the flat sheet."""
+        """Relative change in length of all lattice edges compared with the flat sheet."""
         height, width = self.size_mm
         across = np.linalg.norm(np.diff(self.vertices, axis=1), axis=-1) / (np.diff(self.u_lines) * width) - 1
         down = np.linalg.norm(np.diff(self.vertices, axis=0), axis=-1) / (np.diff(self.v_lines) * height)[:, None] - 1
@@ -98,7 +98,7 @@ class FilmMesh:
 def spline_matrices(
     lines: Float[np.ndarray, " m"], t: Float[np.ndarray, " n"]
 ) -> tuple[Float[np.ndarray, "n m"], Float[np.ndarray, "n m"]]:
-    """What takes values on the lattice lines of one axis to the cubic spline through them, and its slope, at ``t``."""
+    """Matrices that turn values on the lattice lines of one axis into their cubic spline and its slope at ``t``."""
     return _spline_matrices(lines.tobytes(), np.asarray(t, np.float64).tobytes())
 
 
@@ -110,7 +110,7 @@ def _spline_matrices(lines: bytes, t: bytes) -> tuple[np.ndarray, np.ndarray]:
 
 @lru_cache(maxsize=16)
 def _interpolation(lines: bytes) -> BSpline:
-    """The cubic spline, from values 1 on one line and 0 on the others, for each line."""
+    """For each line, the cubic spline that is 1 on that line and 0 on the others."""
     t = np.frombuffer(lines)
     return make_interp_spline(t, np.eye(len(t)))
 

@@ -30,9 +30,9 @@ class PointField:
 
 @dataclass(frozen=True, eq=False)
 class PlaneField:
-    """A field that pushes along a plane's unit ``normal``, away from the plane on both sides (strength > 0) or to it.
+    """A field that pushes along a plane's unit ``normal``, away from the plane (strength > 0) or to it, on both sides.
 
-    point_mm: (3,) on the plane; the other fields are PointField's, with the distance from the plane.
+    point_mm: (3,) on the plane; the other fields are as in PointField, with the distance from the plane.
     """
 
     point_mm: Float[np.ndarray, "3"]
@@ -45,9 +45,9 @@ class PlaneField:
 
 @dataclass(frozen=True, eq=False)
 class Air:
-    """Pressure of the air on a sheet: the force at rest, and the resistance against moving along the normal.
+    """Pressure of the air on a sheet: the force at rest, and the resistance to motion along the normal.
 
-    Loads takes both; with the resistance implicit, wind is stable at any step.
+    Loads takes both. The resistance is treated implicitly, so wind is stable at any step size.
     """
 
     force_n: Float[np.ndarray, "v 3"]
@@ -68,16 +68,16 @@ def point_field(network: MassSpring, vertices: Float[np.ndarray, "v 3"], field: 
 
 
 def plane_field(network: MassSpring, vertices: Float[np.ndarray, "v 3"], field: PlaneField) -> Float[np.ndarray, "v 3"]:
-    """Force of a planar field on each vertex; it turns smoothly within a twentieth of the reach from the plane."""
+    """Force of a planar field on each vertex; it flips smoothly within a twentieth of the reach from the plane."""
     height = (vertices - field.point_mm) @ field.normal
     side = height / np.maximum(np.abs(height), field.reach_mm / 20)
     return (_fading(network, field, np.abs(height)) * side)[:, None] * field.normal
 
 
 def gusts(network: MassSpring, vertices: Float[np.ndarray, "v 3"], velocity_m_s: Float[np.ndarray, "v 3"]) -> Air:
-    """Air with a velocity of its own at each vertex; still air resists as if it moved by 0.3 m/s.
+    """Air with its own velocity at each vertex; still air resists as if it moved at 0.3 m/s.
 
-    rho / 2 |v . n| (v - x') . n over each vertex's share of the area, along the normal.
+    The force is rho / 2 |v . n| (v - x') . n times each vertex's share of the area, along the normal.
     """
     normals = lattice_normals(network, vertices.reshape(*network.film.shape, 3)).reshape(-1, 3)
     area_m2 = network.area * network.metres_per_unit**2

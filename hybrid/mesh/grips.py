@@ -14,7 +14,7 @@ from hybrid.mesh.loads import Loads
 from hybrid.mesh.network import MassSpring, clamped
 
 GRIP_N_MM3 = 2e-3
-"""Stiffness of a grip, N/mm on each square millimetre: a thumb's 10 cm^2 hold with 2 N/mm, and give a little."""
+"""Stiffness of a grip, N/mm per square millimetre: a thumb's 10 cm^2 hold with 2 N/mm and give a little."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +37,7 @@ def film_points(network: MassSpring) -> Float[np.ndarray, "v 2"]:
 
 
 def near_point(network: MassSpring, uv: Float[np.ndarray, "2"], radius_mm: float) -> Bool[np.ndarray, " v"]:
-    """Vertices within ``radius_mm`` of a film point; always the lattice's cell nearest to it, which can be tilted."""
+    """Vertices within ``radius_mm`` of a film point; always at least the nearest lattice cell, which can be tilted."""
     height, width = network.film.size_mm
     beside = np.abs(film_points(network) - uv) * [width, height]
     cell = [beside[:, k] <= np.unique(beside[:, k].round(6))[1] + 1e-6 for k in range(2)]
@@ -49,8 +49,8 @@ def edge_part(
 ) -> Bool[np.ndarray, " v"]:
     """Vertices of an edge (0 left, 1 right, 2 top, 3 bottom), ``low`` to ``high`` along it, ``depth_mm`` inwards.
 
-    Two lines of the lattice inwards at least: one alone turns about itself, as a hinge does. Of each at least one
-    vertex, the nearest to the middle, where the lattice is coarser than the part is long.
+    The part is two lattice lines deep at least: one alone would turn about itself like a hinge. Where the lattice is
+    coarser than the part is long, each line contributes the vertex nearest to the part's middle.
     """
     uv = film_points(network)
     axis, far = (0, side == 1) if side < 2 else (1, side == 3)
@@ -77,7 +77,7 @@ def rigid(network: MassSpring, chosen: Bool[np.ndarray, " v"], turn_rad: np.ndar
 
 
 def arc(network: MassSpring, chosen: Bool[np.ndarray, " v"], along: int, curvature: float, lift: float = 0.0) -> Grip:
-    """A part bent to a circle along u (``along`` 0) or v (1) about its centre, and shifted by ``lift`` along z."""
+    """A part bent into a circle along u (``along`` 0) or v (1) about its centre, and shifted by ``lift`` along z."""
     points = flat_points(network)
     centre = points[chosen].mean(axis=0)
     arm = points[:, along] - centre[along]
@@ -93,7 +93,7 @@ def arc(network: MassSpring, chosen: Bool[np.ndarray, " v"], along: int, curvatu
 
 
 def gripped(network: MassSpring, grips: Sequence[Grip]) -> MassSpring:
-    """The network with its bending right at the grips' ends."""
+    """The network with its bending corrected at the ends of the grips."""
     held = np.any([grip.chosen for grip in grips], axis=0) if grips else np.zeros(len(network.mass_kg), bool)
     return clamped(network, held.reshape(network.film.shape))
 

@@ -17,7 +17,7 @@ class Loads:
 
     force_n: (V, 3) N on each vertex. goal_mm: (V, 3) where goal springs pull to. goal_stiffness: (V,) N/mm, 0 for a
     free vertex, inf for a pin. rest_curvature: 1/mm along u and along v (a film kept rolled). bodies: what it touches.
-    drag: (V,) N s/mm of resistance against moving along ``drag_normal`` (V, 3): the air.
+    drag: (V,) N s/mm of air resistance to motion along ``drag_normal`` (V, 3).
     """
 
     force_n: Float[np.ndarray, "v 3"]

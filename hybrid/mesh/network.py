@@ -3,8 +3,8 @@
 Stretching. Each lattice edge is a structural spring, each cell has a shear spring that acts on the *difference* of its
 two diagonals, and Poisson's coupling joins the edges of a cell: three independent measures for each cell, as many as a
 surface has metric components. Four independent springs for each cell (both diagonals) would make every cell rigid, and
-such a sheet could only fold along its lattice lines; with three it rolls up in any direction without being strained.
-Strains are Green's, polynomials of the positions: nothing is singular, whatever the state.
+such a sheet could only fold along its lattice lines; with three it rolls up in any direction without strain. Green
+strains are polynomials of the positions: nothing is singular, whatever the state.
 
 Bending. ``D / 2 (|x_uu|^2 + 2 |x_uv|^2 + |x_vv|^2)`` by second differences: quadratic, so its Hessian is constant
 (Bergou et al. 2006, "A quadratic bending model for inextensible surfaces").
@@ -50,7 +50,7 @@ class Strain:
 class CellStress:
     """Work conjugate of a cell's strains, times the cell's area (force x length).
 
-    edges: (4, rows - 1, cols - 1), of the cell's upper and lower edge (along u), left and right edge (along v).
+    edges: (4, rows - 1, cols - 1), of the cell's upper and lower edges (along u), left and right edges (along v).
     shear: (rows - 1, cols - 1).
     """
 
@@ -80,11 +80,12 @@ class MassSpring:
 
     @cached_property
     def bending_root(self) -> sparse.csr_array:
-        """S with bending energy |S x|^2 / 2.
+        """S such that |S x|^2 / 2 is the bending energy.
 
-        Where two neighbours are held, a clamp ends at the second: the second difference there covers half a cell within
-        the clamp, which stays straight, and half a cell outside, whose curvature is then twice the difference; together
-        its energy is doubled. Without this a clamp seems to begin half a cell too early, an error of first order.
+        Where two neighbours are held and the next is free, a clamp ends at the second: the second difference there
+        covers half a cell within the clamp, which stays straight, and half a cell outside, whose curvature is then
+        twice the difference. The energy of the two together is doubled. Without this a clamp seems to begin half a cell
+        too early, a first-order error.
         """
         weight = self.area * self.bending_stiffness
         grip_u = weight * (1.0 + _clamp_ends(self.held)).ravel()
@@ -99,8 +100,8 @@ class MassSpring:
 
     @cached_property
     def curvature_u(self) -> sparse.csr_array:
-        """(V, V) bending stiffness times area-weighted second derivatives along u: their product with normals is the
-        load of a unit rest curvature."""
+        """(V, V) bending stiffness times area-weighted second derivatives along u: their product with the normals is
+        the load of a unit rest curvature."""
         return self._curvature(self._second_u)
 
     @cached_property
@@ -141,13 +142,13 @@ class MassSpring:
 
 
 def mass_spring(film: FilmMesh, material: FilmMaterial, metres_per_unit: float = 1 / MM_PER_M) -> MassSpring:
-    """The network of a flat film whose sizes and vertices are in units of ``metres_per_unit`` (a millimetre).
+    """The network of a flat film whose sizes and vertices are in units of ``metres_per_unit`` (default a millimetre).
 
     Raises:
         ConfigError: lattice lines that do not increase, or a material without stiffness or mass.
     """
     _check(film, material)
-    per_mm = 1 / (MM_PER_M * metres_per_unit)  # units in a millimetre
+    per_mm = 1 / (MM_PER_M * metres_per_unit)  # units per millimetre
     height, width = film.size_mm
     du, dv = np.diff(film.u_lines) * width, np.diff(film.v_lines) * height
     area = np.outer(_lumped(dv), _lumped(du)).ravel()
@@ -223,7 +224,7 @@ def stretch_energy(network: MassSpring, state: Strain) -> float:
 
 
 def spring_gradient(network: MassSpring, state: Strain, force: CellStress) -> Float[np.ndarray, "v 3"]:
-    """J^T stress: the gradient of the stretching energy where ``force`` is the stress of ``state``."""
+    """J^T stress: the gradient of the stretching energy if ``force`` is the stress of ``state``."""
     mean_u, mean_v = cell_tangents(state.across, state.down)
     half = 0.5 * force.shear[..., None]
     on_u, on_v = np.zeros_like(state.across), np.zeros_like(state.down)
@@ -242,7 +243,7 @@ def spring_gradient(network: MassSpring, state: Strain, force: CellStress) -> Fl
 
 
 def lattice_normals(network: MassSpring, x: Float[np.ndarray, "rows cols 3"]) -> Float[np.ndarray, "rows cols 3"]:
-    """Unit normals by central differences, x_v cross x_u as FilmMesh.normals; 0 where the sheet has collapsed."""
+    """Unit normals by central differences, x_v cross x_u as in FilmMesh.normals; 0 where the sheet has collapsed."""
     u, v = (np.concatenate([[0.0], np.cumsum(d)]) for d in (network.du, network.dv))
     normal = np.cross(np.gradient(x, v, axis=0), np.gradient(x, u, axis=1))
     return normal / np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-12)
@@ -278,7 +279,7 @@ def _clamp_ends(held: np.ndarray) -> np.ndarray:
 
 
 def _lumped(spacing: np.ndarray) -> np.ndarray:
-    """Length that belongs to each node of an axis: half of the cells on either side."""
+    """Length that belongs to each node of an axis: half of each adjacent cell."""
     half = 0.5 * spacing
     return np.concatenate([half, [0.0]]) + np.concatenate([[0.0], half])
 

@@ -24,34 +24,34 @@ from hybrid.mesh.network import (
 from hybrid.mesh.tangent import tangent_factor
 
 _TURN_LIMIT = 0.8
-"""Longest first try of a Newton step: no edge may turn (or stretch) by more than about this many radians."""
+"""Limit on the first trial length of a Newton step: no edge may turn (or stretch) by more than about this (rad)."""
 
 _RETURNS = 4
-"""Solves that take the strain back to the linear model's, at each try of a step length."""
+"""Maximum number of solves that bring the strain back to the linear model's, for each step length tried."""
 
 _RETURNED = 1e-7
-"""Strain at which the return ends: a thousandth of what a frame may have."""
+"""Strain error at which the return ends: a thousandth of the strain that a frame may have."""
 
 _HALVINGS = 10
 
 _LEAD_LIMIT = 0.3
-"""The way begins at the guess if no edge turns further than this (rad) to get there."""
+"""The descent starts at the guess if no edge turns by more than this (rad) to get there."""
 
 _REUSE_TURN = 0.02
-"""A factor is used again after a move that turned (or stretched) no edge by more than this."""
+"""A factor is reused after a move that turned (or stretched) no edge by more than this."""
 
 _REUSE_SHRINK = 0.2
-"""... and, used again, until a move is longer than this share of the one before."""
+"""... and stays in use until a move is longer than this share of the one before."""
 
 _LANDINGS = 2
-"""How often a Newton move is found anew because vertices would enter a body."""
+"""Maximum number of times a Newton move is recomputed because vertices would enter a body."""
 
 
 @dataclass(frozen=True, eq=False)
 class StepProblem:
     """One step's energy.
 
-    inertia: (V,) force per length. target: (V, 3), where inertia alone leads. start: (V, 3) before the step.
+    inertia: (V,) force per length. target: (V, 3), where inertia alone would lead. start: (V, 3) before the step.
     force: (V, 3) constant during the step. hold: (V,) stiffness of goals and pins. drag: (V,) force per length.
     """
 
@@ -79,7 +79,7 @@ class StepProblem:
         return float(total + sum(contact_energy(contact, x) for contact in self.touches))
 
     def losses(self, x: Float[np.ndarray, "v 3"]) -> float:
-        """What drag and friction take."""
+        """Energy lost to drag and friction."""
         along = np.einsum("vk,vk->v", x - self.start, self.drag_normal)
         return float(0.5 * np.sum(self.drag * along**2) + sum(friction_loss(contact, x) for contact in self.touches))
 
@@ -89,7 +89,7 @@ class StepProblem:
         return float(kinetic + self.potential(x, state) + self.losses(x))
 
     def gradient(self, x: Float[np.ndarray, "v 3"], state: Strain) -> tuple[np.ndarray, np.ndarray]:
-        """Gradient (V, 3) of the energy and the part of its Hessian that is each vertex's own (V, 3, 3)."""
+        """Gradient (V, 3) of the energy and the part of its Hessian that couples no vertices (V, 3, 3)."""
         network = self.network
         total = self.inertia[:, None] * (x - self.target) - self.force
         total += network.bending @ x
@@ -121,7 +121,8 @@ class Descent:
 def descend(problem: StepProblem, guess: Float[np.ndarray, "v 3"], tolerance: float, max_iterations: int) -> Descent:
     """Minimise the step's energy until no vertex moves by more than ``tolerance`` (length).
 
-    The way begins at ``guess``, if that is not far; should it end higher than the step's start is, it begins there.
+    The descent starts at ``guess`` if that is not far. If it ends at a higher energy than the step's start has, it is
+    repeated from the step's start.
     """
     start = problem.strain(problem.start)
     ahead = max(float(np.abs(part).max()) for part in _tangents(problem, guess - problem.start))
@@ -135,9 +136,9 @@ def descend(problem: StepProblem, guess: Float[np.ndarray, "v 3"], tolerance: fl
 def _descend_from(
     problem: StepProblem, x: Float[np.ndarray, "v 3"], known: Strain, tolerance: float, max_iterations: int
 ) -> Descent:
-    """Minimise from ``x``, where the stress is about that of the strain ``known``.
+    """Minimise from ``x``, where the stress is close to that of the strain ``known``.
 
-    A factor is used again as long as the sheet hardly turns and the moves shrink.
+    A factor is reused as long as the sheet hardly turns and the moves shrink.
     """
     state = problem.strain(x)
     promised = _Promise(known.along_u, known.along_v, known.shear)
@@ -155,7 +156,7 @@ def _descend_from(
         gain = -float(np.vdot(gradient, move))
         tried = _line_search(problem, x, state, energy, move, gain, model)
         if tried is None and fresh:
-            # Rounding hides what is still to be gained, unless the model promised more than rounding.
+            # Rounding hides any gain that is left, unless the model promised more than rounding.
             slight = gain < 1e-9 * (abs(energy) + problem.network.bending_stiffness)
             return Descent(x, state, iteration, float(np.abs(move).max()), residual, slight)
         if tried is None:
@@ -177,7 +178,7 @@ def _descend_from(
 
 @dataclass(frozen=True, eq=False)
 class _Model:
-    """A factored tangent, whether it is the exact one, the state that it belongs to, and Newton's move from there."""
+    """A factored tangent, whether it is exact, the state it belongs to, and the Newton move from there."""
 
     tangent: BandFactor
     exact: bool
@@ -198,14 +199,14 @@ class _Promise:
         return stress(network, self.along_u, self.along_v, self.shear)
 
     def missed_by(self, state: Strain) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Actual less promised strain."""
+        """Actual minus promised strain."""
         return state.along_u - self.along_u, state.along_v - self.along_v, state.shear - self.shear
 
 
 def _model(
     problem: StepProblem, x: np.ndarray, state: Strain, force: CellStress, gradient: np.ndarray, own: np.ndarray
 ) -> _Model | None:
-    """Tangent and Newton's move; found anew when vertices would enter a body that their springs did not feel yet."""
+    """Tangent and Newton move, recomputed if vertices would enter a body whose contact springs they do not feel yet."""
     found = tangent_factor(problem.network, state, force, own)
     if found is None:
         return None
@@ -234,7 +235,7 @@ def _line_search(
     slope: float,
     model: _Model,
 ) -> tuple[np.ndarray, Strain, float, _Promise] | None:
-    """The first of shorter and shorter moves that lowers the energy, each returned to the promised strain."""
+    """The first of ever shorter moves that lowers the energy, each judged after its return to the promised strain."""
     change = _linear_change(problem, state, move)
     turn = max(float(np.abs(part).max()) for part in _tangents(problem, move))
     length = min(1.0, _TURN_LIMIT / max(turn, 1e-300))
@@ -251,7 +252,7 @@ def _line_search(
 
 
 def _returned(problem: StepProblem, x: np.ndarray, promise: _Promise, model: _Model) -> tuple[np.ndarray, Strain]:
-    """``x`` with its strain taken (nearly) to the promised one by moves that the tangent finds easiest."""
+    """``x`` with its strain brought (nearly) to the promised one by the moves that the tangent resists least."""
     network = problem.network
     state = problem.strain(x)
     worst = max(float(np.abs(miss).max()) for miss in promise.missed_by(state))
@@ -269,7 +270,7 @@ def _returned(problem: StepProblem, x: np.ndarray, promise: _Promise, model: _Mo
 
 
 def _tangents(problem: StepProblem, move: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Change of the edges' tangents with a move."""
+    """Change of the edge tangents in a move."""
     return edge_tangents(problem.network, move.reshape(*problem.network.film.shape, 3))
 
 

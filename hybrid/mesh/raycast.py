@@ -23,18 +23,19 @@ _MISS = 2**32 - 1
 """Open3D's primitive number of a ray that hits nothing."""
 
 FACET_MM = 0.03
-"""Facets of the mesh that is cast stay within this distance of the smooth film: 0.08 px where a pixel is 0.4 mm."""
+"""Facets of the ray-cast mesh stay within this distance of the smooth film: 0.08 px where a pixel is 0.4 mm."""
 
 _FACET_VERTICES = (17, 193)
-"""Fewest and most vertices along a side of the mesh that is cast: sharp creases of soft sheets are cut off there."""
+"""Fewest and most vertices along a side of the mesh that is cast: the upper limit cuts off sharp creases of soft
+sheets."""
 
 BACKWARD_NODES = (65, 65)
-"""Nodes of a true backward map: its spline then is within 0.02 px of the film in a 256 px photo even along creases
+"""Nodes of a true backward map: its spline is then within 0.02 px of the film in a 256 px photo even along creases
 (33 nodes: 0.15 px)."""
 
 _RIM_RAYS = np.array([[9, 5], [7, 11], [13, 9], [5, 3], [3, 13], [1, 7], [11, 15], [15, 1]], np.float32) / 16
 """Points of a pixel at which rays are cast where the film's outline or a fold crosses it. No two share a row or a
-column (eight rooks): upright and level edges, the usual ones, are told in eighths of a pixel."""
+column (eight rooks): vertical and horizontal edges, the usual ones, are resolved to an eighth of a pixel."""
 
 _CENTRE = pixel_centres((1, 1))[0, 0].astype(np.float32)
 
@@ -61,11 +62,11 @@ class AnnotationMaps:
 class PixelView:
     """Which film points the pixels of a photo see: one each where the film is smooth, many where it ends or folds.
 
-    box: rows and columns of the photo outside which there is no film; all fields are of that part.
-    coverage: (h, w) share of each pixel that film covers. uv: (h, w, 2) film point at each pixel's centre, 0 without.
+    box: rows and columns of the photo outside which there is no film; all other fields describe that part only.
+    coverage: (h, w) share of each pixel that film covers. uv: (h, w, 2) film point at each pixel's centre, 0 if none.
     rim: (m,) numbers, row by row, of the pixels through which an outline or a fold runs.
     rim_uv, rim_hit: (m, k, 2), (m, k) what k rays spread evenly over each of those pixels meet.
-    rays: number of rays cast for it.
+    rays: number of rays cast.
     """
 
     box: tuple[slice, slice]
@@ -80,7 +81,7 @@ class PixelView:
 class FilmCaster:
     """A bent film ready for ray casting: built once, then cast from any camera at any resolution.
 
-    Through corners that are cut off nothing is seen of film further back, which only a sheet rolled up shows there.
+    Cut-off corners show no film further back; only a rolled-up sheet would have any there.
     """
 
     def __init__(self, film: FilmMesh, facet_mm: float = FACET_MM, corners: RoundCorners | None = None) -> None:
@@ -110,8 +111,8 @@ class FilmCaster:
     def annotate(self, camera: Camera) -> AnnotationMaps:
         """All maps (float32) of the camera's photo, at the pixels' centres.
 
-        Near the outline, folds and sharp bends each pixel has its ray; elsewhere one in four, and what lies between is
-        interpolated.
+        Near the outline, folds and sharp bends each pixel has its own ray; elsewhere one ray serves four pixels, by
+        interpolation.
         """
         mask = np.zeros(camera.size, dtype=bool)
         uv, xyz, normal = (np.full((*camera.size, k), np.nan, dtype=np.float32) for k in (2, 3, 3))
@@ -133,10 +134,10 @@ class FilmCaster:
         return AnnotationMaps(mask, uv, xyz, normal)
 
     def view(self, camera: Camera, maps: AnnotationMaps | None = None) -> PixelView:
-        """Film points of a photo's pixels by as few rays as that takes; ``maps`` of the same camera save the most.
+        """Film points of a photo's pixels with as few rays as possible; ``maps`` of the same camera save most of them.
 
-        The outline and the places where the film turns over are edges of the mesh: projected and drawn they mark the
-        rim, the pixels that are cast densely (and no sliver of film between rays is lost).
+        The outline and the places where the film turns over are edges of the mesh: projected and drawn, they mark the
+        rim, the pixels in which rays are cast densely (so no sliver of film between rays is lost).
 
         Raises:
             SimulationError: film beside or behind the camera, where it has no projection.
@@ -193,7 +194,7 @@ class FilmCaster:
         uv: Float32[np.ndarray, "h w 2"],
         depth: Float32[np.ndarray, "h w"] | None = None,
     ) -> None:
-        """Cast the centres of the pixels that are wanted and put in what they see."""
+        """Cast rays through the centres of the wanted pixels and fill in what they see."""
         at = np.flatnonzero(wanted)
         hit, film, far = self._cast(part, part.ray_directions(_corners(at, part.size) + _CENTRE))
         mask[wanted], uv.reshape(-1, 2)[at] = hit, film
@@ -250,7 +251,7 @@ class FilmCaster:
         return camera.photo_from_camera(points) if points[..., 2].min() > 1.0 else None
 
     def _bounding_box(self, camera: Camera) -> tuple[slice, slice]:
-        """Rows and columns of the photo within which the film is seen; all where part of it is beside the camera."""
+        """Rows and columns of the photo in which the film is seen; all of them if part of it is beside the camera."""
         projected = self._projected(camera)
         if projected is None:
             return slice(0, camera.size[0]), slice(0, camera.size[1])
@@ -260,8 +261,8 @@ class FilmCaster:
 def facet_shape(film: FilmMesh, facet_mm: float) -> tuple[int, int]:
     """Vertices down and across of the coarsest lattice whose facets keep within ``facet_mm`` of the smooth film.
 
-    Linear interpolation over a cell is off by at most (|S_uu| a^2 + 2 |S_uv| a b + |S_vv| b^2) / 8, a and b being
-    its sides; half of the bound is given to either direction.
+    Linear interpolation over a cell is off by at most (|S_uu| a^2 + 2 |S_uv| a b + |S_vv| b^2) / 8, where a and b are
+    its sides; each direction gets half of the bound.
     """
     n = 33
     t = node_centres_1d(n)
@@ -288,8 +289,8 @@ def _box(projected: Float[np.ndarray, "nv nu 2"], size: tuple[int, int]) -> tupl
 
 
 def _outline_and_folds(projected: Float[np.ndarray, "nv nu 2"]) -> list[Float[np.ndarray, "_ 2"]]:
-    """Lines of a projected lattice at which what is seen may jump: its four sides, and the edges between triangles of
-    which one shows its front and the other its back."""
+    """Lines of a projected lattice at which the film point seen may jump: its four sides, and the edges between a
+    triangle that shows its front and one that shows its back."""
     across, down = np.diff(projected, axis=1), np.diff(projected, axis=0)
     upper = _turn(across[:-1], down[:, :-1]) > 0
     lower = _turn(across[1:], down[:, 1:]) > 0

@@ -38,10 +38,10 @@ _AWAY = np.array([0.0, 0.0, 1.0])
 class BendConfig:
     """How a film is bent.
 
-    frames: number of steps simulated. keep_from: first frame that is used, if any from there on is fit for it.
+    frames: number of steps simulated. keep_from: first frame that is used, if any from there on is fit for use.
     max_angle_deg: frames with a normal further than this from the mean normal are dropped (PAPER code: 70).
     soft_share: share of films that stretch like the published soft bodies; the others are PET.
-    max_iterations, tolerance: Newton's (StepConfig); a frame for a picture needs no more.
+    max_iterations, tolerance: Newton's limits (StepConfig); a frame for a picture needs no more.
     """
 
     frames: int = 7
@@ -54,7 +54,7 @@ class BendConfig:
 
 @dataclass(frozen=True, eq=False)
 class Bending:
-    """A recipe made up for one film: its network, clamps known; the loads of each frame; the step that suits it."""
+    """A recipe set up for one film: its network with clamps, the loads of each frame, and a suitable time step."""
 
     network: MassSpring
     loads_at: LoadsAt
@@ -63,7 +63,7 @@ class Bending:
 
 
 def bend(film: FilmMesh, rng: np.random.Generator, config: BendConfig) -> tuple[str, list[Frame]]:
-    """Bend a flat film by a random recipe: its name and the frames that are fit to be photographed."""
+    """Bend a flat film by a random recipe: return its name and the frames that are fit to be photographed."""
     names = list(RECIPES)
     name = names[int(rng.choice(len(names), p=[weight for weight, _ in RECIPES.values()]))]
     soft = rng.random() < config.soft_share
@@ -71,13 +71,13 @@ def bend(film: FilmMesh, rng: np.random.Generator, config: BendConfig) -> tuple[
     frames = simulate(RECIPES[name][1](mass_spring(film, material), rng), config)
     fit = [max_normal_angle(frame.mesh) <= np.deg2rad(config.max_angle_deg) for frame in frames]
     kept = [frame for k, frame in enumerate(frames) if fit[k] and k >= config.keep_from]
-    if not kept:  # it bends so far that only what comes before may be used: the last of that
+    if not kept:  # the film bends so far that only earlier frames can be used: the last fit one
         kept = [frame for k, frame in enumerate(frames) if fit[k]][-1:]
     return name, kept or [at_rest(film)]
 
 
 def simulate(bending: Bending, config: BendConfig) -> list[Frame]:
-    """All frames of a recipe, from the flat film on (which is not among them)."""
+    """All frames of a recipe, starting from the flat film (which is not among them)."""
     stepping = StepConfig(bending.dt_s, bending.damping_per_s, config.max_iterations, config.tolerance)
     frame, frames = at_rest(bending.network.film), []
     for k in range(config.frames):
@@ -104,7 +104,7 @@ def flat(network: MassSpring, rng: np.random.Generator) -> Bending:
 
 
 def force_field(network: MassSpring, rng: np.random.Generator) -> Bending:
-    """The published recipe: 5 to 15 goal vertices of weight 0.75 to 1 and one noisy field, no gravity; or none held."""
+    """The published recipe: 5 to 15 goal vertices of weight 0.75 to 1 and one noisy field, no gravity; or no goals."""
     still, size = _still(network), float(np.mean(network.film.size_mm))
     stiffness = np.zeros(len(network.mass_kg))
     if rng.random() < 0.8:
@@ -128,7 +128,7 @@ def one_corner(network: MassSpring, rng: np.random.Generator) -> Bending:
 
 
 def two_corners(network: MassSpring, rng: np.random.Generator) -> Bending:
-    """Held at two corners, next to each other or opposite, a little nearer together than when flat."""
+    """Held at two corners, next to each other or opposite, a little closer together than when flat."""
     first = rng.integers(0, 2, 2).astype(float)
     second = np.abs(first - [[1, 0], [0, 1], [1, 1]][int(rng.integers(3))])
     way = (second - first) * [network.film.size_mm[1], network.film.size_mm[0]]
@@ -290,7 +290,7 @@ def twisted(network: MassSpring, rng: np.random.Generator) -> Bending:
 
 
 def curled(network: MassSpring, rng: np.random.Generator) -> Bending:
-    """A film kept rolled, that lies free or is held at a point."""
+    """A film kept rolled and held at a point."""
     grip = rigid(network, near_point(network, rng.uniform(0.2, 0.8, 2), rng.uniform(15, 60)), np.zeros(3), np.zeros(3))
     pull = rng.uniform(0, 0.5) * gravity(network, _unit(rng.normal(size=3)))
     curl, bent = _curl(rng, 1.0), gripped(network, [grip])
@@ -365,7 +365,7 @@ def _scaled(curl: tuple[float, float], share: float) -> tuple[float, float]:
 
 
 def _curl(rng: np.random.Generator, share: float) -> tuple[float, float]:
-    """Rest curvature (1/mm) along u and v: none, or mostly about one axis with a radius of 150 mm and more."""
+    """Rest curvature (1/mm) along u and v: none, or mostly about one axis with a radius of 150 mm or more."""
     if rng.random() > share:
         return (0.0, 0.0)
     main = float(rng.choice([-1, 1]) / rng.uniform(150, 1200))

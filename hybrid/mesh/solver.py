@@ -1,12 +1,12 @@
-"""Implicit steps of a film that bends and does not stretch: backward Euler, Newton with a return to the unstretched.
+"""Implicit time steps of a film that bends but does not stretch: backward Euler, Newton with a return to isometry.
 
-A step minimises ``|x - y|^2_M / (2 dt^2) + U(x) + losses(x)``, y being where inertia alone would lead (Martin et al.
-2011, "Example-based elastic materials", eq. 2). A film resists stretching 1e5 times more than bending; a plain Newton
-direction, straight as it is, stretches what it turns: a turn by an angle a stretches by a^2 / 2, and the line search
-then allows tiny moves only. Here each direction is followed by a few solves with the *same* factor that take the strain
-back to the one that the linear model promised (a second-order correction, as in sequential quadratic programming;
-Nocedal & Wright, Numerical Optimization, 15.6), and the energy is judged there. The stress that makes up the
-geometric stiffness is the linear model's too, not that of the strain in between.
+A step minimises ``|x - y|^2_M / (2 dt^2) + U(x) + losses(x)``, where y is the position to which inertia alone would
+lead (Martin et al. 2011, "Example-based elastic materials", eq. 2). A film resists stretching 1e5 times more than
+bending. A plain Newton direction is straight and so stretches what it turns: a turn by an angle a stretches by a^2 / 2,
+and the line search then allows only tiny moves. Here each direction is followed by a few solves with the *same* factor
+that bring the strain back to what the linear model promised (a second-order correction, as in sequential quadratic
+programming; Nocedal & Wright, Numerical Optimization, 15.6), and the energy is evaluated there. The geometric stiffness
+also uses the stress of the linear model, not that of the strain in between.
 
 Every matrix is positive definite and no step raises the energy, so no step size, stiffness or load can make the
 state explode; the velocity is cut so that the total energy cannot grow beyond the work done on the sheet.
@@ -80,10 +80,10 @@ class SettleConfig:
 class Frame:
     """The sheet after a step.
 
-    mesh: the bent sheet. velocity: (V, 3) mm/s. iterations: Newton iterations. moved_mm: the residual in length, the
+    mesh: the bent sheet. velocity: (V, 3) mm/s. iterations: Newton iterations. moved_mm: the residual as a length, the
     last iteration's largest move, or what it leaves for the next where Newton converges quadratically. max_strain:
     largest strain of an edge, or half shear of a cell. residual_n: largest force on a vertex before the last move.
-    status: how it ended. acceleration: (V, 3) mm/s^2 during the step, from which the next one guesses where it ends.
+    status: how it ended. acceleration: (V, 3) mm/s^2 during the step; the next step guesses from it where it ends.
     """
 
     mesh: FilmMesh
@@ -127,7 +127,7 @@ def step(network: MassSpring, frame: Frame, loads: Loads, config: StepConfig) ->
     mesh = frame.mesh.bent(result.x.reshape(frame.mesh.vertices.shape))
     largest = result.state.largest
     status = FrameStatus.STRETCHED if largest > config.strain_limit else FrameStatus.OK
-    if not result.converged:  # then the strain is not yet that of the loads
+    if not result.converged:  # the strain is not yet the one that the loads cause
         status = FrameStatus.UNCONVERGED
     acceleration = (velocity - frame.velocity) / config.dt_s
     return Frame(mesh, velocity, result.iterations, result.moved, largest, result.residual, status, acceleration)
@@ -136,7 +136,7 @@ def step(network: MassSpring, frame: Frame, loads: Loads, config: StepConfig) ->
 def settle(network: MassSpring, frame: Frame, loads: Loads, config: SettleConfig) -> Frame:
     """The shape in which the sheet comes to rest under steady loads (quasi-static: inertia only guides the way).
 
-    Steps from standstill grow longer and longer, until a long one moves nothing.
+    Steps from standstill grow longer until a long one moves nothing.
     """
     dt_s, total = config.first_dt_s, 0
     for _ in range(config.max_steps):
@@ -159,9 +159,9 @@ def still(frame: Frame) -> Frame:
 
 
 def steady_force(network: MassSpring, frame: Frame, loads: Loads) -> Float[np.ndarray, "v 3"]:
-    """All forces (N) that stay the same during the step from ``frame``: those of the loads, and of rest curvature.
+    """All forces (N) that stay the same during the step from ``frame``: those of the loads and of rest curvature.
 
-    Rest curvature bends about the normal, which is held for the step: on an isometry, bending has no part across it.
+    Rest curvature acts along the normal, kept fixed for the step: on an isometry, bending has no component across it.
     """
     curl_u, curl_v = loads.rest_curvature
     if not (curl_u or curl_v):
@@ -171,7 +171,7 @@ def steady_force(network: MassSpring, frame: Frame, loads: Loads) -> Float[np.nd
 
 
 def mechanical_energy(network: MassSpring, frame: Frame, loads: Loads) -> float:
-    """Kinetic and potential energy (N x length) of a sheet under steady loads; of forces, less their work from 0."""
+    """Kinetic and potential energy (N x length) under steady loads; that of forces is minus their work from 0."""
     problem = _step_problem(network, frame, loads, StepConfig(dt_s=1.0))
     kinetic = 0.5 * float(np.sum(problem.inertia * (frame.velocity**2).sum(axis=1)))
     work = float(np.vdot(problem.force, problem.start))
@@ -201,8 +201,8 @@ def _step_problem(network: MassSpring, frame: Frame, loads: Loads, config: StepC
 def _bounded_velocity(problem: StepProblem, result: Descent, frame: Frame, config: StepConfig) -> np.ndarray:
     """Velocity after the step, cut so that kinetic energy gains no more than the potential has lost.
 
-    Backward Euler does that by itself where the energy is convex and its minimum was reached; a descent that was cut
-    short needs not.
+    Backward Euler ensures this by itself where the energy is convex and its minimum was reached; a descent that was cut
+    short need not.
     """
     velocity = (result.x - problem.start) / config.dt_s
     mass = problem.inertia * config.dt_s**2

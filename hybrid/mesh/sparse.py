@@ -1,4 +1,4 @@
-"""Few rays for many pixels: what lies between rays is interpolated where the film is smooth, and marked where not."""
+"""Few rays for many pixels: interpolate between rays where the film is smooth, and mark the pixels where it is not."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from jaxtyping import Bool, Float, Float32
 from hybrid.coords import opencv_from_photo, rescale_points
 
 _LINE_BITS = 4
-"""Binary places of the points of OpenCV's lines."""
+"""Fractional bits of the points of OpenCV's lines."""
 
 _RIM_SCALE = 2
-"""Lines are drawn twice as fine as the photo, two of the fine pixels wide: every pixel that they cross is marked."""
+"""Lines are drawn at twice the photo's resolution, two fine pixels wide: every pixel that they cross is marked."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ FOR_PHOTOS, FOR_MAPS = Sparse(4, 0.03), Sparse(2, 0.01)
 
 @dataclass(frozen=True, eq=False)
 class Blocks:
-    """What rays (camera axes, z = 1) through the centres of blocks meet: uv and depth (mm), NaN where nothing."""
+    """What rays (camera axes, z = 1) through the centres of blocks meet: uv and depth (mm), NaN for a miss."""
 
     rays: Float32[np.ndarray, "r c 3"]
     hit: Bool[np.ndarray, "r c"]
@@ -49,7 +49,7 @@ def enlarged(values: np.ndarray, size: tuple[int, int], sparse: Sparse, how: int
     """Values of the blocks at the pixels of a photo of ``size``.
 
     Enlarged pixel areas keep their centres: between the blocks' centres this is bilinear interpolation, and a miss
-    (NaN) spreads to all pixels that a missing ray would have had a share in.
+    (NaN) spreads to every pixel that its ray contributes to.
     """
     (h, w), step = size, sparse.spacing
     fine = cv2.resize(values, (values.shape[1] * step, values.shape[0] * step), interpolation=how)
@@ -61,8 +61,8 @@ def smooth_film(
 ) -> tuple[Bool[np.ndarray, "h w"], Float32[np.ndarray, "h w 2"], Bool[np.ndarray, "h w"]]:
     """Mask and uv interpolated between the blocks, and the pixels where that is not good enough.
 
-    Those are near the rim, where the film is missed in part, and where uv's second difference says that interpolation
-    is not exact to ``error_px``.
+    These are the pixels near the rim, those where some of the rays miss the film, and those where uv's second
+    difference shows that interpolation errs by more than ``error_px``.
     """
     uv = enlarged(blocks.uv, size, sparse)
     mask = uv[..., 0] == uv[..., 0]  # not NaN
@@ -87,8 +87,8 @@ def bumpy(blocks: Blocks, focal_px: float, size: tuple[int, int], sparse: Sparse
 def _rough(uv: Float32[np.ndarray, "r c 2"], sparse: Sparse) -> np.ndarray:
     """Marks of the blocks around which bilinear interpolation of ``uv`` errs by more than ``error_px``.
 
-    It errs by an eighth of the second difference; the first difference, over two spacings, turns that into pixels.
-    Where a ray missed both are NaN, and the comparison False.
+    It errs by an eighth of the second difference; the first difference, over two spacings, converts that to pixels.
+    Where a ray missed, both are NaN and the comparison is False.
     """
     marks = np.zeros(uv.shape[:2], np.uint8)
     for axis in (0, 1):
@@ -104,13 +104,13 @@ def _spread(marks: np.ndarray) -> np.ndarray:
 
 
 def _along(values: np.ndarray, axis: int, start: int) -> np.ndarray:
-    """A view without two of the values along an axis: those before, between or after the two."""
+    """A view of all but two of the values along an axis: the first, the middle or the last ones."""
     stop = values.shape[axis] - 2 + start
     return values[start:stop] if axis == 0 else values[:, start:stop]
 
 
 def crossed(lines: list[Float[np.ndarray, "_ 2"]], size: tuple[int, int]) -> Bool[np.ndarray, "h w"]:
-    """Pixels of a photo of ``size`` that lines (photo points) run through; a few beside them too."""
+    """Pixels of a photo of ``size`` that lines (photo points) run through, and a few beside them."""
     fine = (_RIM_SCALE * size[0], _RIM_SCALE * size[1])
     picture = np.zeros(fine, np.uint8)
     limit = 4.0 * max(fine)  # OpenCV's lines take 32-bit numbers; film that far outside does not show

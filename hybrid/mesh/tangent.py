@@ -1,4 +1,4 @@
-"""The tangent of a step: material and geometric stiffness of the cells, bending, and each vertex's own, factored."""
+"""The tangent of a step: material and geometric stiffness of the cells, bending and the vertices' blocks, factored."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ def tangent_factor(
 ) -> tuple[BandFactor, bool] | None:
     """Factor of J^T K J + geometric stiffness of ``force`` + bending + each vertex's ``own`` block.
 
-    The geometric stiffness is exact (then the second value is True) where the sum is definite; where compression makes
-    it indefinite (the sheet is about to buckle), its positive part is taken.
+    The geometric stiffness is exact (and the second value True) if the sum is definite. If compression makes the sum
+    indefinite (the sheet is about to buckle), the positive part of the geometric stiffness is used.
     """
     shape = network.film.shape
     material = _material_blocks(network, state)
@@ -85,11 +85,11 @@ def _geometric(network: MassSpring, force: CellStress) -> Float[np.ndarray, "r1 
 
 
 def _positive_geometric(network: MassSpring, force: CellStress) -> Float[np.ndarray, "r1 c1 4 4"]:
-    """Geometric stiffness without what compression would make negative.
+    """Geometric stiffness without the part that compression would make negative.
 
     With mean tangents p, q of the cell and its warp h = (x11 - x10 - x01 + x00) / 2, the second variation of the
-    springs' energy is n_u |dp|^2 + 2 tau dp.dq + n_v |dq|^2 + (n_u / a^2 + n_v / b^2) |dh|^2, but for terms in the
-    difference of opposite edges' stress. The 2 x 2 matrix of the stress is replaced by its positive part.
+    springs' energy is n_u |dp|^2 + 2 tau dp.dq + n_v |dq|^2 + (n_u / a^2 + n_v / b^2) |dh|^2, apart from terms in the
+    stress difference of opposite edges. The 2 x 2 matrix of the stress is replaced by its positive part.
     """
     n_u, n_v, tau = force.edges[0] + force.edges[1], force.edges[2] + force.edges[3], force.shear
     a, b = network.du[None, :], network.dv[:, None]

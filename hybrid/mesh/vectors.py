@@ -1,7 +1,7 @@
-"""Arithmetic of many 3-vectors at once, along the last axis.
+"""Arithmetic on many 3-vectors at once, along the last axis.
 
-Component by component: two to ten times as fast as ``np.cross`` and sums over an axis of three. It is fastest on arrays
-whose components lie apart in memory (``planar``); elementwise operations keep that layout.
+It works component by component: two to ten times as fast as ``np.cross`` and sums over an axis of three. It is fastest
+on arrays whose components lie apart in memory (``planar``); elementwise operations keep that layout.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ def planar(vectors: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
 
 
 def turned(vectors: Float[np.ndarray, "*n 3"], rotation: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "*n 3"]:
-    """``rotation @ v`` of each vector in its precision, planar."""
+    """``rotation @ v`` for each vector, in its precision, planar."""
     parts = np.moveaxis(vectors, -1, 0)
     out = rotation.astype(vectors.dtype) @ parts.reshape(3, -1)
     return np.moveaxis(out.reshape(parts.shape), 0, -1)
@@ -36,5 +36,5 @@ def cross(a: Float[np.ndarray, "*#n 3"], b: Float[np.ndarray, "*#n 3"]) -> Float
 
 
 def unit(vectors: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
-    """The vectors at length 1; a null vector stays null."""
+    """The vectors scaled to length 1; a null vector stays null."""
     return vectors / (np.sqrt(dot(vectors, vectors)) + vectors.dtype.type(1e-20))[..., None]

@@ -1,7 +1,7 @@
 """Classical geometry and light: from the network's maps to the flat film.
 
-``hybrid.rectify(photo)`` is also the name of the public shortcut. Importing this package sets the attribute of that
-name to this module, so the module answers the call.
+``hybrid.rectify(photo)`` is also the public shortcut. Importing this package sets the attribute of that name to this
+module, so the module itself has to answer the call.
 """
 
 import importlib
@@ -16,7 +16,7 @@ class _CallableRoom(ModuleType):
         return importlib.import_module("hybrid.pipeline").rectify(*args, **kwargs)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Another process, as of a pool, imports the room by its name."""
+        """Pickle the module by its name, so that another process, as in a pool, imports it."""
         return importlib.import_module, (self.__name__,)
 
 

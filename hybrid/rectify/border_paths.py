@@ -1,8 +1,8 @@
-"""Borders between cells as BorderNet reads them in strips across those that a map and a grid predict.
+"""Borders between cells, as BorderNet reads them in strips across the borders that a map and a grid predict.
 
-Rules and gutters show as lines, and these are followed without it (grid.py) where they are clear. Where they are faint,
-or there are none, texts and scale bars on both sides still tell where one cell ends and the next begins; and which
-lines are those between cells, and which are couches or rows of text.
+Rules and gutters show as lines. Where they are clear, they are followed without BorderNet (grid.py). Where they are
+faint or missing, the texts and scale bars on both sides still tell where one cell ends and the next begins, and which
+lines lie between cells and which are couches or rows of text.
 """
 
 from __future__ import annotations
@@ -28,11 +28,12 @@ from hybrid.strips import StripConfig, StripReader, strip_copy
 
 @dataclass(frozen=True)
 class BorderConfig:
-    """Options of reading borders.
+    """Options for reading borders.
 
-    paths: how they are read in strips. soft_rows: spread of what is read of a line that is clear: what is beyond that
-    is not known of the border as a whole. sharp: least deviation of a whole border, in film units. min_columns: of all
-    borders across an axis, of the columns that show them, that count.
+    paths: how borders are read in strips. soft_rows: spread of the readings, in rows, where a line is clear: any spread
+    beyond it makes the whole border uncertain. sharp: least deviation of a whole border, in film units.
+    min_columns: least number of columns that must show a border, over all borders across an axis, for the axis to
+    count.
     """
 
     paths: PathConfig = field(default_factory=PathConfig)
@@ -48,8 +49,8 @@ class BorderConfig:
 def read_borders(
     photo: Photo, film: BackwardMap, layout: Layout, reader: StripReader, grid: GridConfig, config: BorderConfig
 ) -> list[Evidence]:
-    """Sightings of the borders across the axes along which no lines are known, through the map ``film`` into ``photo``;
-    none of an axis of which nothing is known, or where too few are read."""
+    """Sightings of the borders across each axis along which no lines are known, through the map ``film`` into
+    ``photo``. An axis is left out if nothing is known of it, or if too few columns show a border."""
     found = []
     for axis in (0, 1):
         borders, across = _known(layout, axis), layout.combs[1 - axis] or _known(layout, 1 - axis)
@@ -62,7 +63,8 @@ def read_borders(
 
 
 def places_along(read: Sequence[Evidence]) -> tuple[Places | None, Places | None]:
-    """Where each border between two cells was read, the median along it, across u and across v; None where none was."""
+    """Where each border between two cells was read (the median along it), across u and across v; None where none
+    was."""
     by_axis = {e.sightings.axis: _places(e) for e in read}
     return by_axis.get(0), by_axis.get(1)
 
@@ -70,8 +72,8 @@ def places_along(read: Sequence[Evidence]) -> tuple[Places | None, Places | None
 def borders_shown(
     pyramid: Pyramid, film: BackwardMap, grid: SliceGrid, reader: StripReader, config: BorderConfig
 ) -> float:
-    """Mean probability, over their columns, that borders between cells show near where a grid on the film has them: the
-    first and the last of those inside of the sheet, along both axes, read together; 0 where there are none."""
+    """Mean probability, over all columns, that borders between cells show near where a grid on the film has them: the
+    first and the last border inside the sheet along each axis are read, all together. 0 where there are none."""
     images, inside = [], []
     for axis in (0, 1):
         first, pitch, cells = grid.along(axis)
@@ -96,7 +98,7 @@ def held_to(layout: Layout, read: Evidence, grid: GridConfig) -> Evidence:
 
 
 def _held(read: Sightings, borders: Borders, grid: GridConfig) -> Evidence:
-    """What was read of borders, with their coordinates, and what is known beforehand of their place and pitch."""
+    """The borders that were read, with their coordinates on the grid and the priors of its place and pitch."""
     pitch, before = borders.before(grid)
     known = 0.5 + pitch * read.shared[:, borders.pitch_at]
     shared_sigma = np.append(before, read.shared_sigma[len(before) :])
@@ -112,8 +114,8 @@ def _places(read: Evidence) -> Places:
 
 
 def _known(layout: Layout, axis: int) -> Borders | None:
-    """Where borders lie along an axis: as was read of them before, else as the whole film was read, if what repeats are
-    as many cells."""
+    """Where borders lie along an axis: as they were read before, else as the whole film was read, if as many cells
+    repeat."""
     borders, repeats = layout.borders[axis], layout.repeats[axis]
     if borders is not None:
         return borders
@@ -131,10 +133,11 @@ def _sightings(
     reader: StripReader,
     config: BorderConfig,
 ) -> Sightings | None:
-    """The columns of all strips, between the ends of the grid, that show a border, not yet held to any grid.
+    """Sightings from the columns of all strips, between the ends of the grid, that show a border; not yet held to any
+    grid.
 
-    What borders share: where the grid's middle lies from the film's, by how much its pitch differs, and by how much
-    each is misread as a whole.
+    What borders share: the offset of the grid's middle from the film's, the error of its pitch, and, for each border,
+    the offset by which it is misread as a whole.
     """
     lines, number = inner_lines(borders.first, borders.pitch, borders.cells)
     if not len(lines):
@@ -166,8 +169,8 @@ def _read(
     reader: StripReader,
     config: BorderConfig,
 ) -> tuple[Float[np.ndarray, "k c"], Float[np.ndarray, "k c"], Float[np.ndarray, "k c"]]:
-    """Row, spread and mass (EdgePaths) of the likeliest path of each of k borders, all groups at once; the last is
-    filled up with borders of which there are enough already."""
+    """Row, spread and mass (EdgePaths) of the likeliest path of each of k borders, all groups at once. The last group
+    is filled up with borders that are read in any case."""
     count = len(lines)
     whole = -(-count // GROUP) * GROUP
     which = [k if k < count else (k - GROUP) % count for k in range(whole)]

@@ -2,7 +2,7 @@
 
 The spline has ``intervals`` equal knot intervals along each axis, so ``(intervals + 3)^2`` coefficients: few enough
 that the normal equations are a small dense matrix. Coefficients are ordered row (v) first. Outside [0, 1] the
-polynomial of the nearest interval goes on, so that points a little beyond the edge may be used.
+polynomial of the nearest interval continues, so that points a little beyond the edge may be used.
 """
 
 from __future__ import annotations
@@ -23,17 +23,18 @@ RIDGE = 1e-10
 
 
 _PIECES = np.array([[1.0, 4.0, 1.0, 0.0], [-3.0, 0.0, 3.0, 0.0], [3.0, -6.0, 3.0, 0.0], [-1.0, 3.0, -3.0, 1.0]]) / 6.0
-"""The four cubic B-splines of a knot interval, each a column of coefficients of the powers of the place in it."""
+"""The four cubic B-splines on a knot interval. Each column holds the coefficients of the powers of the place in it."""
 
 
 @cache
 def _pieces(derivative: int) -> Float[np.ndarray, "p 4"]:
-    """The same of their derivatives."""
+    """The same for their derivatives."""
     return np.polynomial.polynomial.polyder(_PIECES, derivative)
 
 
 def knot_interval(t: Float[np.ndarray, " n"], intervals: int) -> Int[np.ndarray, " n"]:
-    """The knot interval nearest to each coordinate: also the first of the four coefficients that count there."""
+    """The knot interval nearest to each coordinate: also the index of the first of the four coefficients that count
+    there."""
     # np.clip takes three times as long
     return np.minimum(np.maximum((t * intervals).astype(np.intp), 0), intervals - 1)
 
@@ -41,8 +42,8 @@ def knot_interval(t: Float[np.ndarray, " n"], intervals: int) -> Int[np.ndarray,
 def local_weights(
     t: Float[np.ndarray, " n"], intervals: int, derivative: int = 0
 ) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, "n 4"]]:
-    """The first of the four coefficients of one axis that count at coordinates ``t``, and the weights of these four in
-    the value, or in the first or second derivative."""
+    """Index of the first of the four coefficients of one axis that count at coordinates ``t``, and the weights of all
+    four in the value, or in the first or second derivative."""
     first = knot_interval(t, intervals)
     powers = np.ones((4 - derivative, len(t)))
     np.subtract(t * intervals, first, out=powers[1])
@@ -69,8 +70,8 @@ def design(uv: Float[np.ndarray, "n 2"], intervals: int, by_u: int = 0, by_v: in
 class SortedDesign:
     """Weights of a spline's coefficients at points that are sorted by the knot interval of v.
 
-    Only four rows of coefficients count in an interval. weights: of these, one after the other. starts: of each
-    interval, the number of points in those before it; then that of all.
+    Only four rows of coefficients count in an interval. weights: of the coefficients in these rows, row by row.
+    starts: for each interval, the number of points in the intervals before it; then the number of all points.
     """
 
     weights: Float[np.ndarray, "n k4"]
@@ -83,24 +84,24 @@ class SortedDesign:
 
     @staticmethod
     def order(uv: Float[np.ndarray, "n 2"], intervals: int) -> Int[np.ndarray, " n"]:
-        """Which of film points are first, second and so on once they are sorted."""
+        """Indices that sort film points in this way."""
         return np.argsort(knot_interval(uv[:, 1], intervals), kind="stable")
 
     @staticmethod
     def of(uv: Float[np.ndarray, "n 2"], intervals: int, by_u: int = 0, by_v: int = 0) -> SortedDesign:
-        """Of the spline's value, or of a derivative, at points in that order."""
+        """Weights in the spline's value, or in a derivative, at points in that order."""
         first, along_v = local_weights(uv[:, 1], intervals, by_v)
         along_u = axis_weights(uv[:, 0], intervals, by_u)
         weights = (along_v[:, :, None] * along_u[:, None, :]).reshape(len(uv), 4 * (intervals + 3))
         return SortedDesign(weights, tuple(np.searchsorted(first, np.arange(intervals + 1)).tolist()))
 
     def parts(self) -> Iterator[tuple[slice, slice]]:
-        """Of each interval, which points are in it, and which coefficients count there."""
+        """For each interval, the points in it and the coefficients that count there."""
         for i, (start, end) in enumerate(pairwise(self.starts)):
             yield slice(start, end), slice(i * self.width, (i + 4) * self.width)
 
     def values(self, coefficients: Float[np.ndarray, "kk c"]) -> Float[np.ndarray, "n c"]:
-        """Of the spline with these coefficients."""
+        """Values of the spline with these coefficients."""
         values = np.empty((len(self.weights), coefficients.shape[1]))
         for points, near in self.parts():
             np.matmul(self.weights[points], coefficients[near], out=values[points])
@@ -108,7 +109,7 @@ class SortedDesign:
 
     @cached_property
     def dense(self) -> Float[np.ndarray, "n kk"]:
-        """The weights of all coefficients: quicker where few points are looked at again and again."""
+        """The weights of all coefficients: quicker where a few points are evaluated again and again."""
         dense = np.zeros((len(self.weights), self.width**2))
         for points, near in self.parts():
             dense[points, near] = self.weights[points]

@@ -1,7 +1,8 @@
-"""What the network tells of the cells, gathered along both axes of the film through any map of it.
+"""What the network says about the cells, gathered along both axes of the film through any map of it.
 
-FilmNet says of every place how far along its cell it lies, as an angle: a full turn from cell to cell. Through a map
-that is about right the angles along an axis run evenly, so how well they agree with a grid tells whether it is the one.
+For every place, FilmNet says how far along its cell the place lies, as an angle: a full turn from cell to cell. Through
+a map that is about right, the angles grow evenly along an axis, so how well they agree with a grid tells whether it is
+the right one.
 """
 
 from __future__ import annotations
@@ -23,21 +24,21 @@ STEPS = 96
 MIDDLES = film_centres_1d(STEPS)
 """Their middles, in film units."""
 SPREAD = (2, 5)
-"""Of every 5 pixels one is used, each row's two columns on from the last's: neighbours tell the same."""
+"""One of every 5 pixels in a row is used, two columns on from the previous row's: neighbours say the same."""
 SLACK = 0.01
 """Places this far beyond the film's edges count as on it, in film units."""
 LEAST_CHANCE = 0.02
-"""Least probability that counts against a cell, or for one, at a place."""
+"""Lower bound on the probability that a place lies in a cell, and on the probability that it does not."""
 
 
 @dataclass(frozen=True, eq=False)
 class CellPhases:
-    """What the network tells of the cells at places that show film.
+    """What the network says about the cells at places that show film.
 
-    points: photo points. near: their film coordinates, as the network says. turns: e^(2 pi i t) where a place lies t of
-    a cell from where its cell begins, across and down; shorter where that is less sure. in_grid: probability that it
-    lies in a cell at all.
-    borders: reads the borders between cells (border_paths.py), once it is about known where they are.
+    points: photo points. near: their film coordinates, as the network gives them. turns: e^(2 pi i t) where a place
+    lies t of a cell from where its cell begins, across and down; shorter where that is less certain.
+    in_grid: probability that it lies in a cell at all.
+    borders: reads the borders between cells (border_paths.py), once their places are roughly known.
     """
 
     points: Float[np.ndarray, "n 2"]
@@ -48,7 +49,7 @@ class CellPhases:
 
     @staticmethod
     def of(maps: CoarseMaps, borders: StripReader | None = None) -> CellPhases | None:
-        """Those of some maps; None where the network tells nothing of cells."""
+        """Phases from the network's maps; None where these say nothing about cells."""
         if maps.phases is None or maps.in_grid is None:
             return None
         rows, columns = np.indices(maps.mask.shape)
@@ -61,11 +62,11 @@ class CellPhases:
         return CellPhases(points, near, turns, maps.in_grid[film].astype(np.float64), borders)
 
     def scaled(self, scale_xy: tuple[float, float]) -> CellPhases:
-        """The same of the photo scaled along x and y."""
+        """The same for the photo scaled along x and y."""
         return replace(self, points=self.points * np.array(scale_xy))
 
     def inside(self, film: BackwardMap) -> PlacedPhases:
-        """Those on the film, placed by a map of it; places beyond its edges are left out."""
+        """Phases placed on the film by a map of it; places beyond its edges are left out."""
         uv = film.film_near(self.points, self.near, iterations=2, most_step=0.1)
         on = ((uv > -SLACK) & (uv < 1.0 + SLACK)).all(axis=1)
         return PlacedPhases(uv[on], self.turns[on], self.in_grid[on])
@@ -83,15 +84,15 @@ class PlacedPhases:
         return len(self.uv)
 
     def axes(self) -> tuple[AxisPhases, AxisPhases]:
-        """What they tell along u and along v."""
+        """The phases gathered along u and along v."""
         return self._along(0), self._along(1)
 
     def in_step(self, first: Float[np.ndarray, "2"], pitch: Float[np.ndarray, "2"]) -> Float[np.ndarray, "2"]:
-        """How well a grid agrees with what is told of places in cells, along u and along v: 1 at most, 0 by chance."""
+        """How well a grid agrees with the phases of places in cells, along u and along v: 1 at most, 0 by chance."""
         return self.in_grid @ np.real(self._turned(first, pitch)) / np.maximum(self.in_grid @ np.abs(self.turns), 1e-9)
 
     def _turned(self, first: Float[np.ndarray, "2"], pitch: Float[np.ndarray, "2"]) -> Complex[np.ndarray, "n 2"]:
-        """The phases, turned back by those of a grid: real where both agree."""
+        """The phases, turned back by those of a grid: real where the two agree."""
         return self.turns * np.exp(-2j * np.pi * (self.uv - first) / pitch)
 
     def _along(self, axis: int) -> AxisPhases:
@@ -100,30 +101,30 @@ class PlacedPhases:
         count = np.bincount(step, minlength=STEPS)
         total = np.bincount(step, np.real(turns), STEPS) + 1j * np.bincount(step, np.imag(turns), STEPS)
         inside = np.bincount(step, self.in_grid, STEPS) / np.maximum(count, 1)
-        # margins across the other axis take their share of every step
+        # margins along the other axis lower every step alike
         most = max(float(np.quantile(inside[count > 0], 0.9)) if len(step) else 1.0, 0.3)
         return AxisPhases(total / max(len(step), 1), np.where(count > 0, np.minimum(inside / most, 1.0), 0.5))
 
 
 @dataclass(frozen=True, eq=False)
 class AxisPhases:
-    """What is told along one axis, in equal steps from one edge to the other.
+    """The phases along one axis, in equal steps from one edge to the other.
 
-    turns: sums over the film across, divided by the number of all places. in_grid: probability that a step lies between
-    the grid's ends.
+    turns: sums over the places in each step, divided by the number of all places. in_grid: probability that a step lies
+    between the grid's ends.
     """
 
     turns: Complex[np.ndarray, " s"]
     in_grid: Float[np.ndarray, " s"]
 
     def agreement(self, first: Float[np.ndarray, " c"], pitch: Float[np.ndarray, " c"]) -> Float[np.ndarray, " c"]:
-        """How well grids of these pitches agree with the phases: 1 at most, 0 by chance."""
-        pitches, which = np.unique(pitch, return_inverse=True)  # few, of many grids
+        """How well grids with these pitches agree with the phases: 1 at most, 0 by chance."""
+        pitches, which = np.unique(pitch, return_inverse=True)  # many grids share few pitches
         told = np.exp(-2j * np.pi * MIDDLES / pitches[:, None]) @ self.turns
         return np.real(np.exp(2j * np.pi * first / pitch) * told[which])
 
     def ends(self, first: Float[np.ndarray, " c"], last: Float[np.ndarray, " c"]) -> Float[np.ndarray, " c"]:
-        """Mean logarithm, over the film, of the probability of what is told if grids reach from first to last."""
+        """Mean log-likelihood, over the film, of what the network says if grids reach from first to last."""
         inside = np.log(np.clip(self.in_grid, LEAST_CHANCE, 1 - LEAST_CHANCE))
         outside = np.log(np.clip(1 - self.in_grid, LEAST_CHANCE, 1 - LEAST_CHANCE))
         gain = np.concatenate([[0.0], np.cumsum(inside - outside)])
@@ -131,12 +132,12 @@ class AxisPhases:
         return np.asarray((gained + outside.sum()) / len(inside))
 
     def pitch(self, longest: float, shortest: float) -> float:
-        """The pitch at which the phases run."""
+        """The pitch that agrees best with the phases."""
         pitches, turns = _pitches(longest, shortest)
         return float(pitches[int(np.abs(turns @ self.turns).argmax())])
 
     def firsts(self, pitch: float, least: float, most: float) -> list[float]:
-        """Where, between two bounds, cells of this pitch begin as the phases have it."""
+        """Where, between two bounds, cells of this pitch begin according to the phases."""
         turn = float(np.angle(np.exp(2j * np.pi * MIDDLES / pitch) @ np.conj(self.turns))) / (2 * math.pi)
         number = range(math.ceil(least / pitch - turn), math.floor(most / pitch - turn) + 1)
         return [pitch * (turn + k) for k in number]
@@ -144,7 +145,7 @@ class AxisPhases:
 
 @lru_cache(maxsize=2)
 def _pitches(longest: float, shortest: float) -> tuple[Float[np.ndarray, " k"], Complex[np.ndarray, "k s"]]:
-    """Pitches to try, and the conjugate turns of their cells in the steps of a film: the same for every film."""
+    """Pitches to try, and the conjugate turns of their cells at the steps of a film: the same for every film."""
     per_film = np.linspace(1 / longest, 1 / shortest, 400)
     return 1 / per_film, np.exp(-2j * np.pi * per_film[:, None] * MIDDLES)
 

@@ -1,10 +1,10 @@
-"""The cells of a film that lies nearly flat: of all regular grids the one that explains the print best.
+"""The cells of a film that lies nearly flat: the regular grid that explains the print best.
 
-Combs of lines (grid.py) and repetition (repeat.py) look at one axis and at one kind of evidence; how many cells there
-are and where the first begins is decided here, of both axes at once. Every regular grid that something speaks for is
-weighed: by the lines seen between its cells, or the gaps that the print leaves there, by how well the film repeats at
-its pitch, by the print that it leaves out, by its margins, and by how square its cells are. The weights are those of a
-conditional logit (McFadden 1974) over simulated films whose grids are known, so that what it says is a probability.
+Combs of lines (grid.py) and repetition (repeat.py) each look at one axis and one kind of evidence. How many cells there
+are and where the first begins is decided here, for both axes at once. Every regular grid with some evidence is
+weighed: by the lines seen between its cells or the gaps that the print leaves there, by how well the film repeats at
+its pitch, by the print outside it, by its margins, and by how square its cells are. The weights are those of a
+conditional logit (McFadden 1974) over simulated films with known grids, so that the result is a probability.
 """
 
 from __future__ import annotations
@@ -24,24 +24,25 @@ from hybrid.rectify.grid import MAX_CELLS, GridConfig, line_votes, narrowed
 from hybrid.rectify.repeat import Repeats, autocorrelation, detail, highest
 
 SAME_PLACE = 0.012
-"""Grids of as many cells, the first of which begin this near to each other, are one, in film units; so are the lines of
-one and the same grid that were read and fitted."""
+"""Grids with as many cells are the same if their first cells begin this near to each other, in film units. So are a
+grid as it was read and one as it was fitted, if their lines are this near to each other."""
 LEAST_PROBABILITY = 0.3
-"""A grid less probable than this is none."""
+"""A grid less probable than this does not count."""
 
 
 @dataclass(frozen=True)
 class Weights(FittedWeights):
-    """By how much each sign of a grid along one axis raises the logarithm of its odds, for a sign of 1.
+    """By how much each sign of a grid along one axis raises its log-odds, for a sign of 1.
 
     line: share of the film's length on which the lines between its cells are seen. clear: strength of the print there,
-    where 1 is the film's mean. outside: share of the print beyond the grid. echo, half: correlation of the film with
-    itself, shifted by a cell and by half a cell. best: the former, beside the largest there is. centre: how far the
-    grid's middle is from the film's, in tenths of the film. wide: the wider margin, in tenths. least: print in the
-    emptiest row of cells, beside the mean. cells: the logarithm of their number. beyond: by how much the grid is larger
-    than the film, in fiftieths. phase, ends: how well it agrees with what the network tells (cell_phases.py).
-    oblong: of both axes together, of the logarithm of the ratio of a cell's sides: pairs of a value from which on it
-    counts no more, and a weight.
+    1 being the film's mean. outside: share of the print beyond the grid. echo, half: correlation of the film with
+    itself, shifted by a cell and by half a cell. best: the former, relative to the largest there is. centre: how far
+    the grid's middle is from the film's, in tenths of the film. wide: the wider margin, in tenths. least: print in the
+    emptiest row of cells, relative to the mean. cells: the logarithm of their number. beyond: by how much the grid
+    extends beyond the film, in fiftieths. phase, ends: how well the grid agrees with what the network says
+    (cell_phases.py).
+    oblong: for both axes together, weights of the logarithm of the ratio of a cell's sides: pairs of a value above
+    which it counts no more, and a weight.
     """
 
     line: float = 5.53
@@ -76,12 +77,12 @@ UNTOLD = Weights(
     ends=0.0,
     oblong=((1.0, -1.24), (0.15, -4.03), (0.05, -3.70)),
 )
-"""The weights where the network tells nothing of the cells."""
+"""The weights where the network says nothing about the cells."""
 
 
 @dataclass(frozen=True)
 class CellsConfig:
-    """Options of the reading of the cells."""
+    """Options for reading the cells."""
 
     side_px: int = 400
     """Longer side of the view of the film."""
@@ -94,7 +95,7 @@ class CellsConfig:
     weights: Weights = Weights()
     untold: Weights = UNTOLD
     kept: int = 48
-    """Grids along one axis that are weighed together with those along the other: those best by themselves."""
+    """Grids along one axis that are weighed together with those along the other: the best ones by their own scores."""
 
     def __post_init__(self) -> None:
         require_at_least(self, 64, "side_px")
@@ -105,7 +106,7 @@ class CellsConfig:
 
 @dataclass(frozen=True, eq=False)
 class Reading:
-    """The cells along both axes, and the probability that these are they."""
+    """The cells along both axes, and the probability that they are right."""
 
     columns: Repeats
     rows: Repeats
@@ -122,7 +123,7 @@ class Profile:
     """What the flat film shows along one axis, in equal steps from one edge to the other.
 
     lines: share of the film's length on which a line of each kind is seen. ink: strength of the print's detail, 1 on
-    average. echo: correlation of the film with itself, shifted by so many steps. told: what the network tells.
+    average. echo: correlation of the film with itself, shifted by so many steps. told: what the network says.
     """
 
     lines: Float[np.ndarray, "n k"]
@@ -141,8 +142,8 @@ def read_cells(
 ) -> Reading | None:
     """The most probable cells of a film; None where its view is too small to tell.
 
-    grey: view of [0, 1]^2, grey levels. aspect: the film's height over its width. pitches: of columns and of rows, that
-    are known from elsewhere, in film units; others are tried, too. told: what the network tells of columns and of rows.
+    grey: view of [0, 1]^2, in grey levels. aspect: the film's height over its width. pitches: of columns and of rows,
+    as known from elsewhere, in film units; others are tried, too. told: what the network says about columns and rows.
     """
     scale = config.side_px / max(grey.shape)
     if scale < 1:
@@ -182,7 +183,7 @@ def profile_of(
     grid: GridConfig,
     config: CellsConfig,
 ) -> Profile:
-    """What a view and its detail show of borders across one axis, and what the network tells of them."""
+    """What a view and its detail show of borders across one axis, and what the network says about them."""
     ink = np.abs(band).mean(axis=axis)
     narrow = narrowed(grey, axis)
     votes = np.concatenate([line_votes(narrow, width, grid) for width in config.widths_px], axis=2)
@@ -192,7 +193,7 @@ def profile_of(
 
 
 def candidates(profile: Profile, known: Sequence[float], config: CellsConfig) -> Float[np.ndarray, "c 3"]:
-    """Grids along one axis that something speaks for: number of cells, where the first begins, pitch."""
+    """Grids along one axis that there is some evidence for: number of cells, where the first begins, pitch."""
     n, shown = len(profile.ink), np.stack([-profile.ink, profile.lines.max(axis=1)])
     found = []
     for pitch in _pitches(profile, known, config):
@@ -214,7 +215,7 @@ def candidates(profile: Profile, known: Sequence[float], config: CellsConfig) ->
 def scores_of(
     profile: Profile, grids: Float[np.ndarray, "c 3"], config: CellsConfig, weights: Weights
 ) -> Float[np.ndarray, " c"]:
-    """Logarithm of the odds of each grid along one axis, but for a constant."""
+    """Log-odds of each grid along one axis, up to a constant."""
     signs = grid_signs(profile, grids, config)
     return np.asarray(sum(getattr(weights, name) * sign for name, sign in signs.items()))
 
@@ -222,7 +223,7 @@ def scores_of(
 def grid_signs(
     profile: Profile, grids: Float[np.ndarray, "c 3"], config: CellsConfig
 ) -> dict[str, Float[np.ndarray, " c"]]:
-    """What speaks for each grid and against it, by the names that Weights explains."""
+    """The evidence for and against each grid, by the names that Weights explains."""
     n, (cells, first, pitch) = len(profile.ink), grids.T
     border, end = np.arange(MAX_CELLS + 1), first + cells * pitch
     at = first[:, None] + pitch[:, None] * border
@@ -277,7 +278,8 @@ def _pitches(profile: Profile, known: Sequence[float], config: CellsConfig) -> l
 
 
 def _sharpened(echo: Float[np.ndarray, " n"], lag: int) -> float:
-    """A lag at which the film correlates with itself, to a fraction of a step, by its multiples where these do, too."""
+    """A lag at which the film correlates with itself, refined to a fraction of a step by those of its multiples at
+    which the film correlates, too."""
     pitch = highest(echo, lag)
     for multiple in (2, 3, 4, 5):
         near = round(multiple * pitch)
@@ -303,7 +305,7 @@ def _peaks(score: Float[np.ndarray, " n"], number: int, apart: int) -> list[int]
 
 
 def _apart(values: list[float], least: float) -> list[float]:
-    """The values less those that lie within ``least`` of one before them."""
+    """The values without those that lie within ``least`` of an earlier one."""
     kept: list[float] = []
     ordered = [-np.inf, np.inf]
     for value in values:
@@ -324,7 +326,7 @@ def _lag(pitch: Float[np.ndarray, " c"], n: int) -> Int[np.ndarray, " c"]:
 
 
 def _alike(grids: Float[np.ndarray, "c 3"], one: Float[np.ndarray, "3"]) -> Bool[np.ndarray, " c"]:
-    """Which grids are the same as one, but for where exactly its cells lie."""
+    """Which grids are the same as a given one, up to the exact place of their cells."""
     return (grids[:, 0] == one[0]) & (np.abs(grids[:, 1] - one[1]) < SAME_PLACE)
 
 

@@ -1,10 +1,11 @@
-"""Wide margins, clear or black, that look like what lies around the sheet: where the sheet goes on beyond its map.
+"""Wide margins, clear or black, that look like what surrounds the sheet: where the sheet extends beyond its map.
 
-The print is whole and straight, and where it ends is as good an edge as any, so that the looks before take it for the
-sheet. But beyond it lies the sheet's own end, and the edges on both sides go on straight to there. So strips beyond
-each end of the map are read; where one shows an edge, the map is made longer to there and put on the edges that are
-read across it. Other sheets and tables end beyond the film, too, but there the sides do not go on, and the print would
-lie far from the sheet's middle: both the new end and what the sides gain must read as edges, and margins be alike.
+The print is whole and straight, and its end is as good an edge as any, so the earlier looks take the print for the
+sheet. But beyond it lies the sheet's own end, and the edges on both sides run straight on to there. So strips beyond
+each end of the map are read. Where one shows an edge, the map is extended to it and put on the edges that are read
+across the extended map. Other sheets and tables also end beyond the film, but there the sides do not run on, and the
+print would lie far from the sheet's middle: both the new end and the added parts of the sides must read as edges, and
+opposite margins must be alike.
 """
 
 from __future__ import annotations
@@ -35,31 +36,33 @@ from hybrid.rectify.repeat import detail
 from hybrid.strips import SIDES, Side, StripReader, strip_copy, strips_across
 
 NODES = (33, 33)
-"""Of a map that was made longer."""
+"""Nodes of a map that was extended."""
 SIDES_SHOWN = 0.3
-"""Of the sides of what a sheet gains so much must be shown at least."""
+"""The photo must show at least this share of the sides of an added margin."""
 RIM = 0.2
-"""Part of a margin at both of its ends of which the detail may be that of the print or of the sheet's edge."""
+"""Part of a margin, at both of its ends, whose detail may be that of the print or of the sheet's edge."""
 BESIDE_FRAME, MOST = 0.02, 0.75
-"""Of a new end most nodes must be shown so far inside the photo's frame, in parts of the film: else the frame is it."""
+"""A node of a new end counts as shown if it lies this far inside the photo's frame, in parts of the film: else the end
+may be the frame. At least this share of the nodes must be shown."""
 
 
 @dataclass(frozen=True)
 class ClearMarginsConfig:
-    """Options of the search for margins that were taken for the ground. Lengths in parts of the film along the axis.
+    """Options of the search for margins that were taken for background. Lengths in parts of the film along the axis.
 
-    beyond: middles of the strips that are read beyond the map's ends; none to look for no margins. noticed: least
-    mean probability, over its columns, of an edge there that is looked at. least: narrowest margin. likely, sure:
-    least probability of margins (``LongerSheet.chance``) for them to be refined with, and then. most_lopsided: most
-    by which margins may differ on both sides of the film then, as most prints are in the sheet's middle
-    (``SliceGrid.lopsided``). least_support: least mean probability, over any side, that an edge lies where the
-    longer map has it, then. most_expected: largest error to be expected then, in parts of the film's longer side;
-    most_growth: and in parts of the one before, unless the grid is ``grid_changed`` more probable. By so much it must
-    not be less probable. Where part of another film is taken for the sheet's margin, its print fits worse. But margins
-    that show no more than ``blank`` of the print's detail are none of another film, and if they differ by at most
-    ``blank_lopsided`` of no sheet below it, either: those count however the print fits, if an edge of the map before is
-    not as good as certain or their probability is at least ``blank_sure``.
-    most_beside: farthest, smoothed over the film, that the network sees it beside the longer map (trust.py).
+    beyond: middles of the strips that are read beyond the map's ends; empty to look for no margins. noticed: least mean
+    probability, over its columns, of an edge there that is examined further. least: narrowest margin. likely, sure:
+    least probability of margins (``LongerSheet.chance``) before refinement, and after it. The rest applies after
+    refinement. most_lopsided: most by which the margins on opposite sides of the film may differ, as most prints are in
+    the sheet's middle (``SliceGrid.lopsided``). least_support: least mean probability, over any side, that an edge lies
+    where the longer map has it. most_expected: largest expected error, in parts of the film's longer side;
+    most_growth: the same in parts of the error before, unless the grid became more probable by ``grid_changed``. It
+    must never become less probable by more than that. If part of another film is taken for the sheet's margin, the
+    print fits worse. But margins that show no more than ``blank`` of the print's detail belong to no other film, and if
+    they differ by at most ``blank_lopsided``, they belong to no sheet below it, either: those count however the print
+    fits, if some edge of the map before is not nearly certain or if their probability is at least ``blank_sure``.
+    most_beside: largest distance, smoothed over the film, between where the network sees it and the longer map
+    (trust.py).
     """
 
     beyond: tuple[float, ...] = (0.12, 0.28)
@@ -85,24 +88,24 @@ class ClearMarginsConfig:
 
 @dataclass(frozen=True, eq=False)
 class LongerSheet:
-    """A sheet with margins that were taken for the ground. read: its edges, across those of its map. gained: by how
-    much it is longer at which ends, in parts of the film before."""
+    """A sheet with margins that were taken for background. read: its edges, as read across those of its map. gained: by
+    how much it is longer at each new end, in parts of the film before."""
 
     read: EdgesRead
     gained: Mapping[Side, float]
 
     def chance(self, across: EdgesRead) -> float:
-        """How probable the margins are by the edges read across a map that has them: how probable a new end is, times
-        what both sides gain there, of the end where that is least."""
+        """Probability of the margins, given the edges read across a map that has them: that of a new end times that of
+        the side edges gained there, for the end where this is least."""
         return min(float(across.support[SIDES.index(end)]) * self._sides(across, end) for end in self.gained)
 
     def only(self, end: Side) -> LongerSheet:
-        """The same as far as one end goes."""
+        """The same with one of the new ends alone."""
         return replace(self, gained={end: self.gained[end]})
 
     def _sides(self, across: EdgesRead, end: Side) -> float:
-        """Mean probability of the edges on both sides of what the sheet gains at one of its ends, as far as the photo
-        shows them; 0 where it hardly does."""
+        """Mean probability of the side edges along the margin gained at one end, where the photo shows them; 0 where it
+        hardly does."""
         chances = across.chances[[side.axis != end.axis for side in SIDES]]
         depth = -_outside(film_centres_1d(chances.shape[1]), end)  # inside of the new end
         gained = chances[:, (depth < self._share(end)) & (depth > CORNER)]
@@ -115,14 +118,15 @@ class LongerSheet:
 
     @property
     def lopsided(self) -> float:
-        """By how much what it gains differs at opposite ends, in parts of the longer sheet."""
+        """Largest difference between the gains at opposite ends, in parts of the longer sheet."""
         return max(
             abs(sum(end.inward * self._share(end) for end in self.gained if end.axis == axis)) for axis in (0, 1)
         )
 
     def detail_gained(self, pyramid: Pyramid, film: BackwardMap, look: CellsConfig) -> float:
-        """Detail of what the sheet gains, through its map ``film``, in parts of that of its other print: of the end
-        that shows most. Infinite where the photo does not show an end. look: how cells are looked at: so is this."""
+        """Detail of the margins gained, through the longer map ``film``, in parts of that of the print: for the end
+        that shows most. Infinite where the photo does not show an end. look: how cells are looked at: the same view is
+        used here."""
         view = grey_view(pyramid, film, look.side_px)
         shown, printed, gained = np.abs(detail(view.image[..., 0], *look.detail_px)), view.inside, []
         for end in self.gained:
@@ -142,7 +146,7 @@ class LongerSheet:
 def with_margins(
     pyramid: Pyramid, film: BackwardMap, reader: StripReader, edges: EdgeConfig, config: ClearMarginsConfig
 ) -> Iterator[LongerSheet]:
-    """The sheet with margins that were taken for the ground, its map put on its edges; mostly none."""
+    """Sheets with margins that were taken for background, each map put on the sheet's edges; usually none."""
     for ahead in _together(_edges_beyond(pyramid, film, reader, edges, config)):
         new = list(ahead)
         while new:
@@ -152,7 +156,7 @@ def with_margins(
             on_edges = put_on_edges(start, read_edges(pyramid, start, reader, edges), edges)
             moved = {side: _gained(film, on_edges, side) for side in SIDES}
             if any(abs(moved[side]) >= config.least for side in SIDES if side not in new):
-                break  # another edge was read as that of a side that was right
+                break  # a side that was right was moved to another edge
             read = look_across(pyramid, on_edges, reader, edges)
             longer = LongerSheet(read, {end: moved[end] for end in new})
             borne_out = [
@@ -169,7 +173,7 @@ def with_margins(
 
 
 def lengthened(film: BackwardMap, gained: Mapping[Side, float]) -> BackwardMap:
-    """The map made longer at some of its ends, in parts of it, straight on beyond them."""
+    """The map extended straight on beyond some of its ends, by lengths in parts of the map."""
     added = np.zeros((2, 2))
     for end, length in gained.items():
         added[int(end.edge), end.axis] = length
@@ -180,9 +184,9 @@ def lengthened(film: BackwardMap, gained: Mapping[Side, float]) -> BackwardMap:
 def _together(noticed: Mapping[Side, float]) -> Iterator[Mapping[Side, float]]:
     """Ends that are tried together, and how far beyond the map each may lie.
 
-    First all of them, as what a sheet gains at one end has an edge on its sides only if it has been made as wide as it
-    is; before that with the ends opposite, as margins mostly are alike. Then those across each axis, as one that is
-    none spoils the others.
+    If ends across both axes were noticed, all are tried first, because a margin has edges at its sides only once the
+    map is as wide as the sheet; even before that, they are tried with their opposite ends, as margins are mostly alike.
+    Then the ends across each axis are tried by themselves, as one false end spoils the others.
     """
     across = [{end: off for end, off in noticed.items() if end.axis == axis} for axis in (0, 1)]
     if all(across):
@@ -215,7 +219,7 @@ def _edges_beyond(
 
 
 def _shown(film: BackwardMap, end: Side, size: tuple[int, int]) -> bool:
-    """Whether a photo of ``size`` (height, width) shows most of one of the film's ends, and ground beyond it."""
+    """Whether a photo of ``size`` (height, width) shows most of one of the film's ends, and background beyond it."""
     points = film.photo_from_film(_along(end))
     beside = BESIDE_FRAME * max(film.mean_film_pixels())
     inside = ((points > beside) & (points < np.array(size[::-1]) - beside)).all(axis=1)

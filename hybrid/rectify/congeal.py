@@ -2,11 +2,11 @@
 
 Corner texts, scale bars, tables and rules are the same in every cell; anatomy is not. Over all cells each pixel has a
 median, the template, and a spread. Blocks of each cell are shifted onto the template by least squares (Lucas & Kanade
-1981), pixels weighted by one over the squared spread: what all cells share counts, what differs does not. The template
-is made anew of the shifted blocks and they are shifted once more, as the median of texts that lie beside one another
-is a blur, on which no shift shows. A shift says where a block's content lies against the other cells; what all cells
-have in common stays an unknown smooth function of the place in the cell, and the pitch is unknown too: the sheet's
-outline has to pin them.
+1981), with pixels weighted by one over the squared spread: what all cells share counts, what differs does not. The
+median of misaligned texts is a blur that shows no shift, so a new template is made of the shifted blocks, and they are
+shifted once more. A shift tells where a block's content lies relative to the other cells. Displacements that all cells
+share stay an unknown smooth function of the place in the cell, and the pitch is unknown too: the sheet's outline has to
+pin them.
 """
 
 from __future__ import annotations
@@ -28,38 +28,38 @@ from hybrid.rectify.tps import MAD_TO_SIGMA
 
 @dataclass(frozen=True)
 class CongealConfig:
-    """Options of the registration of cells to their template."""
+    """Options for registering cells to their template."""
 
     blurs_px: tuple[float, ...] = (2.0, 1.0)
-    """One round each: details below this size, in pixels of the view, are smoothed away. Coarse reaches far, fine is
-    exact."""
+    """One round each: details below this size, in pixels of the view, are smoothed away. Coarse rounds reach far, fine
+    ones are exact."""
     light: tuple[float, float] = (2.0, 2.0)
-    """Scales above ``light[0]`` blurs and ``light[1]`` pixels of the view are light: strokes of letters are finer than
+    """Scales above ``light[0]`` blurs plus ``light[1]`` pixels of the view are light: strokes of letters are finer than
     the edges of bones, which differ from cell to cell."""
     steps: int = 2
-    """Least-squares steps of a round, each against a template of what the last one shifted."""
+    """Least-squares steps of a round, each against a template made of the blocks that the last one shifted."""
     block_px: float = 24.0
-    """About the side of a block, in pixels of the view."""
+    """Approximate side of a block, in pixels of the view."""
     min_cells: int = 4
-    """Fewer cells have no median that tells what they share."""
+    """The median of fewer cells does not show what they share."""
     min_blocks: int = 12
-    """Fewer blocks that tell a shift are left out."""
+    """Least number of blocks with a usable shift along an axis; fewer are left out."""
     min_gain: float = 0.3
     """Blocks that show the template with less contrast than this are covered, in glare, or empty."""
     min_correlation: float = 0.3
     """Least weighted correlation of a block with the template."""
     clip: float = 3.0
-    """Differences from the template count up to this many spreads, and what a shift by the blur explains."""
+    """Differences from the template are clipped at this many spreads plus what a shift by the blur explains."""
     correlated_px: float = 10.0
-    """Neighbouring pixels whose differences are alike."""
+    """Number of neighbouring pixels whose differences are alike."""
     sigma_px: float = 0.15
-    """Noise of a shift beside what the spread explains, in pixels of the view."""
+    """Noise of a shift in addition to what the spread explains, in pixels of the view."""
     worst_sigma_px: float = 1.0
-    """Blocks that tell a shift less exactly than this do not count."""
+    """Blocks whose shift is less exact than this do not count."""
     reach: float = 2.5
     """Largest shift believed, in multiples of the blur: a linear step does not reach beyond."""
     shared_sigma: float = 0.03
-    """Prior standard deviation of what all cells have in common, and of the pitch, in film units."""
+    """Prior standard deviation of the displacements that all cells share, and of the pitch, in film units."""
     shrink_blur_px: float = 2.0
     """From this blur on, a view of half the size shows as much, and is four times as quick."""
 
@@ -85,7 +85,7 @@ class CongealConfig:
 class _Shifts:
     """Blocks of cells against the template, in pixels: n cells of (rows, columns) blocks.
 
-    shift: by how much (x, y) the cell's content lies beside the template's. sigma: of x and y alone.
+    shift: offset (x, y) of the cell's content from the template's. sigma: of x and y, each by itself.
     good: blocks that show the template. at: where in the cell (x, y) each block's detail lies, as parts of the cell.
     """
 
@@ -98,7 +98,7 @@ class _Shifts:
 def register_cells(
     view: FilmView, columns: Repeats, rows: Repeats, blur_px: float, config: CongealConfig
 ) -> tuple[Sightings, ...]:
-    """Where the blocks of each cell lie against the template: sightings of u and of v, each if enough is seen.
+    """Where the blocks of each cell lie relative to the template: sightings of u and of v, each only if enough is seen.
 
     view: the flat grey film, covering [0, 1]^2. blur_px: details below this size are smoothed away.
     """
@@ -138,7 +138,7 @@ def _shifted_cells(
     edges: tuple[Int[np.ndarray, " k"], Int[np.ndarray, " l"]],
     shift: Float[np.ndarray, "n by bx 2"],
 ) -> Float[np.ndarray, "n ch cw"]:
-    """The cells with corners (x, y), in OpenCV's pixels, each block read from where ``shift`` has it."""
+    """The cells with corners (x, y), in OpenCV's pixels, each block read from where ``shift`` places it."""
     tall, wide = (np.diff(e) for e in edges)
     across, down = np.arange(edges[1][-1]), np.arange(edges[0][-1])
     x = (shift[..., 0].repeat(wide, axis=2) + (corners[:, 0, None, None] + across)).astype(np.float32)
@@ -161,7 +161,7 @@ def block_shifts(cells: Float[np.ndarray, "n ch cw"], blur_px: float, config: Co
     gy, gx = np.gradient(template)
     xx, xy, yy = (_block_sums(weight * product, blocks) for product in (gx * gx, gx * gy, gy * gy))
     det = np.maximum(xx * yy - xy * xy, 1e-6 * (xx + yy) ** 2 + 1e-12)
-    # Cell by cell and in place: what is between stays in the cache.
+    # Cell by cell and in place: intermediate results stay in the cache.
     between, weighted = np.empty_like(template), weight * template
     both, own, bx, by = (np.empty((len(cells), *xx.shape), template.dtype) for _ in range(4))
     for k, cell in enumerate(cells):
@@ -171,7 +171,7 @@ def block_shifts(cells: Float[np.ndarray, "n ch cw"], blur_px: float, config: Co
     energy = np.maximum(_block_sums(weight * template * template, blocks), 1e-9)
     gain = both / energy
     bounded = np.clip(gain, config.min_gain, 1.0 / config.min_gain)
-    # A shift within reach makes differences too: only what is beyond both is cut.
+    # A shift within reach makes differences too: only what exceeds both is clipped.
     bound = config.clip * spread + blur_px * np.hypot(gx, gy)
     tall, wide = (np.diff(e) for e in edges)
     least, along_x, along_y, difference = -bound, weight * gx, weight * gy, np.empty_like(template)
@@ -203,9 +203,10 @@ def median_image(images: Float[np.ndarray, "n h w"]) -> Float[np.ndarray, "h w"]
 
 @lru_cache(maxsize=32)
 def _median_network(n: int) -> tuple[tuple[int, int], ...]:
-    """Pairs to be put in order, one after the other, until what is in the middle is the median of n.
+    """Pairs to sort, one after the other, after which the middle holds the median of n.
 
-    Batcher's odd-even merge sort (Knuth, The Art of Computer Programming 3, 5.2.2), less what the middle does not need.
+    Batcher's odd-even merge sort (Knuth, The Art of Computer Programming 3, 5.2.2), without what the middle does not
+    need.
     """
     pairs = []
     sizes = [2**k for k in range((n - 1).bit_length())]
@@ -258,8 +259,8 @@ def _block_edges(n: int, block_px: float) -> Int[np.ndarray, " k"]:
 
 
 def _block_sums(values: Float[np.ndarray, "h w"], blocks: tuple[np.ndarray, ...]) -> Float[np.ndarray, "by bx"]:
-    """Sums over blocks: as products with what is 1 in a block and 0 elsewhere (_members, of both axes), which takes a
-    quarter of the time of ``np.add.reduceat``."""
+    """Sums over blocks: as products with matrices that are 1 in a block and 0 elsewhere (_members, for both axes),
+    which takes a quarter of the time of ``np.add.reduceat``."""
     down, across = blocks
     return down @ values @ across.T
 

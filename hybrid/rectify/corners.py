@@ -1,4 +1,4 @@
-"""A film whose four corners a person has pointed at: where it is, exactly enough for all that follows."""
+"""A film whose four corners a person has pointed at: where it lies, exactly enough for all later steps."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from hybrid.errors import ConfigError, describe
 from hybrid.rectify.invert import apply_homography, fit_homography
 
 LEAST_SIDE_PX = 32
-"""Corners that lie closer together are no film's."""
+"""Corners closer together than this are not those of a film."""
 
 Corners = Sequence[Sequence[float]] | np.ndarray
 """Four photo points (x, y), in any order."""
@@ -39,7 +39,7 @@ def film_at(corners: Corners, size: tuple[int, int]) -> BackwardMap:
 
 
 def put_on_corners(film: BackwardMap, told: BackwardMap) -> BackwardMap:
-    """A map displaced so that its corners are those of ``told``: in between as the corners are, bilinearly."""
+    """A map displaced so that its corners are those of ``told``: in between, the displacement is bilinear."""
     ends = np.ix_([0, -1], [0, -1])
     apart = told.nodes[ends] - film.nodes[ends]
     u, v = np.moveaxis(film_nodes((film.nodes.shape[0], film.nodes.shape[1])), -1, 0)

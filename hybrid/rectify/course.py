@@ -1,4 +1,4 @@
-"""From one map to start from, round for round, to a map that what is seen on the film bears out.
+"""From one map to start from, round by round, to a map that is supported by what is seen on the film.
 
 The start is kept and corrected by a smooth displacement of the film plane (sightings.py). Sightings are the sheet's
 edges (outline.py), the rules or gutters between the slices (grid.py), and what the cells have in common (match.py in
@@ -45,7 +45,7 @@ from hybrid.rectify.sightings import (
 )
 
 COUNTED_WHOLE_PX = 500
-"""Of views whose longer side has fewer pixels half would leave too little for cells to be counted (cells.py)."""
+"""Views whose longer side has fewer pixels are not halved to count cells (cells.py), as too little would be left."""
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ class RefineConfig:
     congeal: CongealConfig = field(default_factory=CongealConfig)
     rim: RimConfig = field(default_factory=RimConfig)
     spline: SplineConfig = field(default_factory=partial(SplineConfig, reweightings=4))
-    """Of the displacement: with edges alone (edge_paths.py) it takes one reweighting more to settle."""
+    """Options of the displacement: with edges alone (edge_paths.py) it takes one more reweighting to settle."""
     working_px: int = 1000
     """Longer side of the film, in pixels, in the copy of the photo that is looked at; no photo is enlarged."""
     near_band: float = 0.015
@@ -75,33 +75,33 @@ class RefineConfig:
     settled_sheet: float = 1e-3
     """The same for the rounds from an unstretched sheet."""
     settled_end: float = 5e-4
-    """Nor does another sheet count where one moved the film by less than this from where the one before left it: at the
-    mean, in parts of the film."""
+    """No further sheet is fitted after one that moved the film by less than this from where the one before left it: the
+    mean move, in parts of the film."""
     settled_margins: float = 2.5e-4
-    """Nor do other margins, once a sheet has settled, that move the film by less than this."""
+    """Once a sheet has settled, other margins that move the film by less than this do not count."""
     matched: bool = True
-    """Whether the cells are matched to their mean in a round of its own, which reaches farther, before they are
+    """Whether the cells are first matched to their mean, in a round of its own that reaches farther, before they are
     registered."""
     line_rounds: int = 2
     """Rounds in which lines are looked for where they have not been found: they show better in a straighter view."""
     max_move: float = 0.08
     """Largest displacement believed, in film units."""
     min_gain: float = 0.9
-    """Without a sheet the spline counts only if held-out sightings disagree with it by less than this fraction of
-    before."""
+    """Without a sheet the spline counts only if held-out sightings disagree with it by less than this fraction of their
+    disagreement before."""
     counts: float = 0.3
-    """Sightings of this robust weight and more count for the sheet that is fitted at last."""
+    """Sightings with a larger robust weight than this are used to fit the sheet."""
     sheet_prior_px: float = 5.0
-    """As SplineConfig.prior_px, for the displacement of that sheet."""
+    """As SplineConfig.prior_px, for the displacement of the sheet's map."""
     sheet_rounds: int = 3
-    """Most rounds from the unstretched sheet that explains best what the last round saw; 0: no sheet is fitted."""
+    """Most rounds from the unstretched sheet that best explains what the last round saw; 0: no sheet is fitted."""
     sheet_doubt: float = 1.1
-    """How much more doubtful than an end that is bent freely one with an unstretched sheet may be (refine.py)."""
+    """The result with an unstretched sheet may be this many times as doubtful as the one bent freely (refine.py)."""
     least_likeness: float = 0.05
-    """Adds to how alike the cells look where two ends are weighed by that: none may have cells."""
+    """Added to how alike the cells look where the two results are weighed by that: perhaps neither has cells."""
     max_residual: float = 2.5
     """Where held-out sightings disagree with the spline by more than this, in their stated deviations, some of them are
-    wrong together, as where cells were taken for their neighbours: the map is not believed."""
+    wrong in the same way, as where cells were mistaken for their neighbours: the map is not believed."""
 
     def __post_init__(self) -> None:
         require_at_least(self, 64, "working_px")
@@ -121,7 +121,7 @@ class RefineConfig:
 
     @property
     def print_free(self) -> RefineConfig:
-        """The same, with no print taken to end at the sheet's edges, so that it moves none."""
+        """The same, but no print is taken to end at the sheet's edges, so that it moves none of them."""
         return replace(self, grid=replace(self.grid, snug=0.0, beyond=0.0))
 
 
@@ -133,7 +133,7 @@ class Stopwatch:
         self._spent: dict[str, float] = {}
 
     def lap(self, stage: str) -> None:
-        """Books the time since the last call on a stage."""
+        """Adds the time since the last call to a stage."""
         now = perf_counter()
         self._spent[stage] = self._spent.get(stage, 0.0) + now - self._last
         self._last = now
@@ -144,13 +144,14 @@ class Stopwatch:
 
 @dataclass(frozen=True, eq=False)
 class Course:
-    """How it ended.
+    """The result of all rounds.
 
-    displacement: of the start; zero where no better is believed. layout: of the grid. evidence: what was seen, through
-    the start. before, after: held-out residual of the start and of the end, in stated deviations. believed: whether
-    what was seen bears the end out. sheet: that it goes on from, if that explains the print. verdict: why or why
-    not. apart: mean distance between where the rounds and where that sheet end, but for a shift, in parts of the film;
-    None where there is no such sheet, 0 where none is tried (trust.py is calibrated so).
+    displacement: of the start; zero where no better one is believed. layout: of the grid. evidence: what was seen,
+    through the start. before, after: held-out residual of the start and of the result, in stated deviations.
+    believed: whether what was seen supports the result. sheet: the one that the result is based on, if a sheet explains
+    the print. verdict: why it is believed or not. apart: mean distance between the result of the free rounds and that
+    of the sheet, up to a shift, in parts of the film; None where there is no such sheet, 0 where none is tried
+    (trust.py is calibrated so).
     """
 
     scene: Scene
@@ -166,7 +167,7 @@ class Course:
 
     @cached_property
     def film(self) -> BackwardMap:
-        """The map that it ended with, into the scene's photo."""
+        """The resulting map, into the scene's photo."""
         return self.displacement.composed(self.scene.coarse)
 
     @cached_property
@@ -176,7 +177,7 @@ class Course:
 
     @property
     def counted_view(self) -> FilmView:
-        """The view in which its cells are counted at the end: the one of half the size, unless too little is left."""
+        """The view in which cells are counted at the end: the one of half the size, unless that leaves too little."""
         small = max(self.scene.film_size) < COUNTED_WHOLE_PX
         return view_of(self.scene, self.film) if small else self.half_view
 
@@ -188,7 +189,7 @@ class Course:
 
 @dataclass(frozen=True, eq=False)
 class _Attempt:
-    """A displacement and what a round fitted it to, as seen through the coarse map; to start from, nothing."""
+    """A displacement and the evidence that a round fitted it to, as seen through the coarse map; none at the start."""
 
     displacement: Displacement
     evidence: tuple[Evidence, ...] = ()
@@ -200,8 +201,8 @@ class _Attempt:
 class Progress:
     """What is known after some rounds.
 
-    outline, borders, attempt: as seen through the scene's map; borders are read but once through it. settled: whether
-    the last round moved nothing. sheet: that the scene's map is of, if it is of one that explains the print. sheets:
+    outline, borders, attempt: as seen through the scene's map; borders are read only once through it. settled: whether
+    the last round moved nothing. sheet: the one that gave the scene's map, where a sheet explains the print. sheets:
     how many have been fitted.
     """
 
@@ -216,23 +217,23 @@ class Progress:
 
     @cached_property
     def film(self) -> BackwardMap:
-        """The map that it has come to, into the scene's photo."""
+        """The current map, into the scene's photo."""
         return self.attempt.displacement.composed(self.scene.coarse)
 
     @property
     def margins_are_next(self) -> bool:
-        """Whether the next sheet is the one with which usual margins are tried: the first is too far off to tell them,
-        and the third tells what the second did."""
+        """Whether the next sheet is the one with which usual margins are tried: the first is too far off to show them,
+        and the third shows what the second did."""
         return self.sheets == 1
 
     def is_last(self, config: RefineConfig) -> bool:
-        """Whether no further sheet can change anything: the last round moved nothing, no margins are in question."""
+        """Whether no further sheet can change anything: the last round moved nothing and no margins are in question."""
         in_question = self.margins_are_next and undecided(self.attempt.evidence, config.grid, config.margins)
         return self.settled and not in_question
 
 
 def begin(scene: Scene, outline: Sequence[Sightings], config: RefineConfig) -> Progress:
-    """Before the first round. outline: the edges as seen through the scene's map."""
+    """The state before the first round. outline: the edges as seen through the scene's map."""
     displacement = no_displacement(config.spline)
     if outline:
         displacement = fit_displacement(outline, config.spline).displacement
@@ -240,7 +241,7 @@ def begin(scene: Scene, outline: Sequence[Sightings], config: RefineConfig) -> P
 
 
 def followed(progress: Progress, config: RefineConfig, watch: Stopwatch) -> Progress | None:
-    """After all rounds, or fewer if they settle before. None where nothing is seen."""
+    """The state after all rounds, or after fewer if they settle earlier. None where nothing is seen."""
     for number, matcher in enumerate(_matchers(config)):
         after = _round(progress, number, matcher, config, watch)
         if after is None or after.settled:
@@ -256,7 +257,7 @@ def _round(
     config: RefineConfig,
     watch: Stopwatch,
 ) -> Progress | None:
-    """One more round: what is printed is looked for through the improved map, and all is fitted anew."""
+    """One more round: the print is looked for through the improved map, and everything is fitted anew."""
     scene, outline, displacement = progress.scene, progress.outline, progress.attempt.displacement
     looking = number < config.line_rounds
     near = progress.film
@@ -290,8 +291,8 @@ def _round(
 
 
 def unstretched(progress: Progress, config: RefineConfig, watch: Stopwatch) -> Progress | None:
-    """One more round, from the map of the unstretched sheet that explains best what the last round saw; None where
-    there is none, or where other margins move nothing of what has settled."""
+    """One more round, from the map of the unstretched sheet that best explains what the last round saw; None where
+    there is none, or where all has settled and other margins move nothing."""
     attempt, scene = progress.attempt, progress.scene
     seen = tuple(e.subset(w > config.counts) for e, w in zip(attempt.evidence, attempt.weights, strict=True))
     if sum(e.source is None for e in attempt.evidence) < config.sheet.least_edges:
@@ -335,7 +336,7 @@ def unstretched(progress: Progress, config: RefineConfig, watch: Stopwatch) -> P
 
 
 def ended(progress: Progress, config: RefineConfig, watch: Stopwatch) -> Course:
-    """What the last round gave, and whether it is to be believed, and why or why not."""
+    """The result of the last round, whether it is believed, and why or why not."""
     scene, sheet, still = progress.scene, progress.sheet, no_displacement(config.spline)
     attempt = progress.attempt
     spline = replace(_spline(progress, config), stiffness=_fixed(attempt.stiffness, config))
@@ -360,8 +361,8 @@ def ended(progress: Progress, config: RefineConfig, watch: Stopwatch) -> Course:
 
 
 def agreement(course: Course, layouts: Sequence[Layout]) -> float:
-    """How alike the cells look through a course's map, in [0, 1], in that of the layouts of which they are most; 0
-    where none has cells."""
+    """How alike the cells look through a course's map, in [0, 1], with the layout in which they look most alike; 0
+    where no layout has cells."""
     known = [(columns, rows) for columns, rows in (layout.repeats for layout in layouts) if columns and rows]
     return max((cell_agreement(course.half_view, *cells) for cells in known), default=0.0)
 
@@ -373,7 +374,7 @@ def read_view(
     aspect: float,
     config: RefineConfig,
 ) -> Reading | None:
-    """The cells of the film in a view of it. told: what the network tells of them, through the same map. aspect: the
+    """The cells of the film in a view of it. told: what the network says about them, through the same map. aspect: the
     film's height over its width."""
     return read_cells(view.image[..., 0], aspect, layout.pitches(), told, config.grid, config.cells)
 
@@ -381,7 +382,7 @@ def read_view(
 def told_borders(
     photo: Photo, film: BackwardMap, layout: Layout, phases: CellPhases | None, config: RefineConfig
 ) -> list[Evidence]:
-    """Borders between cells as they are read through a map into a photo; none where nothing reads them."""
+    """Borders between cells as they are read through a map into a photo; none without a reader."""
     reader = None if phases is None else phases.borders
     return [] if reader is None else read_borders(photo, film, layout, reader, config.grid, config.borders)
 
@@ -390,7 +391,7 @@ def told_borders(
 
 
 def _matchers(config: RefineConfig) -> list[Callable[..., tuple[Sightings, ...]]]:
-    """How cells are matched, round for round: ever less far and ever more exactly."""
+    """How cells are matched, round by round: with ever shorter reach and ever more exactly."""
     match = [partial(match_cells, config=config.match)] if config.matched else []
     return match + [partial(register_cells, blur_px=b, config=config.congeal) for b in config.congeal.blurs_px]
 
@@ -405,9 +406,9 @@ def _observe_print(
 ) -> list[Evidence]:
     """Sightings of lines, and of what the cells have in common.
 
-    Where both edges across an axis are seen they say where the lines are, unless the grid fills the film: what is
-    straight and repeats need not lie where cells meet. A grid that fills a film with rules along its edges ends there;
-    with a frame, inside it.
+    Where both edges across an axis are seen, they tell where the lines are, unless the grid fills the film: straight
+    lines that repeat need not lie where cells meet. A grid that fills the film ends at the film's edges if these have
+    rules along them; with a frame, it ends inside them.
     """
     seen = zip(layout.combs, lines, strict=True)
     evidence = [_placed(Evidence(s, comb), outline, config) for comb, s in seen if comb is not None and s is not None]
@@ -420,7 +421,7 @@ def _observe_print(
 
 
 def _placed(e: Evidence, outline: Sequence[Sightings], config: RefineConfig) -> Evidence:
-    """Evidence of lines, with what the edges that are seen and margins tell of their place and pitch."""
+    """Evidence of lines, with priors of their place and pitch from margins and the edges that are seen."""
     assert isinstance(e.source, GridLines)
     lines, across = e.source, [edge for edge in outline if edge.axis == e.source.axis]
     place, pitch, *others = e.sightings.shared_sigma
@@ -434,10 +435,11 @@ def _placed(e: Evidence, outline: Sequence[Sightings], config: RefineConfig) -> 
 
 
 def _as_uncertain(edge: Sightings, layout: Layout, config: RefineConfig) -> Sightings:
-    """An edge along which a rule may be printed that was not told from the edge (edge_profile.py): next to a bright
-    background its step is the rule's inner side.
+    """An edge that may have a rule along it that was not told apart from the edge (edge_profile.py): next to a bright
+    background the step that is seen is the rule's inner side.
 
-    Its shape counts, its place only within a rule's width: where the lines' pitch tells the place better.
+    Its shape counts, but its place only to within a rule's width: this holds where the lines' pitch tells the place
+    better.
     """
     comb = layout.combs[edge.axis]
     if len(edge.shared_sigma) or edge.has_frame or comb is None or comb.sign < 0 or not comb.fills_film(config.grid):
@@ -446,7 +448,7 @@ def _as_uncertain(edge: Sightings, layout: Layout, config: RefineConfig) -> Sigh
 
 
 def _spline(progress: Progress, config: RefineConfig) -> SplineConfig:
-    """The displacement's options: the map of a sheet that explains the print is left by less."""
+    """The displacement's options: the map of a sheet that explains the print may be displaced less."""
     return config.spline if progress.sheet is None else replace(config.spline, prior_px=config.sheet_prior_px)
 
 

@@ -1,4 +1,4 @@
-"""What lies before the film: hands, clips, tape. Hidden print is marked, never made up."""
+"""What lies in front of the film: hands, clips, tape. Hidden print is marked, never made up."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from hybrid.rectify.resample import index_in_grid
 
 @dataclass(frozen=True)
 class CoverConfig:
-    """When a part of the film counts as hidden by something that lies before it."""
+    """When a part of the film counts as hidden by something in front of it."""
 
     least_chance: float = 0.5
-    """That the network gives to it."""
+    """Least probability of that, according to the network."""
     side_px: int = 96
-    """Pixels along each side of the film at which the network's map is read: twice as many as it has."""
+    """Pixels along each side of the film at which the network's map is read: twice as many as the map has."""
 
     def __post_init__(self) -> None:
         require_at_least(self, 4, "side_px")
@@ -32,7 +32,7 @@ class CoverConfig:
 def covered_parts(
     maps: CoarseMaps, backward: BackwardMap, valid: Bool[np.ndarray, "h w"], config: CoverConfig | None = None
 ) -> Bool[np.ndarray, "h w"]:
-    """Which pixels of the flat film show something before it.
+    """Which pixels of the flat film show something in front of it.
 
     maps: the network's last look. backward: the film's map, however it is turned. valid: where the photo reaches.
     """
@@ -45,7 +45,7 @@ def covered_parts(
 
 
 def _chance(maps: CoarseMaps, backward: BackwardMap, config: CoverConfig) -> Float[np.ndarray, "n n"] | None:
-    """The probability on a small copy of the film; None where it is low in all that the network saw, as in most."""
+    """The probability on a small copy of the film; None where it is low everywhere, as in most photos."""
     if maps.covered is None or maps.covered.max() < config.least_chance:
         return None
     points = backward.dense((config.side_px, config.side_px))

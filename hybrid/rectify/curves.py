@@ -9,8 +9,8 @@ from hybrid.rectify.tps import tukey_weights
 
 
 def best_paths(score: Float[np.ndarray, "b d p"], max_step: int = 2, cost: float = 0.25) -> Int[np.ndarray, "b p"]:
-    """For each image, the row of the path from first to last column of the largest sum of scores, less ``cost`` for
-    each row stepped."""
+    """For each image, the rows of the path from the first to the last column with the largest sum of scores, less
+    ``cost`` for each row stepped."""
     b, d, p = score.shape
     columns = np.ascontiguousarray(np.moveaxis(score, 2, 0))
     price = cost * np.abs(np.arange(-max_step, max_step + 1))[:, None]
@@ -18,7 +18,7 @@ def best_paths(score: Float[np.ndarray, "b d p"], max_step: int = 2, cost: float
     sums = np.full((p, b, d + 2 * max_step), -np.inf)
     inner = sums[:, :, max_step : max_step + d]
     inner[0] = columns[0]
-    came = np.lib.stride_tricks.sliding_window_view(sums, d, axis=2)  # the sums before, for each step
+    came = np.lib.stride_tricks.sliding_window_view(sums, d, axis=2)  # the previous sums, for each step
     worth = np.empty((p, b, 2 * max_step + 1, d))
     for column in range(1, p):
         np.subtract(came[column - 1], price, out=worth[column])
@@ -33,7 +33,7 @@ def best_paths(score: Float[np.ndarray, "b d p"], max_step: int = 2, cost: float
 
 
 def parabola_peak(values: Float[np.ndarray, "d p"]) -> Float[np.ndarray, " p"]:
-    """Row, to a fraction, of the largest value in each column, first and last row left out."""
+    """Row, to a fraction, of the largest value in each column, except in the first and last row."""
     columns = np.arange(values.shape[1])
     peak = np.argmax(values[1:-1], axis=0) + 1
     left, centre, right = values[peak - 1, columns], values[peak, columns], values[peak + 1, columns]
@@ -47,11 +47,11 @@ def smooth_curve_weights(
     good: Bool[np.ndarray, "b p"],
     sigma: Float[np.ndarray, " b"],
 ) -> Float[np.ndarray, "b p"]:
-    """Weights of the points of b curves, each around a smooth curve (Legendre polynomial of degree 7) through most of
-    its good points; 0 where a curve has too few of these. sigma: noise of a good point of each curve."""
+    """Weights of the points of b curves, each judged against a smooth curve (Legendre polynomial of degree 7) through
+    most of its good points; 0 where a curve has too few of them. sigma: noise of a good point of each curve."""
     basis = np.polynomial.legendre.legvander(2.0 * along - 1.0, 7)
     products = (basis[:, :, None] * basis[:, None, :]).reshape(len(along), -1)
-    ridge = np.diag(np.maximum(1e-3 * np.arange(8.0) ** 2, 1e-9))  # solvable where every point is an outlier, too
+    ridge = np.diag(np.maximum(1e-3 * np.arange(8.0) ** 2, 1e-9))  # solvable even where every point is an outlier
     enough = good.sum(axis=1) >= 12
     good = good & enough[:, None]
     depth = np.where(good, depth, 0.0)

@@ -1,10 +1,10 @@
 """From the flat film with its light to the print: light and reflections removed, the grey scale kept.
 
 In linear light the photo shows ``gain * print + black``: black is the veil, the room reflected in the sheet, and black
-and gain together what print white looks like. Both are read on a small copy by a network (``hybrid.levels``), and
-applied at full resolution so that every detail comes from the photo. A tone curve, which the network tells, too, then
-turns light into display grey. Where the photo is clipped, or veiled until nothing is left between black and white,
-nothing is known, and nothing is made up.
+plus gain is what print white looks like. A network (``hybrid.levels``) reads both on a small copy. They are applied at
+full resolution, so that every detail comes from the photo. A tone curve, also told by the network, then turns light
+into display grey. Where the photo is clipped, or veiled until nothing is left between black and white, nothing is
+known, and nothing is made up.
 """
 
 from __future__ import annotations
@@ -22,13 +22,14 @@ from hybrid.rectify.survey import survey_light
 from hybrid.threads import in_strips
 
 CLIPPED_CONTRAST = 50 / 255
-"""Display grey between black and white below which what is clipped is lost; above, it is white print. More than
-``LEAST_CONTRAST``: what is clipped ends sharply, and levels are read on a coarse lattice."""
+"""Display grey between black and white below which clipped pixels are lost; above, they are white print. More than
+``LEAST_CONTRAST``: clipped areas end sharply, and levels are read on a coarse lattice."""
 FREE = 245
-"""Channel values, at the mean of a small pixel, up to which the print still shows in a channel beside clipped ones."""
+"""Channel values, averaged over a pixel of the small copy, below which a channel still shows the print where others are
+clipped."""
 HAIR = 1e-7
-"""Display grey by which the film is made darker: less than any picture shows, but where the curve leaves 0 more than
-rounding adds."""
+"""Display grey by which the film is made darker: less than any picture shows, but more than rounding adds where the
+curve leaves 0."""
 LEAST_SEEN = 0.1
 """Share of the film that must be seen for its light to be read."""
 STRIP_ROWS = 64
@@ -42,11 +43,11 @@ class DeilluminateConfig:
     work_px: int = 512
     """Longer side of the copy on which black, white and the tone are found."""
     gain_blur: float = 0.06
-    """One sigma of the blur of the gain, in parts of the film: what is finer in it is oftener print than light."""
+    """Sigma of the blur of the gain, in parts of the film: finer variation is more often print than light."""
     even_light: float = 0.12
-    """Gain (relative) and veil that vary less are left alone: the network does not tell such light from print."""
+    """Gain (relative) and veil that vary less are left alone: the network cannot tell such light from print."""
     least_print: float = 0.02
-    """Light of print black, in parts of print white: some grey is left of film where it is blackest."""
+    """Light of print black, in parts of print white: some grey is left even where the film is blackest."""
     print_black: float = 0.05
     """Display grey of the print's black surround."""
     print_white: float = 0.95
@@ -62,7 +63,7 @@ class DeilluminateConfig:
 
 @dataclass(frozen=True, eq=False)
 class LightRead:
-    """A small copy of a flat film, where it shows the print, and the levels that were read of it."""
+    """A small copy of a flat film, where it shows the print, and the levels that were read from it."""
 
     small: UInt8[np.ndarray, "sh sw 3"]
     small_seen: Bool[np.ndarray, "sh sw"]
@@ -80,7 +81,7 @@ class Deillumination:
     film: (h, w) float32 display grey in [0, 1]; black where the photo does not reach.
     glare: (h, w) bool, clipped or veiled in the photo: nothing could be recovered.
     confidence: (h, w) float32 in [0, 1], how much of what the photo shows there is print; 0 on glare, outside, and
-        where something lies before the film.
+        where something lies in front of the film.
     ran: whether the light was uneven, so that something was removed; reason: the evidence, with numbers.
     """
 
@@ -93,8 +94,8 @@ class Deillumination:
 
 @dataclass(frozen=True)
 class _ToneCurve:
-    """Display grey of light x in [0, 1]: ``black + straight * x + root * sqrt(x)``, monotone as root is positive, and
-    straight, if it is not, no further from 0 than half of it."""
+    """Display grey of light x in [0, 1]: ``black + straight * x + root * sqrt(x)``. It is monotone, because root is
+    positive and straight is at most half as large where it is below 0."""
 
     black: float
     straight: float
@@ -120,8 +121,8 @@ def deilluminate(
 ) -> Deillumination:
     """The print in display grey from the flat film with its light.
 
-    reader: tells the levels of black and white. covered: where something lies before the film: it tells nothing of the
-    light, and stays in the film, with no confidence.
+    reader: reads the levels of black and white. covered: where something lies in front of the film: it says nothing
+    about the light, and stays in the film, with no confidence.
     """
     config = config or DeilluminateConfig()
     print_seen = valid if covered is None else valid & ~covered
@@ -159,7 +160,7 @@ def recovered(
         clipped = find_clipped(rectified)
         contrast = _contrast_of_free(on_small, small, table, levels.gain)
     glare = _lost(contrast, clipped)
-    if _contrast(levels, black, white).max() < LEAST_CONTRAST:  # nothing is told apart anywhere
+    if _contrast(levels, black, white).max() < LEAST_CONTRAST:  # black and white are told apart nowhere
         glare[:] = True
     if not print_seen.all():
         film[~valid] = 0.0
@@ -169,9 +170,10 @@ def recovered(
 
 
 def find_clipped(rectified: UInt8[np.ndarray, "h w 3"]) -> Bool[np.ndarray, "h w"]:
-    """Where all channels are clipped on most pixels around: noise leaves holes in what is clipped.
+    """Where all channels are clipped on most pixels around: noise leaves holes in clipped areas.
 
-    White strokes that just reach the limit are white by print, and thinner than a hundred and fiftieth of the film.
+    White strokes that just reach the limit are white print; thinner than a hundred and fiftieth of the film, they do
+    not count.
     """
     clipped = cv2.inRange(rectified, (CLIPPED, CLIPPED, CLIPPED), (255, 255, 255))
     if cv2.countNonZero(clipped) == 0:
@@ -186,9 +188,10 @@ def find_clipped(rectified: UInt8[np.ndarray, "h w 3"]) -> Bool[np.ndarray, "h w
 def read_levels(
     film: UInt8[np.ndarray, "h w 3"], seen: Bool[np.ndarray, "h w"], reader: LevelReader, gain_blur: float
 ) -> Levels:
-    """The levels of a film, the gain blurred in proportion; even light, from black to white, where too little is seen.
+    """The levels of a film, with the logarithm of the gain blurred; even light, from black to white, where too little
+    is seen.
 
-    gain_blur: one sigma, in parts of the film.
+    gain_blur: sigma, in parts of the film.
     """
     size = (reader.side_px, reader.side_px)
     square, seen_there = cv2.resize(film, size, interpolation=cv2.INTER_AREA), share_seen(seen, size) > 0.99
@@ -203,7 +206,8 @@ def read_levels(
 def _small_copy(
     rectified: UInt8[np.ndarray, "h w 3"], valid: Bool[np.ndarray, "h w"], longer_px: int
 ) -> tuple[UInt8[np.ndarray, "sh sw 3"], Bool[np.ndarray, "sh sw"]]:
-    """The film and its validity averaged down to about ``longer_px``; a pixel is valid if all that it averages is.
+    """The film and its validity averaged down to about ``longer_px``; a pixel is valid if all those that it averages
+    are.
 
     Whole numbers of pixels are averaged, which is several times as quick; what is left over at the right and bottom
     edges (less than 1 % of the film) does not matter to fields as smooth as these.
@@ -216,8 +220,8 @@ def _small_copy(
 
 
 def share_seen(valid: Bool[np.ndarray, "h w"], size: tuple[int, int]) -> Float32[np.ndarray, "sh sw"]:
-    """Share of each pixel of a picture of ``size`` (width, height) where a mask, as of what is valid, is true; mostly
-    all of it is, which is quick."""
+    """Share of each pixel of a picture of ``size`` (width, height) where a mask, such as that of valid pixels, is true.
+    Usually all of the mask is true, which is quick."""
     if valid.all():
         return np.ones(size[::-1], np.float32)
     return cv2.resize(valid.astype(np.float32), size, interpolation=cv2.INTER_AREA)
@@ -239,8 +243,8 @@ def _even(grey: Float32[np.ndarray, "h w"], levels: Levels) -> Float32[np.ndarra
 
 
 def _print_range(even: Float32[np.ndarray, "h w"], known: Bool[np.ndarray, "h w"]) -> tuple[float, float]:
-    """The light of the print's black and of its white: all but a few hundredths of the film are brighter, and all but a
-    few thousandths darker."""
+    """The light of the print's black and of its white: all but a few hundredths of the film are brighter than black,
+    and all but a few thousandths darker than white."""
     seen = even[::2, ::2][known[::2, ::2]]
     if not seen.size:
         return 0.0, 1.0
@@ -249,7 +253,7 @@ def _print_range(even: Float32[np.ndarray, "h w"], known: Bool[np.ndarray, "h w"
 
 
 def _tone_curve(black: float, share: float, config: DeilluminateConfig) -> _ToneCurve:
-    """The tone curve of a root share that takes the film's black (white: 1) and white to those of a print."""
+    """The tone curve with a given root share that maps the film's black (white: 1) and white to those of a print."""
     low = (1.0 - share) * black + share * np.sqrt(black)
     contrast = (config.print_white - config.print_black) / max(1.0 - low, 0.1)
     return _ToneCurve(config.print_black - contrast * low, contrast * (1.0 - share), contrast * share)
@@ -278,7 +282,7 @@ def _apply(
 
 
 def _contrast(levels: Levels, black: float, white: float) -> Float32[np.ndarray, "h w"]:
-    """Display grey between the print's black and white. black, white: their light (0 and 1: as the levels have it)."""
+    """Display grey between the print's black and white. black, white: their light (0 and 1: that of the levels)."""
     return _shown_between(*(levels.black + x * levels.gain for x in (black, white)))
 
 
@@ -292,7 +296,7 @@ def _contrast_of_free(
     contrast: Float32[np.ndarray, "sh sw"], small: UInt8[np.ndarray, "sh sw 3"],
     table: Float32[np.ndarray, "256 3"], gain: Float32[np.ndarray, "h w"],
 ) -> Float32[np.ndarray, "sh sw"]:  # fmt: skip
-    """The contrast on a small copy, but where some channels are clipped, that of the others: all of the gain is theirs.
+    """The contrast on a small copy, but where some channels are clipped, that of the others: the whole gain is theirs.
 
     gain: on any lattice.
     """
@@ -309,7 +313,8 @@ def _contrast_of_free(
 
 
 def _lost(contrast: Float32[np.ndarray, "h w"], clipped: Bool[np.ndarray, "h2 w2"]) -> Bool[np.ndarray, "h2 w2"]:
-    """Where too little is left between black and white; of what is clipped, at the mean of what is clipped around."""
+    """Where too little is left between black and white; for clipped pixels, by the mean contrast of the clipped pixels
+    around."""
     some = bool(clipped.any())
     if not some and contrast.min() >= LEAST_CONTRAST:
         return np.zeros(clipped.shape, bool)
@@ -327,7 +332,7 @@ def _confidence(
 ) -> Float32[np.ndarray, "h w"]:
     """Share of the print's contrast in what the photo shows, relative to the usual light; 0 where unknown.
 
-    Noise of the photo grows with its light, and is amplified as the print's share of it falls.
+    The photo's noise grows with its light, and is amplified as the print's share of that light falls.
     """
     lit = np.minimum(levels.gain / max(float(np.median(levels.gain)), 1e-9), 1.0)
     share = np.clip(levels.gain / np.maximum(levels.gain + np.maximum(levels.black, 0.0), 1e-9) * lit, 0.0, 1.0)

@@ -1,8 +1,8 @@
 """A coarse map put onto the sheet's edges by what EdgeNet reads in strips across them.
 
-The network gives the probability of each row of a strip, column for column; the likeliest path along each side is taken
-by dynamic programming, where its columns agree with it. The smooth displacement that brings the four edges there is all
-that is changed: what lies between the edges is for refinement to see.
+For each column of a strip, the network gives the probability of every row. Dynamic programming finds the likeliest path
+along each side; it counts in the columns that agree with it. A smooth displacement that brings the four edges there is
+all that is changed: what lies between the edges is left to refinement.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ from hybrid.rectify.sightings import Sightings, SplineConfig, carried, fit_displ
 from hybrid.strips import SIDES, StripConfig, StripReader, edge_strips, strip_copy
 
 SUPPORT_ROWS = 2
-"""Rows on each side of an edge within which what was read agrees with it."""
+"""Rows on each side of an edge within which a reading agrees with it."""
 LEAST_SHOWN = 0.1
 """Share of a side that the photo must show for it to be read."""
 CORNER = 0.04
-"""Parts of a side at its ends that tell nothing of how well it is seen: corners may be round."""
+"""Share of a side, at each of its ends, that is ignored in judging how well the side is seen: corners may be round."""
 
 
 @dataclass(frozen=True)
@@ -35,9 +35,9 @@ class PathConfig:
     """Options of paths through strips.
 
     floor: least log-probability of a row: no column alone leads the path away. max_step, step_cost: most rows that a
-    path steps from column to column, and the log-probability that each costs. near: rows around the path that count
-    for it. min_mass: least probability of these rows, in columns that count. row_sigma: stated deviation of the
-    network's likeliest place, in rows.
+    path may step from one column to the next, and the log-probability that each step of a row costs. near: rows on each
+    side of the path that count for it. min_mass: least probability of these rows together for a column to count.
+    row_sigma: stated deviation of the network's likeliest place, in rows.
     """
 
     floor: float = -9.0
@@ -54,13 +54,14 @@ class PathConfig:
 
 @dataclass(frozen=True)
 class EdgeConfig:
-    """Options of reading the sheet's edges.
+    """Options for reading the sheet's edges.
 
-    paths: how they are read in strips. min_columns: of a side that counts. far: parts of the film by which edges
-    lie beside those predicted where they are looked at once more. doubtful, beside, surer: refinement is done once
-    more if it puts an edge where it is read with less than this probability, and one is read this far beside it, in
-    parts of the film; that counts if it raises the probability by so much. sure: or to so much, if it leaves open where
-    the print ends. spline: of the displacement.
+    paths: how they are read in strips. min_columns: least number of columns of a side that counts. far: edges read
+    farther than this beside those predicted, in parts of the film, are read once more. doubtful, beside, surer: the
+    film is refined once more if an edge of the map reads as one with less than the first probability, and an edge is
+    read farther beside the map's than the second, in parts of the film; the result counts if it raises the probability
+    by the third. sure: otherwise a refinement that leaves open where the print ends is tried, and must raise it to
+    this, too. spline: of the displacement.
     """
 
     paths: PathConfig = field(default_factory=PathConfig)
@@ -79,8 +80,8 @@ class EdgeConfig:
 
 @dataclass(frozen=True, eq=False)
 class EdgePaths:
-    """The likeliest edges in some strips. row: to a fraction, for each column. spread: in rows. mass: probability that
-    the edge crosses the column there."""
+    """The likeliest edges in some strips. row: to a fraction, for each column. spread: standard deviation, in rows.
+    mass: probability that the edge crosses the column there."""
 
     row: Float[np.ndarray, "k c"]
     spread: Float[np.ndarray, "k c"]
@@ -88,7 +89,7 @@ class EdgePaths:
 
 
 def read_paths(logs: Float[np.ndarray, "k r1 c"], config: PathConfig) -> EdgePaths:
-    """The likeliest path through each strip, and how likely it is where."""
+    """The likeliest path through each strip, and how likely it is in each column."""
     path: Int[np.ndarray, "k c"] = best_paths(np.maximum(logs[:, :-1], config.floor), config.max_step, config.step_cost)
     near = config.near
     chances = np.pad(np.exp(logs[:, :-1]), ((0, 0), (near, near), (0, 0)))
@@ -102,7 +103,7 @@ def read_paths(logs: Float[np.ndarray, "k r1 c"], config: PathConfig) -> EdgePat
 
 
 def path_sightings(read: EdgePaths, strip: StripConfig, config: EdgeConfig) -> list[Sightings]:
-    """The columns that show an edge, of the sides that have enough of them."""
+    """Sightings from the columns that show an edge, for the sides that have enough of them."""
     depth = strip.depth_of(read.row)
     along = film_centres_1d(depth.shape[1])
     sigma = strip.pitch * np.hypot(config.paths.row_sigma, read.spread) / np.sqrt(np.maximum(read.mass, 1e-9))
@@ -116,10 +117,10 @@ def path_sightings(read: EdgePaths, strip: StripConfig, config: EdgeConfig) -> l
 
 @dataclass(frozen=True, eq=False)
 class EdgesRead:
-    """The sheet's edges as they were read. through: the map across whose edges was looked. sightings: through it, one
-    record for each side that was seen. off: how far beside the edges of the map asked for the farthest of them lies, in
-    parts of the film. chances: for SIDES, in columns along them, the probability that the sheet's edge lies within
-    SUPPORT_ROWS of where that map puts it; NaN where the photo does not show that."""
+    """The sheet's edges as they were read. through: the map whose edges the strips were cut across. sightings: through
+    it, one record for each side that was seen. off: distance of the farthest of them from the edges of the map that was
+    asked for, in parts of the film. chances: for SIDES, in columns along them, the probability that the sheet's edge
+    lies within SUPPORT_ROWS of where the map of the strips puts it; NaN where the photo does not show that."""
 
     through: BackwardMap
     sightings: tuple[Sightings, ...]
@@ -128,7 +129,7 @@ class EdgesRead:
 
     @cached_property
     def support(self) -> Float[np.ndarray, " 4"]:
-        """For SIDES, the mean of these probabilities, corners aside; 1 for a side that the photo hardly shows."""
+        """For SIDES, the mean of these probabilities without the corners; 1 for a side that the photo hardly shows."""
         shown = np.isfinite(self.chances) & off_corners(self.chances.shape[1])
         seen = shown.mean(axis=1) > LEAST_SHOWN
         sums = np.where(shown, self.chances, 0.0).sum(axis=1)
@@ -140,17 +141,18 @@ class EdgesRead:
         return SIDES[int(self.support.argmin())].name
 
     def seen_through(self, film: BackwardMap) -> tuple[Sightings, ...]:
-        """The sightings as if they had been made through a map that is near."""
+        """The sightings as if they had been made through another map that is near."""
         return carried(self.sightings, self.through, film)
 
 
 def off_corners(columns: int) -> Bool[np.ndarray, " c"]:
-    """Which of so many columns along a side lie off its corners."""
+    """Which of the columns along a side lie outside its corners."""
     return np.asarray(np.abs(film_centres_1d(columns) - 0.5) < 0.5 - CORNER)
 
 
 def read_edges(pyramid: Pyramid, film: BackwardMap, reader: StripReader, config: EdgeConfig) -> EdgesRead:
-    """What is read across the edges of a map; where that is far beside them, once more across those it says."""
+    """The edges as read across those of a map; if they are far beside these, as read once more across the edges
+    found."""
     read = look_across(pyramid, film, reader, config)
     if read.off <= config.far:
         return read
@@ -158,8 +160,8 @@ def read_edges(pyramid: Pyramid, film: BackwardMap, reader: StripReader, config:
 
 
 def put_on_edges(film: BackwardMap, read: EdgesRead, config: EdgeConfig) -> BackwardMap:
-    """A map near the one that edges were read through, smoothly displaced so that its edges are those; as it is where
-    none were read, or where it would fold."""
+    """A map near the one that the edges were read through, smoothly displaced to have these edges; unchanged where none
+    were read, or where it would fold."""
     if not read.sightings:
         return film
     moved = fit_displacement(read.seen_through(film), config.spline).displacement.composed(film)
@@ -167,7 +169,7 @@ def put_on_edges(film: BackwardMap, read: EdgesRead, config: EdgeConfig) -> Back
 
 
 def look_across(pyramid: Pyramid, film: BackwardMap, reader: StripReader, config: EdgeConfig) -> EdgesRead:
-    """What is read across the edges of a map, once."""
+    """The edges as read across those of a map, once."""
     photo, on_copy = strip_copy(pyramid, film, reader.strip)
     images, inside = edge_strips(photo, on_copy, reader.strip)
     logs = reader.logs(images, inside)

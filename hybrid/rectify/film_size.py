@@ -1,4 +1,4 @@
-"""How large the flat film is made: the pixels that the photo holds, in the aspect ratio of the real sheet."""
+"""How large the flat film is made: as many pixels as the photo holds, in the aspect ratio of the real sheet."""
 
 from __future__ import annotations
 
@@ -15,21 +15,20 @@ from hybrid.rectify.sheet import Frame, SheetConfig, inner, nearest_homography
 from hybrid.rectify.survey import survey_plane
 
 FORMATS_CM = ((35, 43), (28, 35), (25, 30), (20, 25))
-"""Sheets on sale; used either way round."""
+"""Sheet sizes on sale, used in either orientation."""
 
 FOCALS = 60
-"""Focal lengths that are tried, each 3 % longer than the one before."""
+"""Number of focal lengths tried, each 3 % longer than the one before."""
 
 MAIN_FOCAL, MAIN_SIGMA = 0.75, 0.1
 """Focal length of phones' main lenses (24 to 28 mm for 35 mm film), in sides of the photo, and its logarithm's standard
 deviation."""
 
 SIGMAS, LOOSEST = 3.0, 0.1
-"""How many standard deviations beside a ratio that the photo leaves open known ones are looked for, and how far at
-most."""
+"""How many standard deviations a known ratio may lie from one that the photo leaves open, and how far at most."""
 
 RIGHT_ANGLE = 0.01
-"""Standard deviation of the cosine of the angle between a flat film's sides, as a map has it."""
+"""Standard deviation of the cosine of the angle between a flat film's sides, as measured through a map."""
 
 
 @dataclass(frozen=True)
@@ -41,15 +40,16 @@ class FilmSizeConfig:
     min_side_px: int = 64
     """The shorter side is never shorter than this."""
     max_aspect: float = 3.0
-    """Sheets are never longer than this times their width; a map that says so is not believed."""
+    """Sheets are never longer than this times their width; a larger measured ratio is clipped."""
     snap: float = 0.04
-    """Largest relative difference of the measured aspect ratio from a film format that it is taken for."""
+    """Largest relative difference between the measured aspect ratio and a film format to which it is snapped."""
     snap_grid: float = 0.06
     """The same for square slice cells, which are better evidence than a format."""
     snap_exact: float = 0.01
-    """Both, where the sheet was fitted to its edges and print, or is flat: its ratio of sides is exact to 0.5 %."""
+    """The limit for both where the sheet was fitted to its edges and print, or is flat: its aspect ratio is then exact
+    to 0.5 %."""
     flat: float = 0.003
-    """Largest distance from a plane of a film that is flat, as a part of its size."""
+    """Largest deviation from a plane at which a film counts as flat, as a fraction of its size."""
 
     def __post_init__(self) -> None:
         require_at_least(self, 1, "min_side_px", "max_aspect")
@@ -60,12 +60,13 @@ class FilmSizeConfig:
 def known_by_plane(
     backward: BackwardMap, size: tuple[int, int], config: SheetConfig | None = None
 ) -> tuple[float, float]:
-    """Height over width of the sheet, taken for flat, and the standard deviation of its logarithm.
+    """Height over width of the sheet, assumed to be flat, and the standard deviation of its logarithm.
 
-    size: (height, width) of the photo, whose centre the camera looks at.
-    The homography nearest to the map tells both sides' lengths once the focal length is known; which one it is, beside
-    what is usual of phones, the right angle between the sides tells (Zhang and He 2007, "Whiteboard scanning and image
-    enhancement"). Where the sheet only leans that angle is right for every focal length, and the ratio is left open.
+    size: (height, width) of the photo; its centre is taken as the principal point.
+    Once the focal length is known, the homography nearest to the map gives the lengths of both sides. The focal length
+    follows from a prior on phone cameras and from the right angle between the sides (Zhang and He 2007, "Whiteboard
+    scanning and image enhancement"). Where the sheet is tilted about only one of its axes, that angle is right for
+    every focal length, and the ratio stays uncertain.
     """
     config = config or SheetConfig()
     homography = nearest_homography(backward, Frame.of(size))
@@ -82,7 +83,7 @@ def known_by_plane(
 
 
 def _likelihood(log_focal: Float[np.ndarray, " n"], config: SheetConfig) -> Float[np.ndarray, " n"]:
-    """How likely photos with such logarithms of the focal length are: by a main lens, or by any."""
+    """How likely these log focal lengths are: a mixture of main lenses and lenses of any kind."""
 
     def normal(middle: float, sigma: float) -> Float[np.ndarray, " n"]:
         return np.exp(-0.5 * np.square((log_focal - np.log(middle)) / sigma)) / sigma
@@ -94,10 +95,10 @@ def _likelihood(log_focal: Float[np.ndarray, " n"], config: SheetConfig) -> Floa
 def snap_aspect(
     aspect: float, grid: SliceGrid | None, config: FilmSizeConfig, exact: bool = False, sigma: float = 0.0
 ) -> float:
-    """The aspect ratio (height over width) that square cells give, or else the film format nearest, if close.
+    """The aspect ratio (height over width) that square cells give, else that of the nearest film format, if close.
 
-    exact: whether the sheet was fitted, or is flat: then whichever is nearest. sigma: of the logarithm of ``aspect``:
-    what such a photo leaves open, squares and formats tell.
+    exact: whether the sheet was fitted, or is flat: then the nearest of all these ratios is taken. sigma: standard
+    deviation of the logarithm of ``aspect``; the larger it is, the farther an exact ratio may be snapped.
     """
     formats = [long / short for short, long in FORMATS_CM]
     known = [*formats, *(1.0 / ratio for ratio in formats)]
@@ -111,7 +112,7 @@ def snap_aspect(
 
 
 def _of_square_cells(grid: SliceGrid | None) -> float | None:
-    """Height over width of the film if the cells of its grid are square; None where the grid is not sure."""
+    """Height over width of the film if the cells of its grid are square; None where the grid is uncertain."""
     if grid is None or grid.confidence <= 0.5:
         return None
     across, down = grid.vertices[-1, -1] - grid.vertices[0, 0]
@@ -119,13 +120,13 @@ def _of_square_cells(grid: SliceGrid | None) -> float | None:
 
 
 def _nearest(aspect: float, known: Sequence[float], within: float) -> float:
-    """The nearest of known ratios, if one is near enough."""
+    """The nearest known ratio if it is near enough, else the ratio itself."""
     nearest = min(known, key=lambda ratio: _apart(aspect, ratio))
     return nearest if _apart(aspect, nearest) <= within else aspect
 
 
 def _apart(one: float, other: float) -> float:
-    """Distance of two ratios, of their logarithms."""
+    """Distance between the logarithms of two ratios."""
     return abs(float(np.log(one / other)))
 
 
@@ -140,9 +141,9 @@ def film_size(
 ) -> tuple[int, int]:
     """Size (h, w) in pixels of the flat film: nothing that the photo resolves is lost, within the bounds.
 
-    photo_size: (height, width). aspect: height over width, where it is known from the sheet that was fitted
-    (refine.py); else it is told by the nearest plane, exactly if the film is one. camera: which focal
-    lengths are usual. sigma: of the logarithm of ``aspect``.
+    photo_size: (height, width). aspect: height over width, if known from a fitted sheet (refine.py); else it is
+    measured on the nearest plane, exactly if the film is flat. camera: prior on the focal length. sigma: standard
+    deviation of the logarithm of ``aspect``.
     """
     config = config or FilmSizeConfig()
     exact = aspect is not None or survey_plane(backward, config.flat)[0].yes
@@ -152,8 +153,8 @@ def film_size(
 
 
 def bounded_size(backward: BackwardMap, aspect: float, config: FilmSizeConfig) -> tuple[int, int]:
-    """Size (h, w) in pixels of a film of that height over width, of about as many pixels as the photo has of it; its
-    longer side is never longer than allowed, whatever that makes of the shorter."""
+    """Size (h, w) in pixels of a film of this height over width, with about as many pixels as the photo has of it. The
+    longer side never exceeds its limit, even if that makes the shorter one too short."""
     down, across = backward.mean_film_pixels()
     width = max(across, down / aspect)
     width *= max(1.0, config.min_side_px / min(width, width * aspect))

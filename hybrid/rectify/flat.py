@@ -1,7 +1,7 @@
-"""A photo that is the flat film already: a scan, or what was flattened before. It has to come back as it is.
+"""Photos that are the flat film already: scans, or films flattened before, which have to come back unchanged.
 
-The network's map is off by a percent of the film there, as everywhere, and without a table around the sheet no edge
-tells. Cells do: through the photo's own frame they are alike as they never are through a map that is wrong.
+The network's map is off by a percent of the film here as everywhere, and without a table around the sheet no edge shows
+the error. Cells do: through the photo's own frame they are more alike than through any wrong map.
 """
 
 from __future__ import annotations
@@ -21,36 +21,38 @@ from hybrid.rectify.trust import cells_alike
 from hybrid.strips import SIDES
 
 NEAR_FRAME = 0.05
-"""Distance between the film as the network sees it and the photo's frame, in parts of the frame's diagonal, up to which
-it may fill the photo."""
+"""Largest distance between the film as the network sees it and the photo's frame at which the film may fill the photo,
+as a fraction of the frame's diagonal."""
 
 NOTHING_ELSE = 0.7
-"""Share of a photo that shows film from which on it may fill the photo, wherever the network sees its ends: of films on
-something it is 0.68 at most."""
+"""A film that covers at least this share of the photo may fill it, wherever the network sees its ends: for films on a
+background the share is 0.68 at most."""
 
 BESIDE_FRAME, SURER = 0.005, 1.2
-"""A sheet whose edges are seen, and further off the frame than this in parts of its diagonal, has something around it;
-unless cells are more alike in the photo as it is by this factor: then these are no edges."""
+"""A sheet whose edges are seen farther from the frame than this fraction of its diagonal has a background around it,
+unless cells are more alike in the unchanged photo by this factor: then these are no edges."""
 
 EDGES_SEEN, LIKELY = 2, 0.8
-"""A sheet's edges are seen if all four are; or so many, and all lie inside the photo and are as likely as this to lie
-where they were read: of a scan's white border along a white margin no edge shows."""
+"""A sheet's edges count as seen if all four are; or if at least this many are, all four lie inside the photo, and each
+is at least this likely to lie where it was read: a scan's white border shows no edge along a white margin."""
 
 AS_ALIKE, AS_ALIKE_UNMOVED = 0.95, 0.85
-"""Cells are as alike in the photo as it is where they are so by this part of how alike they are through maps refined
-from the network's and from the photo's frame: of a map that is hardly another one the last bits decide. The second,
-where what is refined from the frame stays there: of 23 flat films 20 do, of as many that are bent by 2 px none."""
+"""Cells count as equally alike in the unchanged photo if their likeness is at least this fraction of that through maps
+refined from the network's map and from the photo's frame: between nearly equal maps rounding errors would decide. The
+second value holds where the map refined from the frame stays there: of 23 flat films 20 do, of as many that are bent by
+2 px none."""
 
 TOLD_ON_FRAME = 0.01
-"""Up to which distance from the frame, in parts of its diagonal, corners that a person gives mean the photo's own."""
+"""Largest distance from the frame at which corners that a person gives mean the photo's own, as a fraction of its
+diagonal."""
 
 UNMOVED = 1e-4
-"""Up to which distance from the frame, in parts of its diagonal, a map stays there."""
+"""Largest distance from the frame at which a map counts as staying there, as a fraction of its diagonal."""
 
 NEWTON_STEPS = 8
 
 LEAST_ALIKE, LEAST_ALIKE_UNSEEN = 0.1, 0.2
-"""How alike cells must be in any case, and in a photo in which the network sees no film, or not all of it."""
+"""How alike cells must be at least, in general and in a photo in which the network sees no film, or not all of it."""
 
 
 def frame_of(size: tuple[int, int]) -> BackwardMap:
@@ -65,10 +67,10 @@ def already_flat(
     refined: Refinement | None,
     exactly: Callable[[BackwardMap], Refinement],
 ) -> tuple[Refinement | None, str]:
-    """The photo's frame as the film's map if the photo is the flat film itself, else None; with the evidence. The error
-    that it expects is how far it moves where it is refined: hardly, or by as much as cells leave open.
+    """The photo's frame as the film's map if the photo is the flat film itself, else None; with the evidence. Its
+    expected error is how far it moves when refined: hardly, or as far as cells leave its place open.
 
-    coarse, refined: the network's map, and what became of it; None where it was not refined. filled: share of the photo
+    coarse, refined: the network's map, and its refinement; None where it was not refined. filled: share of the photo
     that shows film. exactly: refines a map into the photo.
     """
     frame = frame_of(pyramid.size)
@@ -98,12 +100,12 @@ def already_flat(
 
 
 def is_frame(told: BackwardMap, size: tuple[int, int]) -> bool:
-    """Whether the plane sheet with corners that a person gave may be the whole photo of ``size`` (h, w)."""
+    """Whether the plane sheet given by a person's corners may be the whole photo of ``size`` (h, w)."""
     return _off(told, frame_of(size)) <= TOLD_ON_FRAME
 
 
 def _has_edges_inside(refined: Refinement, frame: BackwardMap) -> bool:
-    """Whether the edges of a sheet are seen, and not on the frame."""
+    """Whether the edges of a sheet are seen off the frame."""
     if not refined.believed or _off(refined.backward, frame) <= BESIDE_FRAME:
         return False
     if refined.edges == len(SIDES):
@@ -113,36 +115,36 @@ def _has_edges_inside(refined: Refinement, frame: BackwardMap) -> bool:
 
 
 def _nearest_side(backward: BackwardMap, frame: BackwardMap) -> float:
-    """How far inside a photo's frame a map's four sides lie at least, each at its mean, in parts of its diagonal."""
+    """Least mean distance of a map's four sides inside a photo's frame, as a fraction of its diagonal."""
     off = _beside(backward, frame)
     return float(min(off[0, :, 1].mean(), -off[-1, :, 1].mean(), off[:, 0, 0].mean(), -off[:, -1, 0].mean()))
 
 
 def _explained(pyramid: Pyramid, backward: BackwardMap, grid: SliceGrid, most: int) -> float:
-    """How alike cells are, in proportion to their number, of at most so many: of few cells more is easily alike."""
+    """How alike cells are, scaled down in proportion where there are not this many: few are easily alike by chance."""
     return cells_alike(pyramid, backward, grid) * grid.rows * grid.cols / most
 
 
 def _in_frame(grid: SliceGrid, frame: BackwardMap, size: tuple[int, int]) -> Iterator[SliceGrid]:
-    """A grid that was seen through another map as it lies in a photo of ``size`` (h, w) that is the film: where the
-    photo shows it, and where that map has it on the film."""
+    """A grid seen through another map, placed in a photo of ``size`` (h, w) that is the film: once where the photo
+    shows it, once where that map has it on the film."""
     for vertices in (np.clip(grid.vertices_photo / np.array(size[::-1]), 0.0, 1.0), grid.vertices):
         yield replace(grid, vertices=vertices, vertices_photo=frame.photo_from_film(vertices))
 
 
 def _on_film(grid: SliceGrid, backward: BackwardMap) -> SliceGrid:
-    """A grid that was seen through another map as it lies on the film of this one."""
+    """A grid seen through another map, placed on the film of this one."""
     vertices = backward.film_near(grid.vertices_photo.reshape(-1, 2), grid.vertices.reshape(-1, 2), NEWTON_STEPS)
     return replace(grid, vertices=vertices.reshape(grid.vertices.shape))
 
 
 def _off(backward: BackwardMap, frame: BackwardMap) -> float:
-    """The largest distance of a map from a photo's frame, in parts of its diagonal."""
+    """The largest distance of a map from a photo's frame, as a fraction of its diagonal."""
     return float(np.linalg.norm(_beside(backward, frame), axis=-1).max())
 
 
 def _beside(backward: BackwardMap, frame: BackwardMap) -> Float[np.ndarray, "33 33 2"]:
-    """How far a map's lattice lies beside a photo's frame, in parts of its diagonal."""
+    """Displacement of a map's lattice from a photo's frame, as a fraction of its diagonal."""
     return (backward.lattice((33, 33)) - frame.nodes) / np.linalg.norm(frame.nodes[-1, -1])
 
 

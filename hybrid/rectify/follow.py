@@ -1,4 +1,4 @@
-"""Lines that were found, followed along their length: that observes the coordinate across them at many points."""
+"""Follow detected lines along their length: this observes the coordinate across them at many points."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from hybrid.rectify.sightings import Sightings
 def follow_comb(view: FilmView, comb: Comb, config: GridConfig) -> Sightings | None:
     """Each line that was seen, observed at many places along its length; None where too little is left.
 
-    Straightness and equal spacing are in the constants shared by all: where the comb's middle lies from the film's,
-    by how much its pitch differs, and how far further in the outermost lines are: of cells with frames of their own
-    the lines between are those of two cells.
+    Straightness and equal spacing are expressed by the constants shared by all: the offset of the comb's middle from
+    the film's, the error of its pitch, and how far inwards the outermost lines are: where each cell has its own frame,
+    an inner line is two cells' frames side by side.
     """
     image = narrowed(view.image[..., 0], comb.axis)
     response = comb.sign * line_response(image, comb.width_px)
@@ -59,7 +59,7 @@ def follow_comb(view: FilmView, comb: Comb, config: GridConfig) -> Sightings | N
 def _peaks_on_paths(
     bands: Float[np.ndarray, "b d n"], paths: Int[np.ndarray, "b n"], config: GridConfig
 ) -> tuple[Float[np.ndarray, "b n"], Bool[np.ndarray, "b n"]]:
-    """Row, to a fraction, of the response's peaks along the paths, and where it is a peak and strong enough."""
+    """Subpixel row of the response's peaks along the paths, and where there is a peak that is strong enough."""
     b, d, n = bands.shape
     near = np.clip(paths[:, None, :] + np.arange(-1, 2)[:, None], 1, d - 2)
     row = np.take_along_axis(near, np.take_along_axis(bands, near, axis=1).argmax(axis=1)[:, None], axis=1)[:, 0]

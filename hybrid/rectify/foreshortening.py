@@ -1,10 +1,10 @@
-"""How unevenly a map shows what is printed evenly: the network's commonest large error, read off the cells.
+"""How unevenly a map shows what is printed evenly: the network's commonest large error, measured from the cells.
 
-Where a sheet turns away from the camera, its slices look narrower. A map that knows too little of this has all its
-edges right and the inside wrong, by half a slice or more: too far for cells to find each other. What the network tells
-of the cells (cell_phases.py) is wrong by a fiftieth of a cell only, wherever the map takes them to lie. So of all
-smooth ways to space the cells along an axis the one counts along which the phases run evenly at some pitch, and every
-place is then put where its phase says that it is.
+Where a sheet turns away from the camera, its slices look narrower. A map that underestimates this has all its edges
+right and the inside wrong, by half a slice or more: too far for cells to be matched. The phases that the network
+predicts in the cells (cell_phases.py) are wrong by only a fiftieth of a cell, wherever the map puts the cells. So, of
+all smooth spacings of the cells along an axis, the one is chosen along which the phases run evenly at some pitch. Every
+place is then moved to where its phase says that it is.
 """
 
 from __future__ import annotations
@@ -35,21 +35,21 @@ class ForeshorteningConfig:
     steps: Bend = (0.1, 0.12)
     """Their steps."""
     least_slope: float = 0.25
-    """Least slope of a spacing: no cell is drawn to more than four times its width, and nothing folds."""
+    """Least slope of a spacing: no cell is stretched to more than four times its width, and nothing folds."""
     doubt: float = 0.3
-    """By how much a bend of 1 must raise the agreement of the phases: the network seldom errs so far."""
+    """How much a bend of 1 must raise the agreement of the phases: the network seldom errs so far."""
     pitches: tuple[float, float, float] = (0.096, 1.05, 0.1)
-    """Shortest and longest pitch, in parts of the film, and the step of their inverse."""
+    """Shortest and longest pitch, in film units, and the step of their inverse."""
     sigma: float = 0.08
     """Stated deviation of one phase, in cells."""
     least_length: float = 0.35
     """Phases shorter than this do not count."""
     most_off: float = 0.35
-    """Phases further than this from the spacing do not count, in cells: the next cell begins at half of one."""
+    """Phases further than this from the spacing do not count, in cells: beyond half a cell the next one is nearer."""
     edge_sigma: float = 0.0015
     """Stated deviation of the sheet's edges, in film units."""
     shared_sigma: tuple[float, float] = (0.02, 0.004)
-    """Prior standard deviation of the grid's place and pitch, in film units."""
+    """Prior standard deviations of the grid's place and pitch, in film units."""
     spline: SplineConfig = field(default_factory=SplineConfig)
 
     def __post_init__(self) -> None:
@@ -61,7 +61,7 @@ class ForeshorteningConfig:
 
 @dataclass(frozen=True)
 class Spacing:
-    """Cells of one pitch along an axis that a map shows with a bend. first: where one of them begins."""
+    """Evenly spaced cells along an axis, which a map shows with a bend. first: where one of them begins."""
 
     bend: Bend
     first: float
@@ -71,9 +71,9 @@ class Spacing:
 def even(
     film: BackwardMap, phases: CellPhases, edges: Sequence[Sightings], config: ForeshorteningConfig
 ) -> BackwardMap:
-    """The map through which the phases run evenly; ``film`` itself where none are told, or where it would fold.
+    """The map through which the phases run evenly; ``film`` itself where there are none, or where it would fold.
 
-    edges: of the sheet, as far as they are seen, through ``film``; they are left where they are.
+    edges: of the sheet, as far as they are seen, through ``film``; they are left in place.
     """
     told = phases.inside(film)
     if len(told) == 0:
@@ -103,13 +103,13 @@ def spacing(along: AxisPhases, config: ForeshorteningConfig) -> Spacing:
 
 
 def bent(t: Float[np.ndarray, "*n"], bend: Bend) -> Float[np.ndarray, "*n"]:
-    """The true places of what is seen at ``t``; beyond the edges these are what they seem."""
+    """The true places of what is seen at ``t``; beyond the edges they stay as they are."""
     inside = np.clip(t, 0.0, 1.0)
     return t + inside * (1.0 - inside) * (bend[0] + bend[1] * (1.0 - 2.0 * inside))
 
 
 def unbent(film: BackwardMap, bends: tuple[Bend, Bend]) -> BackwardMap:
-    """The map through which places seen at ``t`` are seen where they are, at ``bent(t)``, along both axes."""
+    """The map through which places seen at ``t`` appear where they truly are, at ``bent(t)``, along both axes."""
     fine = node_centres_1d(401)
     v, u = (np.interp(node_centres_1d(33), bent(fine, bends[axis]), fine) for axis in (1, 0))
     return BackwardMap(film.photo_from_film(np.stack(np.meshgrid(u, v), axis=-1)))
@@ -120,7 +120,7 @@ def unbent(film: BackwardMap, bends: tuple[Bend, Bend]) -> BackwardMap:
 
 @lru_cache(maxsize=2)
 def _spacings(config: ForeshorteningConfig) -> tuple[tuple[Bend, ...], np.ndarray, Complex[np.ndarray, "k s"]]:
-    """All bends, frequencies, and the conjugate turns of their cells in the steps of a film."""
+    """All bends, frequencies, and the conjugate turns of their cells at the steps of a film."""
     t, (shortest, longest, step) = node_centres_1d(41), config.pitches
     i, j = (round(most / each) for most, each in zip(config.most, config.steps, strict=True))
     every = [(config.steps[0] * a, config.steps[1] * b) for a in range(-i, i + 1) for b in range(-j, j + 1)]
@@ -138,7 +138,7 @@ def _sightings(
     axis: int,
     config: ForeshorteningConfig,
 ) -> Sightings:
-    """Each place seen at ``uv``, and where its phase says that it is, in the cell that it is taken to lie in."""
+    """Each place seen at ``uv``, and where its phase puts it within the cell assumed for it."""
     cell = (uv[:, axis] - cells.first) / cells.pitch
     off = np.angle(turns * np.exp(-2j * np.pi * cell)) / (2 * np.pi)
     length = np.abs(turns)

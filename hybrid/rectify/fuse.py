@@ -1,9 +1,9 @@
-"""Several photos of one film made into one: registered on the flat film, merged by how far each can be trusted.
+"""Fuse several photos of one film into one: register them on the flat film, then merge them weighted by trust.
 
-A reflection moves when the phone or the lamp does, the print does not. Each photo is flattened on its own; where its
-film still lies beside that of the first, patches of both tell by how much. Their maps err apart, so all of them are
-moved, smoothly, to the middle of where they place the print; the photos are read anew through the moved maps, once.
-What differs from the others is then left out.
+A reflection moves when the phone or the lamp does; the print does not. Each photo is flattened on its own. Matched
+patches measure how far its film is still displaced from the first. The maps err independently, so all of them are
+moved, smoothly, to the middle of where they place the print, and each photo is resampled once through its moved map.
+What differs from the other photos is then left out.
 """
 
 from __future__ import annotations
@@ -30,22 +30,22 @@ from hybrid.rectify.resample import ResampleConfig, rectify_photo
 from hybrid.rectify.tps import mad_sigma
 
 AnyFilm = Float32[np.ndarray, "_ _"]
-"""One of several of different sizes."""
+"""One of several films of different sizes."""
 
 NODES = 33
-"""Nodes along each side on which displacements, and the maps made of them, are kept."""
+"""Nodes along each side of displacement fields, and of the maps made from them."""
 
 MIN_SLICES = 6
-"""Fewer slices than this do not tell what all have in common."""
+"""Fewer slices than this do not show what all have in common."""
 
 MIN_SIGMA = 4.0
-"""Standard errors by which films must agree more in place than out of place."""
+"""Number of standard errors by which films must agree better in place than out of place."""
 
 MAX_SHIFT = 0.1
-"""Film units: two flat films of one sheet never lie farther beside each other, patches matched by chance do."""
+"""Largest shift, in film units: two flat films of one sheet never lie farther apart, patches matched by chance do."""
 
 MIN_PATCHES = 12
-"""Fewer patches with anything on them say nothing about a displacement."""
+"""Fewer patches with detail than this do not determine a displacement."""
 
 
 @dataclass(frozen=True)
@@ -53,16 +53,16 @@ class FuseConfig:
     """How photos of one film are registered and merged."""
 
     sides_px: tuple[int, ...] = (384, 1024)
-    """Longer sides of the copies of the films on which they are registered, one after the other."""
+    """Longer sides of the reduced films that are registered, one after the other."""
     patch_px: int = 64
     """Side of the patches that are matched; they overlap by half."""
     intervals: int = 5
     """Knot intervals of the smooth displacement along each side."""
     smoothing: float = 1e-5
     least_contrast: float = 0.5
-    """Standard deviation of a patch's detail, relative to the film's, below which it says nothing."""
+    """Standard deviation of a patch's detail, relative to the film's, below which it is ignored."""
     same: float = 0.4
-    """Share of slices found in their place on both films, once registered, from which they are the same print."""
+    """Films are the same print if at least this share of slices is found in place on both, once registered."""
     merge: MergeConfig = field(default_factory=MergeConfig)
 
     def __post_init__(self) -> None:
@@ -74,10 +74,10 @@ class FuseConfig:
 
 @dataclass(frozen=True, eq=False)
 class Registration:
-    """Where another photo shows the film of the first: its map, how it had to be moved, and how well films agree.
+    """Where another photo shows the film of the first: its map, how it had to be moved, and how well the films agree.
 
-    turned: the other photo's own map, turned as ``way`` says. shift: (gh, gw, 2) film units by which points of its
-    film lie beside those of the first, on film nodes. agreement: share of slices found in their place.
+    turned: the other photo's own map, turned as ``way`` says. shift: (gh, gw, 2) displacement of its film's points from
+    those of the first, in film units, on film nodes. agreement: share of slices found in their place.
     """
 
     turned: BackwardMap
@@ -105,7 +105,7 @@ def register(
     """Where the other photo shows the first photo's film. names: of both, for messages.
 
     Raises:
-        FusionError: they show different films, or too little of both to tell.
+        FusionError: the photos show different films, or too little of them to tell.
     """
     fixed = _details(first, Orientation(0, False), _film_of(first).shape, config)
     best, agreement = None, -1.0
@@ -135,7 +135,7 @@ def register(
 
 
 def _details(result: RectifyResult, way: Orientation, size: tuple[int, ...], config: FuseConfig) -> list[AnyFilm]:
-    """The detail of a film, moved in one way, on copies of a film of ``size``."""
+    """The detail of a film in a given orientation, on reduced copies of a film of ``size``."""
     film, unseen = (np.ascontiguousarray(way.moved(x)) for x in (_film_of(result), _untrusted(result)))
     return [detail_of(film, unseen, reduced(size, side)) for side in config.sides_px]
 
@@ -143,7 +143,7 @@ def _details(result: RectifyResult, way: Orientation, size: tuple[int, ...], con
 def _registered(
     fixed: Sequence[AnyFilm], moving: Sequence[AnyFilm], config: FuseConfig
 ) -> Float[np.ndarray, "gh gw 2"]:
-    """How far points of one film lie beside those of the other, in film units, on nodes; from coarse to fine."""
+    """Displacement of the moving film's points from the fixed film's, in film units, on nodes; found coarse to fine."""
     nodes = (NODES, NODES)
     shift = np.zeros((*nodes, 2)) + _whole_shift(fixed[0], moving[0])
     for a, b in zip(fixed, moving, strict=True):
@@ -161,7 +161,7 @@ def _film_of(result: RectifyResult) -> Film:
 
 
 def _untrusted(result: RectifyResult) -> Bool[np.ndarray, "h w"]:
-    """Pixels that show glare, or something before the film, or nothing at all."""
+    """Pixels that show glare, something in front of the film, or nothing at all."""
     lost = np.zeros(_film_of(result).shape, bool) if result.glare is None else result.glare
     return lost if result.confidence is None else lost | (result.confidence <= 0)
 
@@ -175,8 +175,8 @@ def _whole_shift(fixed: Film, moving: Film) -> Float[np.ndarray, "2"]:
 def phase_shift(fixed: Film, moving: Film) -> tuple[float, float, float]:
     """Pixels by which ``moving`` lies to the right of and below ``fixed``, and how clearly (0 to about 1).
 
-    OpenCV 5.0 multiplies pictures whose sizes suit its Fourier transform by the window in place, so it is given
-    copies; and where the transform has an odd size it takes the middle for half a pixel less than it is.
+    OpenCV 5.0 applies the window in place to pictures whose sizes suit its Fourier transform, so it is given copies.
+    Where the transform has an odd size, it takes the middle to be half a pixel less than it is.
     """
     window = cv2.createHanningWindow(fixed.shape[::-1], cv2.CV_32F)
     (x, y), response = cv2.phaseCorrelate(fixed.copy(), moving.copy(), window)
@@ -185,7 +185,7 @@ def phase_shift(fixed: Film, moving: Film) -> tuple[float, float, float]:
 
 
 def _moved_by(moving: Film, shift: Float[np.ndarray, "gh gw 2"]) -> Film:
-    """The picture with the value of each film point taken from ``shift`` (on film nodes) beside it."""
+    """The picture resampled so that each film point gets the value displaced from it by ``shift`` (on film nodes)."""
     size = (moving.shape[0], moving.shape[1])
     dense = BackwardMap(pixel_from_film(film_nodes(shift.shape[:2]) + shift, size)).dense(size)
     return sample_bilinear(moving, dense)
@@ -200,7 +200,7 @@ def _patches(size: tuple[int, ...], side: int) -> list[tuple[slice, slice]]:
 def _match(
     fixed: Film, moving: Film, config: FuseConfig
 ) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n 2"], Float[np.ndarray, " n"]] | None:
-    """Film uv of patches, their displacement in film units, and their weights; None of too few."""
+    """Film uv of patches, their displacement in film units, and their weights; None if there are too few."""
     size = (fixed.shape[0], fixed.shape[1])
     side = min(config.patch_px, min(size) // 3)
     whole = (float(fixed.std()), float(moving.std()))
@@ -225,7 +225,7 @@ def _smooth(
     at: Float[np.ndarray, "n 2"], moved: Float[np.ndarray, "n 2"], weight: Float[np.ndarray, " n"],
     size: tuple[int, int], config: FuseConfig,
 ) -> Float[np.ndarray, "gh gw 2"]:  # fmt: skip
-    """The smooth displacement through the patches', robustly, on ``size`` film nodes."""
+    """A smooth displacement fitted robustly to those of the patches, on ``size`` film nodes."""
     rows = bspline.design(at, config.intervals)
     trust = weight
     fit = NormalEquations.of(rows, trust, moved, config.intervals).solve(config.smoothing)
@@ -241,8 +241,8 @@ def _agreement(fixed: Film, moving: Film, grid: SliceGrid | None) -> float:
     """Share of the first film's parts that are more like the same part of the other film than like any other part.
 
     Parts are the slices, without what is alike in all of them: films of one examination share rules and texts, and
-    their slices resemble each other. The half of the parts that shows most is asked. 0 where parts resemble those in
-    their place no more than others, by less than MIN_SIGMA standard errors: then it is chance.
+    their slices resemble each other. Only the half of the parts with most detail counts. 0 where parts resemble those
+    in their place more than others by less than MIN_SIGMA standard errors: that may be chance.
     """
     if grid is not None and grid.rows * grid.cols >= MIN_SLICES:
         a, b = (_own_of_slices(x, grid) for x in (fixed, moving))
@@ -260,14 +260,14 @@ def _agreement(fixed: Film, moving: Film, grid: SliceGrid | None) -> float:
 
 
 def _own_of_slices(detail: Film, grid: SliceGrid) -> Float[np.ndarray, "slices n"]:
-    """Each slice's detail less the median over all slices."""
+    """Each slice's detail minus the median over all slices."""
     slices = _seen_slices(detail, grid, max(round(max(detail.shape) / max(grid.rows, grid.cols)), 16))
     slices = slices - np.median(slices, axis=(0, 2), keepdims=True)
     return slices.swapaxes(1, 2).reshape(grid.rows * grid.cols, -1)
 
 
 def _seen_slices(film: Film, grid: SliceGrid, samples: int) -> Float32[np.ndarray, "rows n cols n"]:
-    """A film's slices, each at ``samples`` x ``samples`` places."""
+    """A film's slices, each sampled at ``samples`` x ``samples`` places."""
     along_v, along_u = (
         np.interp(centres_1d(samples * (len(lines) - 1)) / samples, np.arange(len(lines)), lines)
         for lines in (grid.vertices[..., 1].mean(axis=1), grid.vertices[..., 0].mean(axis=0))  # straight on the film
@@ -281,9 +281,9 @@ def _seen_slices(film: Film, grid: SliceGrid, samples: int) -> Float32[np.ndarra
 
 @dataclass(frozen=True, eq=False)
 class Member:
-    """A photo that the fused film is made of.
+    """A photo from which the fused film is made.
 
-    index: among those that were given. at: where it shows the film of the base, and later the common one.
+    index: its place among the given photos. at: where it shows the film of the base, and later the common one.
     """
 
     index: int
@@ -293,11 +293,11 @@ class Member:
 
     @property
     def side_px(self) -> float:
-        """The longer side of its film in its photo."""
+        """Longer side of its film in its photo."""
         return max(self.at.turned.mean_film_pixels())
 
     def cover_on(self, size: tuple[int, int]) -> Bool[np.ndarray, "h w"]:
-        """Where something lies before the film, on the common film of ``size``."""
+        """Where something lies in front of the film, on the common film of ``size``."""
         covered = self.result.covered
         if covered is None or not covered.any():
             return np.zeros(size, dtype=bool)
@@ -314,13 +314,14 @@ def fuse(
     resample: ResampleConfig | None = None,
     names: Sequence[str] | None = None,
 ) -> RectifyResult:
-    """One result of several photos of one film, lying as in the base, as large as the largest.
+    """One result from several photos of one film, oriented as in the base, as large as the largest.
 
-    results: of the photos; those without a film are left out, and if none has one the first's is returned. reader: of
+    results: of the photos; those without a film are left out, and if none has one, the first is returned. reader: of
     their light. names: of the photos, for messages.
-    The base is the first photo whose map is sure, or the first with a film if none's is (``result.photo``): rectified
-    and backward are its own, moved to where those photos together say that the print lies whose maps are sure, or all
-    if none is; status, expected error and grid are theirs. film, glare and confidence are made of all.
+    The base (``result.photo``) is the first photo whose map is sure or, if none is, the first with a film. rectified
+    and backward are its own, moved to where the photos with sure maps (all, if none is sure) together place the print;
+    expected error and grid come from these photos, the status from the base. film, glare, covered and confidence are
+    made from all.
 
     Raises:
         FusionError: the photos show different films.
@@ -371,7 +372,7 @@ def _members(
     config: FuseConfig,
     names: Sequence[str],
 ) -> tuple[list[Member], list[LeftOut], list[str]]:
-    """The photos that show the film of the one at ``at``, those that do not and say so, and what is told of the former.
+    """The photos that show the film of the one at ``at``, those left out and why, and notes on the former.
 
     Raises:
         FusionError: a photo whose map is sure shows another film.
@@ -402,8 +403,8 @@ def _members(
 
 @dataclass(frozen=True, eq=False)
 class Merged:
-    """The common film of all members: film, glare, covered, confidence as of a RectifyResult, (h, w); rectified as the
-    base shows it; shares: of each member, of the film."""
+    """The common film of all members: film, glare, covered, confidence as in a RectifyResult, (h, w); rectified as the
+    base shows it; shares: each member's share of the film."""
 
     film: Film
     rectified: UInt8[np.ndarray, "h w 3"]
@@ -421,7 +422,7 @@ def _merged(
     light: DeilluminateConfig,
     resample: ResampleConfig | None,
 ) -> Merged:
-    """The photos read through their maps, each without its light, and merged."""
+    """The photos resampled through their maps, freed of their light, and merged."""
     size = _largest_size(members, base)
     flats = [rectify_photo(one.photo, one.at.backward, size, resample) for one in members]
     covers = [one.cover_on(size) for one in members]
@@ -445,14 +446,14 @@ def _merged(
 
 
 def _largest_size(members: Sequence[Member], base: Member) -> tuple[int, int]:
-    """Height and width of the fused film: sides in the ratio of the base's, the longer as long as any one's."""
+    """Height and width of the fused film: the base's aspect ratio and the largest film's longer side."""
     height, width = _film_of(base.result).shape
     more = max(max(_film_of(one.result).shape) for one in members) / max(height, width)
     return round(more * height), round(more * width)
 
 
 def _surest_grid(members: Sequence[Member], base: Member) -> SliceGrid | None:
-    """The grid of the greatest confidence, where the print lies on the common film; None without any."""
+    """The grid of the greatest confidence, moved onto the common film; None without any."""
     seen = [(one.result.grid.turned(one.at.way), one.at.shift) for one in members if one.result.grid is not None]
     if not seen:
         return None
@@ -464,7 +465,7 @@ def _surest_grid(members: Sequence[Member], base: Member) -> SliceGrid | None:
 
 
 def _expected_px(members: Sequence[Member], base: Member) -> float | None:
-    """The mean of the errors that are expected of the members' maps, in pixels of the base; None if none is known."""
+    """Mean expected error of the members' maps, in pixels of the base; None if none is known."""
     known = [(one.result.expected_error_px, one.side_px) for one in members]
     errors = [px * base.side_px / side for px, side in known if px is not None]
     return float(np.mean(errors)) if errors else None

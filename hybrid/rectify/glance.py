@@ -1,4 +1,4 @@
-"""The grid of slices of a flat film, as one look through its map shows it: the map is left as it is."""
+"""The grid of slices of a flat film, as one look through its map shows it: the map is left unchanged."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from hybrid.rectify.layout import Layout, find_lines, find_repeating
 from hybrid.rectify.refine import RefineConfig, Refinement
 
 VIEW_PX = 500
-"""Longer side of the film in this look: half of what refinement looks at, enough to count slices."""
+"""Longer side of the film in this look: half of that in refinement, enough to count slices."""
 
 FLAT = "the film is flat"
-"""Why it needs no spline, for the reports."""
+"""Why the film needs no spline, for the reports."""
 
 
 def glance(
@@ -32,9 +32,9 @@ def glance(
     expected: float,
     config: RefineConfig,
 ) -> Refinement:
-    """The map as it is, with the grid that shows through it.
+    """The map unchanged, with the grid that shows through it.
 
-    phases: what the network tells of the cells. expected: error of the map, in parts of the film's size.
+    phases: what the network predicts of the cells. expected: error of the map, as a fraction of the film's size.
     """
     start = perf_counter()
     down, across = backward.mean_film_pixels()

@@ -10,14 +10,14 @@ from jaxtyping import Float
 from hybrid.rectify.sightings import Sightings, SplineConfig, fit_displacement, lattice_rows
 
 MOST_RESIDUAL = 20.0
-"""What a sighting that is further off counts as, in stated deviations."""
+"""Residuals are clipped to this many stated deviations."""
 
 
 def held_out_residuals(sightings: Sequence[Sightings], config: SplineConfig, folds: int = 2) -> tuple[float, float]:
-    """Mean clipped residual in stated deviations, before and after, of sightings that the spline did not see.
+    """Mean clipped residual, in stated deviations, of sightings that the spline was not fitted to, before and after.
 
-    Runs of neighbouring sightings are held out together, because neighbours share their errors. The constants
-    that a list shares are taken from the sightings that the spline did see.
+    Runs of neighbouring sightings are held out together, because neighbours share their errors. The constants that a
+    list shares are estimated from the sightings that the spline was fitted to.
     """
     before, after, count = 0.0, 0.0, 0
     rows = lattice_rows(sightings, config)
@@ -38,7 +38,7 @@ def held_out_residuals(sightings: Sequence[Sightings], config: SplineConfig, fol
 
 
 def _without_shared(sightings: Sightings) -> Float[np.ndarray, " n"]:
-    """Offsets less what the shared constants alone can explain: what is left if nothing is displaced."""
+    """Offsets minus what the shared constants alone explain: what is left if nothing is displaced."""
     if sightings.shared.shape[1] == 0:
         return sightings.offsets()
     best, *_ = np.linalg.lstsq(sightings.shared, sightings.offsets(), rcond=None)

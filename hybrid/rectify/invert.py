@@ -1,8 +1,8 @@
 """From the network's uv map to the backward map: one robust, smooth fit of photo points over film points.
 
-The photo is explained as ``H(uv) + S(uv)``: a homography H (what a plane sheet would show) and a cubic B-spline S with
-a bending penalty (how far the sheet is from a plane). Where no pixel bears the film out, S goes on about linearly, so a
-covered corner, or one outside the frame, continues the plane that the rest of the sheet suggests.
+Photo points are modelled as ``H(uv) + S(uv)``: a homography H (what a plane sheet would show) and a cubic B-spline S
+with a bending penalty (how far the sheet is from a plane). Where no pixel shows film, S continues about linearly, so a
+corner that is covered or outside the frame continues the plane that the rest of the sheet suggests.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ from hybrid.rectify.bspline import NormalEquations
 from hybrid.rectify.tps import tukey_weights
 
 ROBUST_INTERVALS = 4
-"""Knot intervals of the stiff spline that tells good pixels from bad ones: false islands must not pull it to them."""
+"""Knot intervals of the stiff spline that tells good pixels from bad ones: false islands must not attract it."""
 ROBUST_SMOOTHING = 1e-5
 ROBUST_PIXELS = 400
-"""About as many pixels are enough to tell good from bad; all are judged afterwards."""
+"""About this many pixels are enough to fit that spline; all pixels are judged by it afterwards."""
 ISLAND_SHARE = 0.1
-"""A hand may cut the film in two, but a part this small against the largest is a false alarm elsewhere in the photo."""
+"""A hand may cut the film in two, but a part below this share of the largest is a false alarm elsewhere."""
 MAD_2D = 1.1774
 """Median of the length of a two-dimensional standard normal vector."""
 COVERAGE_BINS = 12
@@ -41,15 +41,15 @@ class InvertConfig:
     intervals: int = 8
     """Knot intervals of the spline along each film axis."""
     smoothing: float = 1e-7
-    """Least weight of the bending energy against the mean squared residual, both in units of the film's size."""
+    """Least weight of the bending energy relative to the mean squared residual, both in units of the film's size."""
     smoothing_per_variance: float = 0.3
-    """What is added to it per variance of the residuals: a noisy map is smoothed more, a clean one hardly at all."""
+    """Weight added per unit of variance of the residuals: a noisy map is smoothed more, a clean one hardly at all."""
     min_pixels: int = 60
     """Fewer pixels than this are no film."""
     nodes: tuple[int, int] = (33, 33)
     """Nodes (rows, columns) of the backward map; one more than a multiple of ``intervals`` represents S exactly."""
     scale_floor: float = 0.002
-    """Residuals below this part of the film's size are never called bad."""
+    """Residuals below this fraction of the film's size never count as bad."""
 
     def __post_init__(self) -> None:
         require_at_least(self, 1, "intervals", "min_pixels")
@@ -60,7 +60,7 @@ class InvertConfig:
 
 @dataclass(frozen=True, eq=False)
 class Inversion:
-    """A backward map, and how well the uv map bears it out.
+    """A backward map, and how well the uv map supports it.
 
     residual_px: root mean square distance in photo pixels between the map and the pixels that it explains (robust).
     coverage: share of the film's area that such pixels show, in [0, 1].
@@ -97,7 +97,7 @@ class _Pixels:
 
 
 def fit_backward(maps: CoarseMaps, config: InvertConfig | None = None) -> Inversion | NotInverted:
-    """The smooth backward map that explains the film pixels of ``maps``, whatever bad pixels and missing parts."""
+    """The smooth backward map that explains the film pixels of ``maps``, in spite of bad pixels and missing parts."""
     config = config or InvertConfig()
     pixels = _film_pixels(maps, config)
     if isinstance(pixels, NotInverted):
@@ -126,9 +126,9 @@ def fit_backward(maps: CoarseMaps, config: InvertConfig | None = None) -> Invers
 
 
 def agreed(inversions: Sequence[Inversion | NotInverted]) -> Inversion | NotInverted:
-    """The mean of the maps that several looks at one photo gave, with the last look's evidence.
+    """The mean of the maps from several looks at one photo, with the last look's evidence.
 
-    A look that gave no map is left out; where the last gave none, neither does the mean.
+    A look that gave no map is left out; if the last gave none, there is no mean either.
     """
     last = inversions[-1]
     if isinstance(last, NotInverted):
@@ -138,7 +138,7 @@ def agreed(inversions: Sequence[Inversion | NotInverted]) -> Inversion | NotInve
 
 
 def change(before: Inversion, after: Inversion | NotInverted) -> float:
-    """Mean distance between two maps, in parts of the film's size; infinite where the second is none."""
+    """Mean distance between two maps, as a fraction of the film's size; infinite if there is no second map."""
     if isinstance(after, NotInverted):
         return float("inf")
     distance = np.linalg.norm(after.backward.nodes - before.backward.nodes, axis=-1).mean()
@@ -146,7 +146,7 @@ def change(before: Inversion, after: Inversion | NotInverted) -> float:
 
 
 def apply_homography(homography: Float[np.ndarray, "3 3"], uv: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
-    """Points (x, y) of film points under a homography."""
+    """Film points mapped by a homography to points (x, y)."""
     mapped = uv @ homography[:, :2].T + homography[:, 2]
     return mapped[:, :2] / mapped[:, 2:]
 
@@ -191,7 +191,7 @@ def _film_pixels(maps: CoarseMaps, config: InvertConfig) -> _Pixels | NotInverte
 
 
 def _robust_weights(pixels: _Pixels, config: InvertConfig) -> Float[np.ndarray, " n"]:
-    """Tukey weights in [0, 1] of the pixels about a stiff spline, started from an absolute-deviation fit."""
+    """Tukey weights in [0, 1] of the pixels relative to a stiff spline, started from an absolute-deviation fit."""
     rows = bspline.design(pixels.uv, ROBUST_INTERVALS)
     some = slice(None, None, max(len(rows) // ROBUST_PIXELS, 1))
     part, target, weight = rows[some], pixels.target[some], pixels.weight[some]
@@ -222,7 +222,7 @@ def _largest_islands(film: Bool[np.ndarray, "h w"], least_share: float) -> Bool[
 def _plane_prior(
     uv: Float[np.ndarray, "n 2"], target: Float[np.ndarray, "n 2"], weight: Float[np.ndarray, " n"]
 ) -> Float[np.ndarray, "3 3"]:
-    """The homography that explains the pixels best, or the affine map where it runs off near the film."""
+    """The homography that fits the pixels best, or the best affine map if the homography diverges near the film."""
     homography = fit_homography(uv, target, weight)
     corners = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0], [0.5, 0.5]])
     depth = corners @ homography[2, :2] + homography[2, 2]

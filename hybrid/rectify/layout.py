@@ -1,4 +1,4 @@
-"""What is known of the grid of slices: along each axis lines (grid.py), repetition (repeat.py), both, or nothing."""
+"""What is known about the grid of slices: along each axis lines (grid.py), repetition (repeat.py), both or nothing."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from hybrid.rectify.repeat import RepeatConfig, Repeats, find_repeats
 from hybrid.rectify.sightings import Displacement, Sightings
 
 GOOD_SHARE = 0.0025
-"""Expected error of the map, in parts of the film, from which on a grid is trusted less: about 2 px of a photo."""
+"""Expected error of the map, as a fraction of the film, above which a grid is trusted less: about 2 px of a photo."""
 
 
 Places = Float[np.ndarray, " _"]
 """Film coordinates across one axis."""
 
 Source = Comb | Borders | Repeats
-"""What sightings of print are of: it tells where cells lie along an axis."""
+"""What sightings of the print are of: it gives the places of the cells along an axis."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +37,7 @@ class Evidence:
     source: Source | None = None
 
     def lifted(self, displacement: Displacement) -> Evidence:
-        """As if seen through the coarse map."""
+        """The same, as if seen through the coarse map."""
         return replace(self, sightings=displacement.lift(self.sightings))
 
     def subset(self, chosen: np.ndarray) -> Evidence:
@@ -47,8 +47,8 @@ class Evidence:
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """What is known of the grid along u and along v: lines that were seen, borders that were read where there are none,
-    cells that repeat. read: how the film was read when it was looked at first."""
+    """What is known about the grid along u and along v: lines that were seen, borders that were read where there are no
+    lines, cells that repeat. read: the cells as they were read at the first look."""
 
     combs: tuple[Comb | None, Comb | None] = (None, None)
     borders: tuple[Borders | None, Borders | None] = (None, None)
@@ -57,17 +57,17 @@ class Layout:
 
     @property
     def has_cells(self) -> bool:
-        """True where repetition was seen along both axes, so that cells can be matched. Where not, more rounds than the
-        two that look for lines find no more."""
+        """True if repetition was seen along both axes, so that cells can be matched. If not, rounds after the two that
+        look for lines find nothing more."""
         return all(r is not None for r in self.repeats)
 
     def along(self, axis: int) -> Source | None:
-        """What is best known along one axis."""
+        """The best source known along one axis."""
         return self.combs[axis] or self.borders[axis] or self.repeats[axis]
 
     def adjusted(self, evidence: Sequence[Evidence], found: Sequence[np.ndarray]) -> Layout:
-        """With the places and pitches that a fit found: the constants that each of the sightings share. Lines are
-        straight through the map that it gives."""
+        """The same with the places and pitches that a fit found: the constants shared by each list of sightings. Lines
+        are straight through the fitted map."""
         combs, borders, repeats = list(self.combs), list(self.borders), list(self.repeats)
         for e, constants in zip(evidence, found, strict=True):
             if isinstance(e.source, Comb):
@@ -94,17 +94,17 @@ class Layout:
         return f"{read}; {', '.join(how)}"
 
     def pitches(self) -> tuple[list[float], list[float]]:
-        """What lines and repetition tell of the pitch along u and along v."""
+        """The pitches along u and along v that lines and repetition give."""
         columns, rows = (
             [one.pitch for one in along if one is not None] for along in zip(self.combs, self.repeats, strict=True)
         )
         return columns, rows
 
     def slice_grid(self, reading: Reading | None, backward: BackwardMap, expected: float) -> SliceGrid | None:
-        """The grid of slices as the film was read; None where it could not be.
+        """The grid of slices as read from the film; None if it could not be read.
 
-        Where lines or repetition that were fitted tell the same cells, they tell more exactly where these lie.
-        expected: error of the map, in parts of the film: vertices lie no better than that.
+        Where fitted lines or repetition give the same cells, they locate them more exactly.
+        expected: error of the map, as a fraction of the film: vertices are no more exact than that.
         """
         if reading is None or not reading.is_likely:
             return None
@@ -116,16 +116,16 @@ class Layout:
 
 
 def _fitted(read: Repeats, fitted: Source | None) -> Source:
-    """The cells along one axis as they were fitted, if these are the ones that were read."""
+    """The cells along one axis as fitted, if these are the cells that were read; else as read."""
     if fitted is None or fitted.cells != read.cells:
         return read
     return fitted if np.abs(fitted.lines() - read.lines()).max() < SAME_PLACE else read
 
 
 def find_repeating(view: FilmView, known: Layout, config: RepeatConfig) -> Layout:
-    """What was known of the grid, with the cells that repeat in this view along the axes of which none were known.
+    """The known layout, with the cells that repeat in this view along the axes on which none were known.
 
-    Repetition counts only if it tells as many cells as were read.
+    Repetition counts only if it gives as many cells as were read.
     """
     if all(known.repeats):
         return known
@@ -138,11 +138,11 @@ def find_repeating(view: FilmView, known: Layout, config: RepeatConfig) -> Layou
 def find_lines(
     view: FilmView, known: Layout, looking: bool, borders: tuple[Places | None, Places | None], config: GridConfig
 ) -> tuple[Layout, tuple[Sightings | None, Sightings | None]]:
-    """What was known of the grid, with the lines in this view, and the sightings of the lines of each axis.
+    """The known layout, with the lines in this view, and the sightings of the lines of each axis.
 
-    borders: where those across each axis were read in this view, if they were. Lines are only followed unless
-    ``looking`` for them. Lines that contradict the repeats, or lie beside where cells meet, are dropped: couches, texts
-    and bones make lines too.
+    borders: where those across each axis were read in this view, if they were. Unless ``looking``, known lines are only
+    followed. Lines that contradict the repeats, or do not lie where cells meet, are dropped: couches, texts and bones
+    make lines too.
     """
     grey, read = view.image[..., 0], _likely(known)
     fitted = [None if b is None else b.lines()[1:-1] for b in known.borders]
@@ -162,14 +162,14 @@ def find_lines(
 
 
 def _likely(known: Layout) -> tuple[Repeats | None, Repeats | None]:
-    """The cells along each axis as the film was read, if that is likely."""
+    """The cells along each axis as read from the film, if the reading is likely."""
     return (None, None) if known.read is None or not known.read.is_likely else (known.read.columns, known.read.rows)
 
 
 def _as_read(repeat: Repeats | None, read: Repeats | None) -> Repeats | None:
-    """The cells that repeat along one axis, as many as were read there; as texts do not tell their place, centred.
+    """The cells that repeat along one axis, as many as were read there; centred, as texts do not tell their place.
 
-    Repetition tells the pitch better, but its peaks are mistaken for one another where the map is crooked yet.
+    Repetition gives the pitch more exactly, but its peaks are mistaken for one another while the map is still crooked.
     """
     if read is None or (repeat is not None and repeat.cells == read.cells):
         return repeat
@@ -178,7 +178,7 @@ def _as_read(repeat: Repeats | None, read: Repeats | None) -> Repeats | None:
 
 
 def _in_step(repeat: Repeats | None, comb: Comb | None) -> Repeats | None:
-    """The cells that repeat, between the lines where there are lines: repetition does not tell where cells begin."""
+    """The cells that repeat, placed between lines if there are lines: repetition does not tell where cells begin."""
     if comb is None or repeat is None:
         return repeat
     return Repeats(comb.axis, comb.first, comb.pitch, comb.cells)
@@ -187,8 +187,8 @@ def _in_step(repeat: Repeats | None, comb: Comb | None) -> Repeats | None:
 def _plausible(
     comb: Comb, repeat: Repeats | None, read: Repeats | None, borders: Places | None, config: GridConfig
 ) -> bool:
-    """True where the cells repeat at the comb's pitch or, if no repetition is seen, several lines are unbroken; and the
-    lines lie where cells meet, as the film and the borders were read."""
+    """True if the cells repeat at the comb's pitch or, where no repetition is seen, several lines are unbroken; and if
+    the lines lie where cells meet according to the film and the borders as read."""
     if read is not None and beside_cells(comb, read) > config.beside:
         return False
     if borders is not None and len(borders) and beside_borders(comb, borders) > config.beside_read:
@@ -199,18 +199,18 @@ def _plausible(
 
 
 def beside_cells(comb: Comb, cells: Repeats) -> float:
-    """How far the lines that were seen lie from where cells meet, in cells on average."""
+    """Mean distance of the lines that were seen from where cells meet, in cells."""
     return _beside(comb.lines()[comb.seen], cells.lines()) / cells.pitch
 
 
 def beside_borders(comb: Comb, borders: Places) -> float:
-    """How far borders were read from the nearest lines that were seen, in cells on average. Where a map is crooked yet
-    neither lie evenly, so each is compared where it was seen."""
+    """Mean distance of the borders that were read from the nearest lines that were seen, in cells. While a map is still
+    crooked, neither are evenly spaced, so both are compared where they were seen."""
     return _beside(borders, comb.tracks.mean(axis=1)) / comb.pitch
 
 
 def _beside(places: Places, others: Places) -> float:
-    """Mean distance of places from the nearest of others."""
+    """Mean distance of places from the nearest of the others."""
     return float(np.abs(places[:, None] - others).min(axis=1).mean())
 
 

@@ -1,8 +1,8 @@
-"""Where between the sheet's edges the print lies: the margins that most prints have, tried on the sheet that is fitted.
+"""Where between the sheet's edges the print lies: the margins that most prints have are tried on the fitted sheet.
 
-How wide the margins are only the sheet's bend tells, to some thousandths of the film, and an error there bends the
-sheet. But most prints fill their film, and of the others most have margins that are alike on both sides. Where a sheet
-explains what is seen nearly as well with such margins, they are taken.
+Only the sheet's bend determines the width of the margins, to a few thousandths of the film, and an error there bends
+the sheet wrongly. But most prints fill their film, and most of the others have equal margins on both sides. If a sheet
+explains what is seen nearly as well with such margins, they are adopted.
 """
 
 from __future__ import annotations
@@ -23,13 +23,12 @@ from hybrid.rectify.sightings import Sightings
 class MarginsConfig:
     """Options of the margins that are tried. Lengths are in film units.
 
-    filling: margins that are together no wider than this, or that much too narrow, are tried as none. off_middle: a
-    grid whose middle lies this near to the film's is tried as one in the middle; off_middle_read: the same where its
-    borders were read, which tells less exactly where they lie. costs: by what share the sum of squares of the fit may
-    grow by that. narrow, narrow_costs: the same for margins that are together no wider than that: hardly a film has
-    such. sigma: prior standard deviation of the print's place then. loose: lines that were taken to fill the film may
-    not if they then have margins that are together this wide; loose_gain: by what share the sum of squares has to
-    shrink by that.
+    filling: margins are tried as none if their total width is at most this, or negative by at most this. off_middle: a
+    grid whose middle lies this near the film's is tried as centred; off_middle_read: the same for borders that were
+    read, whose places are less exact. costs: share by which the fit's sum of squares may grow. narrow, narrow_costs: a
+    total width, and that share for margins no wider than that: hardly any film has such. sigma: prior standard
+    deviation of the print's place with the margins tried. loose: lines that were taken to fill the film may be let go
+    if their margins are then together this wide; loose_gain: share by which the sum of squares must then shrink.
     """
 
     filling: float = 0.04
@@ -46,14 +45,14 @@ class MarginsConfig:
         require_at_least(self, 1e-6, "sigma")
 
     def in_the_middle(self, source: Source, off: float) -> bool:
-        """Whether lines or borders whose middle lies so far from the film's may lie in its middle."""
+        """Whether lines or borders whose middle is this far from the film's may be centred."""
         if isinstance(source, Comb):
             return bool(off < self.off_middle)
         return isinstance(source, Borders) and bool(off < self.off_middle_read)
 
 
 Fit = Callable[[Sequence[Sightings], FittedSheet | None], FittedSheet | None]
-"""The sheet that explains best what is seen, from another sheet or from none."""
+"""Fits the sheet that best explains sightings, starting from another sheet or from none."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,12 +64,12 @@ class PlacedPrint:
     seen: tuple[Evidence, ...]
 
     def along(self, axis: int) -> list[int]:
-        """Which of the evidence is of the print, and tells where it is along an axis."""
+        """Indices of the evidence that tells where the print lies along an axis."""
         return [k for k, e in enumerate(self.evidence) if e.source is not None and e.source.axis == axis]
 
 
 def usual_margins(found: PlacedPrint, fit: Fit, grid: GridConfig, config: MarginsConfig) -> PlacedPrint:
-    """What was found, with margins as most prints have them along each axis where that explains it nearly as well."""
+    """What was found, with usual margins along each axis where these explain what is seen nearly as well."""
     for axis in (0, 1):
         for usual in (_filling, _in_the_middle):
             tried = usual(found, axis, grid, config)
@@ -85,8 +84,8 @@ def usual_margins(found: PlacedPrint, fit: Fit, grid: GridConfig, config: Margin
 
 
 def unfilled(found: PlacedPrint, fit: Fit, grid: GridConfig, config: MarginsConfig) -> PlacedPrint:
-    """What was found, with lines that were taken to fill the film let go along each axis where they then end well
-    inside it, and that explains better what is seen: ends near the edges of a crooked map may not be its own."""
+    """What was found, with lines along an axis no longer taken to fill the film if they then end well inside it and
+    explain better what is seen: lines that end near the edges of a crooked map need not end at the film's."""
     for axis in (0, 1):
         tried = _loose(found, axis, grid)
         if tried is None:
@@ -101,14 +100,14 @@ def unfilled(found: PlacedPrint, fit: Fit, grid: GridConfig, config: MarginsConf
 
 
 def undecided(evidence: Sequence[Evidence], grid: GridConfig, config: MarginsConfig) -> bool:
-    """Whether along some axis the print may have such margins, and is not yet held to them."""
+    """Whether the print may have usual margins along some axis, but is not yet held to them."""
     sources = [e.source for e in evidence if e.source is not None]
     held = {source.axis for source in sources if _held_to_usual(source, grid)}
     return any(source.axis not in held and _nearly_usual(source, config) for source in sources)
 
 
 def in_place(e: Evidence, config: MarginsConfig) -> Evidence:
-    """Evidence of a print whose place is known, with that as a prior; any other as it is."""
+    """Evidence of a print whose place is known, with that place as a prior; any other evidence unchanged."""
     if isinstance(e.source, GridLines) and e.source.centred:
         return _held(e, {0: config.sigma})
     if isinstance(e.source, Repeats) and e.source.filling:
@@ -134,7 +133,8 @@ def _nearly_usual(source: Source, config: MarginsConfig) -> bool:
 def _filling(
     found: PlacedPrint, axis: int, grid: GridConfig, config: MarginsConfig
 ) -> tuple[PlacedPrint, float] | None:
-    """The cells from edge to edge; None where they are so already, or their pitch or place tells otherwise."""
+    """The cells from edge to edge, and what that may cost; None if they are so already, or pitch or place
+    contradict."""
     which, widest = found.along(axis), 0.0
     for k in which:
         source, constants = found.evidence[k].source, found.sheet.constants[k]
@@ -154,8 +154,8 @@ def _filling(
 
 
 def _loose(found: PlacedPrint, axis: int, grid: GridConfig) -> tuple[PlacedPrint, int] | None:
-    """Lines that are taken to fill the film, as of such that need not, and which of the evidence they are; None where
-    there are none. No rules are expected along the film's edges then."""
+    """The print with lines that were taken to fill the film let go, and the index of their evidence; None if there are
+    no such lines. Rules along the film's edges are then no longer expected."""
     for k in found.along(axis):
         source = found.evidence[k].source
         if isinstance(source, Comb) and source.fills_film(grid):
@@ -165,7 +165,7 @@ def _loose(found: PlacedPrint, axis: int, grid: GridConfig) -> tuple[PlacedPrint
 
 
 def _loosened(e: Evidence, grid: GridConfig) -> Evidence:
-    """Evidence of lines or of an edge, as of lines that need not fill the film; any other as it is."""
+    """Evidence of lines or of an edge if lines need not fill the film; any other evidence unchanged."""
     if e.sightings.rule_expected:
         return replace(e, sightings=as_seen(e.sightings))
     if not isinstance(e.source, Comb):
@@ -176,7 +176,7 @@ def _loosened(e: Evidence, grid: GridConfig) -> Evidence:
 
 
 def _margins(found: PlacedPrint, sheet: FittedSheet, which: int) -> float:
-    """How wide the margins on both sides of some of the evidence are together, as a sheet has them."""
+    """Total width of the margins on both sides, from one piece of evidence and the sheet fitted to it."""
     source = found.evidence[which].source
     assert source is not None
     return 1.0 - source.cells * (source.pitch + float(sheet.constants[which][source.pitch_at]))
@@ -185,7 +185,7 @@ def _margins(found: PlacedPrint, sheet: FittedSheet, which: int) -> float:
 def _in_the_middle(
     found: PlacedPrint, axis: int, grid: GridConfig, config: MarginsConfig
 ) -> tuple[PlacedPrint, float] | None:
-    """Lines or borders with margins that are alike; None where none are seen, or they lie elsewhere."""
+    """Lines or borders centred, and what that may cost; None if none are seen, or they lie elsewhere."""
     for k in found.along(axis):
         source, off = found.evidence[k].source, found.sheet.constants[k][0]
         assert source is not None
@@ -195,7 +195,7 @@ def _in_the_middle(
 
 
 def _changed(found: PlacedPrint, which: Sequence[int], change: Callable[[Evidence], Evidence]) -> PlacedPrint:
-    """The same with some of the evidence changed, and what counted of it."""
+    """The same with some of the evidence changed, and likewise the part of it that counted."""
     evidence, seen = (
         tuple(change(e) if k in which else e for k, e in enumerate(each)) for each in (found.evidence, found.seen)
     )
@@ -203,13 +203,13 @@ def _changed(found: PlacedPrint, which: Sequence[int], change: Callable[[Evidenc
 
 
 def _centred(e: Evidence) -> Evidence:
-    """Evidence of lines or borders, as of such whose middle is the film's."""
+    """Evidence of lines or borders whose middle is taken to be the film's."""
     assert isinstance(e.source, GridLines)
     return replace(e, source=replace(e.source, centred=True))
 
 
 def _filled(e: Evidence, config: MarginsConfig) -> Evidence:
-    """Evidence of cells or lines, as of a print without margins."""
+    """Evidence of cells or lines of a print that is taken to have no margins."""
     source = e.source
     assert source is not None
     known = e.sightings.known + e.sightings.shared[:, source.pitch_at] * (1.0 / source.cells - source.pitch)
@@ -221,7 +221,7 @@ def _filled(e: Evidence, config: MarginsConfig) -> Evidence:
 
 
 def _held(e: Evidence, sigma: dict[int, float]) -> Evidence:
-    """The same with other prior deviations of some of the shared constants."""
+    """The same with new prior deviations for some of the shared constants."""
     deviations = e.sightings.shared_sigma.copy()
     for column, value in sigma.items():
         deviations[column] = value

@@ -1,7 +1,7 @@
-"""Windows of each cell matched to the mean cell: for views too crooked for cells to be registered.
+"""Match windows of each cell to the mean cell: for views too crooked for cells to be registered.
 
-A match observes where the cell's content lies relative to the other cells; distortions that all cells share stay
-unknown constants, one for each window, which the sheet's outline has to pin.
+A match observes where the cell's content lies relative to the other cells. Distortions that all cells share remain
+unknown constants, one for each window, which the sheet's outline has to determine.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from hybrid.rectify.repeat import Repeats, cell_moments, detail, shrunk
 from hybrid.rectify.sightings import Sightings
 
 CORRELATED_PX = 10.0
-"""Neighbouring pixels of the view that tell no more than one, as they are correlated."""
+"""Number of neighbouring pixels of the view that count as one, as they are correlated."""
 
 
 @dataclass(frozen=True)
@@ -27,28 +27,28 @@ class MatchConfig:
     """Options of the match of cells. Pixels are those of the view."""
 
     reach_px: int = 8
-    """How far a window is searched."""
+    """How far a window is searched for."""
     fine_px: float = 1.5
     """Details below this size are smoothed away."""
     window_share: float = 0.25
     """Side of a window, as a fraction of the cell's."""
     windows: int = 30
-    """Windows of a cell that are tried: those with most detail."""
+    """Number of windows of a cell that are tried: those with most detail."""
     min_match: float = 0.6
     """Least normalised correlation of a window with the mean cell."""
     slack: float = 0.3
-    """How far a window's typical correlation may lie below the best one's: texts are alike, anatomy is similar, but
-    a view that is still crooked blurs both."""
+    """How far a window's typical correlation may lie below the best one's: texts are alike and anatomy only similar,
+    but a view that is still crooked blurs both."""
     sigma_px: float = 0.5
     """Least noise stated for a match."""
     worst_sigma_px: float = 1.5
-    """A match less exact than this, beside that, does not count."""
+    """A match whose own noise, without that, exceeds this does not count."""
     constant_sigma: float = 0.05
-    """Prior standard deviation of what all cells share in one window, in film units."""
+    """Prior standard deviation of the constant that all cells share in one window, in film units."""
     pitch_sigma: float = 0.02
     """Prior standard deviation of the pitch, in film units."""
     shrink: int = 2
-    """The view is reduced by this factor first: what is searched to a pixel or two shows on a smaller view, too."""
+    """The view is reduced by this factor first: a smaller view is enough for a search to a pixel or two."""
 
     def __post_init__(self) -> None:
         require_at_least(self, 1, "reach_px", "shrink")
@@ -58,7 +58,7 @@ class MatchConfig:
 
 
 def match_cells(view: FilmView, columns: Repeats, rows: Repeats, config: MatchConfig) -> tuple[Sightings, ...]:
-    """Where the content of each cell lies against the mean cell: sightings of u and of v.
+    """Where the content of each cell lies relative to the mean cell: sightings of u and of v.
 
     view: the flat grey film, covering [0, 1]^2.
     """
@@ -70,7 +70,7 @@ def match_cells(view: FilmView, columns: Repeats, rows: Repeats, config: MatchCo
 def _mean_cell(
     image: Float[np.ndarray, "h w"], columns: Repeats, rows: Repeats, config: MatchConfig
 ) -> Float[np.ndarray, "ch cw"]:
-    """The cells' mean in pixels of the image, weighted by how far the cells agree: texts stay, anatomy fades.
+    """The cells' mean in pixels of the image, weighted by how well the cells agree: texts stay, anatomy fades.
 
     The weight is mean^2 / mean square of each pixel's neighbourhood: 1 where all cells are the same.
     """
@@ -87,7 +87,7 @@ def _match_template(
     rows: Repeats,
     config: MatchConfig,
 ) -> tuple[Sightings, ...]:
-    """Windows of one cell matched in all cells. A window counts if the cells show it about as well as the best."""
+    """Windows of one cell matched in all cells. A window counts if the cells show it about as well as the best one."""
     h, w = image.shape
     reach = -(-config.reach_px // config.shrink)
     pitch, first = np.array([columns.pitch, rows.pitch]), np.array([columns.first, rows.first])
@@ -148,7 +148,7 @@ def match_peaks(scores: Float[np.ndarray, "n s s"], noise: float) -> Float[np.nd
     """Shift (x, y) of the best place from the middle, the variances of both in px^2, and the correlation there.
 
     scores: correlation surfaces. noise: one over the number of pixels that count. The variances are infinite where the
-    best place is no peak: at the rim, or on a ridge.
+    best place is no peak: at the rim or on a ridge.
     """
     n, side, _ = scores.shape
     row, column = np.divmod(scores.reshape(n, -1).argmax(axis=1), side)

@@ -1,4 +1,4 @@
-"""Films that lie on each other made into one: a mean weighted by trust, without what differs from the others."""
+"""Merge registered films into one: a mean weighted by trust, without what differs from the others."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from hybrid.threads import in_strips
 Film = Float32[np.ndarray, "h w"]
 
 STRIP_ROWS = 64
-"""Rows of the films whose middle is sought at a time, so that all of them stay in the processor's cache."""
+"""Number of rows whose median is found at a time, so that those of all films stay in the processor's cache."""
 
 
 @dataclass(frozen=True)
@@ -23,11 +23,11 @@ class MergeConfig:
     """How films are merged."""
 
     detail: float = 0.01
-    """Part of the longer side below which changes of grey are detail, and no remains of light."""
+    """Fraction of the longer side below which changes of grey are detail, not remains of light."""
     outlier: float = 0.06
-    """Display grey by which a photo may differ from the others, detail apart, before it is left out."""
+    """Display grey by which a photo may differ from the others, apart from detail, before it is left out."""
     sharpness_px: int = 1024
-    """Longer side of the copies on which films are compared by the detail they hold."""
+    """Longer side of the copies on which the films' detail is compared."""
 
     def __post_init__(self) -> None:
         require_at_least(self, 1e-6, "outlier")
@@ -35,7 +35,7 @@ class MergeConfig:
 
 @dataclass(frozen=True, eq=False)
 class Fused:
-    """The merged film, where no photo tells, how far it can be trusted, and each photo's share in it."""
+    """The merged film, where no photo shows it, how far it can be trusted, and each photo's share in it."""
 
     film: Film
     lost: Bool[np.ndarray, "h w"]
@@ -50,7 +50,7 @@ def reduced(size: tuple[int, ...], longer: int) -> tuple[int, int]:
 
 
 def detail_of(film: Film, unseen: Bool[np.ndarray, "h w"], size: tuple[int, int]) -> Float32[np.ndarray, "sh sw"]:
-    """The film at another size without its slow changes, 0 where it cannot be trusted: light does not change that."""
+    """The film at another size without its slow changes, 0 where it cannot be trusted: light does not affect this."""
     small = cv2.resize(film, size[::-1], interpolation=cv2.INTER_AREA)
     sigma = max(size) / 100
     fine = small - cv2.GaussianBlur(small, (0, 0), sigma)
@@ -64,12 +64,12 @@ def merge(
     trust: Sequence[Film],
     config: MergeConfig,
 ) -> Fused:
-    """One film of several that lie on each other: their mean, weighted by trust, without what differs from the others.
+    """One film from several that cover each other: their mean, weighted by trust, without what differs from the others.
 
-    lost: where a photo tells nothing (glare, something before the film, or beyond the photo's edge). trust: in [0, 1].
+    lost: where a photo shows no film (glare, something in front of it, or beyond the photo's edge). trust: in [0, 1].
 
-    What light leaves behind is broad, and mostly too bright: it is judged on blurred films against their lower median,
-    in which each counts as it is trusted.
+    Remains of light are broad, and mostly too bright: they are judged on blurred films against their lower median,
+    weighted by trust.
     """
     sigma = config.detail * max(films[0].shape)
     broad = [_blurred_where(film, ~gone, sigma) for film, gone in zip(films, lost, strict=True)]
@@ -86,7 +86,7 @@ def merge(
         weight = np.where(gone, np.float32(0), weight + np.float32(1e-4))
         merged += weight * film
         total += weight
-        best = np.maximum(best, np.where(gone, np.float32(0), sure * odd))  # not of what the others do not bear out
+        best = np.maximum(best, np.where(gone, np.float32(0), sure * odd))  # low where the others disagree
         weights.append(weight)
     nowhere = np.logical_and.reduce(list(lost))
     film = np.where(nowhere, films[0], merged / np.maximum(total, np.float32(1e-9)))
@@ -96,24 +96,24 @@ def merge(
 
 
 def _blurred(values: Film, sigma: float) -> Film:
-    """A Gaussian blur, at a quarter of the size where it is wide enough for that not to matter."""
+    """A Gaussian blur, computed at a quarter of the size if it is wide enough for that not to matter."""
     if sigma < 8:
         return cv2.GaussianBlur(values, (0, 0), max(sigma, 0.5))
-    quarter = (max(values.shape[1] // 4, 1), max(values.shape[0] // 4, 1))  # OpenCV scales by just 1 / 4 otherwise
+    quarter = (max(values.shape[1] // 4, 1), max(values.shape[0] // 4, 1))  # OpenCV scales by exactly 1 / 4 otherwise
     small = cv2.resize(values, quarter, interpolation=cv2.INTER_AREA)
     blurred = cv2.GaussianBlur(small, (0, 0), sigma / 4)
     return cv2.resize(blurred, values.shape[::-1], interpolation=cv2.INTER_LINEAR)
 
 
 def _blurred_where(film: Film, known: Bool[np.ndarray, "h w"], sigma: float) -> Film:
-    """The film blurred over what is known of it."""
+    """The film blurred over its known pixels."""
     weight = known.astype(np.float32)
     return _blurred(film * weight, sigma) / np.maximum(_blurred(weight, sigma), np.float32(1e-3))
 
 
 def _middle(values: Sequence[Film], lost: Sequence[Bool[np.ndarray, "h w"]], trust: Sequence[Film]) -> Film:
-    """The lower median at each pixel of the values that are not lost, weighted by their squared trust; of all where all
-    are lost: so several veiled photos do not outvote a clear one, and of two counts the one that is trusted more."""
+    """The lower median at each pixel, weighted by squared trust, of the values that are not lost, or of all where all
+    are lost: several veiled photos do not outvote a clear one, and of two, the one that is trusted more counts."""
     middle = np.empty_like(values[0])
 
     def find(part: slice) -> None:

@@ -1,11 +1,10 @@
-"""The sheet's own edges, found in the photo to a fraction of a pixel, near where a map says that they are.
+"""Find the sheet's own edges in the photo to a fraction of a pixel, near where a map predicts them.
 
-Across each predicted edge the photo is sampled in a band. An edge is where two windows side by side are each
-homogeneous and differ: a printed rule or a text, thinner than a window, spoils its window's homogeneity and so
-is no edge. One path per side, coherent along it, is found by dynamic programming. What lies parallel to the edge, as
-the frame of a print or the sheet's shadow, was told from it before, by a network that reads edges but less exactly
-(edge_paths.py): the path stays near what it read.
-A side that shows no contrast gives no sightings.
+The photo is sampled in a band across each predicted edge. An edge is where two adjacent windows are each homogeneous
+and differ: a printed rule or a text, thinner than a window, spoils its window's homogeneity and so is no edge. Dynamic
+programming finds one coherent path along each side. A network that reads edges, but less exactly (edge_paths.py), has
+already told the edge from what lies parallel to it, such as the frame of a print or the sheet's shadow, and the path
+stays near what it read. A side that shows no contrast gives no sightings.
 """
 
 from __future__ import annotations
@@ -52,21 +51,21 @@ class OutlineConfig:
     sigma_px: float = 0.35
     """Stated noise of one edge point, in pixels."""
     rule_sigma_px: float = 0.25
-    """How far an edge along which a rule is printed may lie from where all its points have it, in pixels."""
+    """Standard deviation of the offset that all points of an edge share if a rule is printed along it, in pixels."""
     covered_px: tuple[float, float] = (0.8, 0.8)
-    """By how much a background that is clipped covers the film's rim, in pixels: mean and standard deviation."""
+    """How far a clipped background covers the film's rim, in pixels: mean and standard deviation."""
     clipped_share: float = 0.7
-    """Share of a side's edge points beyond which all must be clipped for that."""
+    """Share of a side's edge points that must be clipped for that."""
     prior: float = 0.02
-    """Fraction of the film's size at which a path's distance from the prediction costs as much as half a score."""
+    """Distance from the prediction, as a fraction of the film's size, that costs a path half a point of score."""
     read_free: float = 0.002
-    """How far a path may leave where an edge was read before, beyond the stated deviation of that, in film units."""
+    """How far a path may stray at no cost from an edge read before, beyond its stated deviation, in film units."""
     read_prior: float = 0.003
-    """Fraction of the film's size at which going further costs as much as half a score."""
+    """Further distance, as a fraction of the film's size, that costs half a point of score."""
     held_prior: float = 0.0005
-    """The same where paths are held to what was read, and are not free beside it."""
+    """The same where paths are held to what was read, with no free distance."""
     read_near: float = 0.025
-    """How near along the edge it must have been read, in film units."""
+    """How near along the side an edge must have been read for that to count, in film units."""
 
     def __post_init__(self) -> None:
         require_at_least(self, 4, "profiles")
@@ -77,16 +76,16 @@ class OutlineConfig:
 
     @property
     def held(self) -> OutlineConfig:
-        """The same, with paths held to where edges were read, whatever else looks like one beside."""
+        """The same, with paths held to where edges were read, whatever else looks like one nearby."""
         return replace(self, read_free=0.0, read_prior=self.held_prior)
 
 
 _NOWHERE = -10.0
 """Score of rows that may not be chosen: so low that no path goes there while there is another way."""
 LEAST_FRAMED = 2
-"""Sides that must show a frame for it to be one."""
+"""Number of sides that must show a frame for it to count."""
 _ALL = np.ones(3, np.float32)
-"""Sums over the colours by a product, which is quicker along so short an axis."""
+"""Sums over the colours as a matrix product, which is faster along so short an axis."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,8 +110,8 @@ def find_outline(
 ) -> tuple[Sightings, ...]:
     """Sightings of the sheet's edges through the map, one record for each side on which an edge is seen.
 
-    read: the edges as they were read before (edge_paths.py), through the map; of what looks like an edge, what lies
-    there is one.
+    read: the edges as they were read before (edge_paths.py), through the map; of several lines that look like an edge,
+    the one nearby is taken.
     """
     strips = [sample_strip(photo, backward, side, config) for side in SIDES]
     deepest = max(len(strip.depth) for strip in strips)
@@ -137,7 +136,7 @@ def find_outline(
 
 
 def _ends(strips: Sequence[Strip], paths: Int[np.ndarray, "b p"], read: Sequence[Sightings]) -> list[EndOfSheet]:
-    """Where the sheet ends on each side. A print with a rule along one edge has mostly one along each; a frame is one
+    """Where the sheet ends on each side. A print with a rule along one edge mostly has one along each; a frame counts
     only if two sides have it."""
     profiles = [profiles_along(strip.image, path) for strip, path in zip(strips, paths, strict=True)]
 
@@ -155,7 +154,7 @@ def _ends(strips: Sequence[Strip], paths: Int[np.ndarray, "b p"], read: Sequence
 
 
 def _where_read(end: EndOfSheet, strip: Strip, side: Side, read: Sequence[Sightings]) -> bool:
-    """Whether a frame ends the sheet: the edge was read nearer to its outer flank than to the inner one."""
+    """Whether a frame ends the sheet: the edge was read nearer to its outer flank than to its inner one."""
     of_side = _read_of(side, read)
     if not end.has_frame or not of_side:
         return False
@@ -166,7 +165,7 @@ def _where_read(end: EndOfSheet, strip: Strip, side: Side, read: Sequence[Sighti
 
 
 def _prior(strip: Strip, read: Sequence[Sightings], side: Side, config: OutlineConfig) -> Float[np.ndarray, "d p"]:
-    """What each place costs a path: by its distance from the prediction, and from where the edge was read."""
+    """Cost of each place for a path: by its distance from the prediction and from where the edge was read."""
     cost = np.repeat(0.5 * np.square(strip.depth / config.prior)[:, None], len(strip.along), axis=1)
     for edge in read:
         along, depth, sigma = _depth_read(edge, side)
@@ -178,7 +177,7 @@ def _prior(strip: Strip, read: Sequence[Sightings], side: Side, config: OutlineC
 
 
 def _read_of(side: Side, read: Sequence[Sightings]) -> list[Sightings]:
-    """What was read of one side."""
+    """The edge of one side, if it was read."""
     return [edge for edge in read if (edge.axis, edge.known[0]) == (side.axis, side.edge)]
 
 
@@ -204,14 +203,14 @@ def sample_strip(photo: UInt8[np.ndarray, "H W 3"], backward: BackwardMap, side:
 
 
 def half_band(pixel: float, config: OutlineConfig) -> float:
-    """Half width of the search band, in film units, where a row is ``pixel`` of them."""
+    """Half width of the search band, in film units, for rows of ``pixel`` film units."""
     return max(config.band, config.least_px * pixel)
 
 
 def edge_score(strip: Strip, config: OutlineConfig) -> Float[np.ndarray, "d p"]:
     """How much row k looks like the sheet's edge: differing, homogeneous windows on both sides; 0 outside the photo.
 
-    Half of the score lets a gap between the windows, where a rule printed on the very edge may hide.
+    Half of the score leaves a gap between the windows, where a rule printed on the very edge may hide.
     """
     levels = strip.image - strip.image.mean(axis=(0, 1))  # float32 holds sums of the squares of these well enough
     near = [_window_score(levels, w, 1, config.noise_levels) for w in config.windows_px]
@@ -243,8 +242,8 @@ def _side_sightings(
     end: EndOfSheet,
     config: OutlineConfig,
 ) -> Sightings:
-    """The edge along one strip where it is seen well. A rule hides a little of where it lies, and so does clipping:
-    what is blurred of a background that is far brighter than the photo can show covers the film's rim."""
+    """The edge along one strip where it is seen well. A rule makes its place a little uncertain, and so does clipping:
+    the blur of a background that is far brighter than the photo can show covers the film's rim."""
     sigma = config.sigma_px * strip.pixel * np.sqrt(np.clip(4.0 / at_path[good], 1.0, 4.0))
     along, depth = strip.along[good], depth[good]
     if end.clipped[good].mean() > config.clipped_share:
@@ -259,24 +258,24 @@ def _side_sightings(
 def edge_sightings(
     side: Side, along: Float[np.ndarray, " n"], depth: Float[np.ndarray, " n"], sigma: Float[np.ndarray, " n"]
 ) -> Sightings:
-    """An edge seen at these places along a side, so far inside of where a map has it."""
+    """An edge seen at these places along a side, this far inside of where a map has it."""
     n = len(along)
     seen = side.film_points(along, depth)
     return Sightings(side.axis, seen, np.full(n, side.edge), sigma, np.zeros((n, 0)), np.zeros(0))
 
 
 def _may_shift(edge: Sightings, sigma: float) -> Sightings:
-    """An edge of which the place is known no better than that, in film units; its shape is."""
+    """An edge that may be shifted as a whole, with this deviation in film units; its shape stays as seen."""
     return replace(edge, shared=np.ones((len(edge), 1)), shared_sigma=np.array([sigma]))
 
 
 def expecting_rule(edge: Sightings, width: float) -> Sightings:
-    """An edge along which a rule so wide (film units) may be printed that was not told from it."""
+    """An edge along which a rule this wide (film units) may be printed that was not distinguished from it."""
     return replace(_may_shift(edge, width), rule_expected=True)
 
 
 def as_seen(edge: Sightings) -> Sightings:
-    """An edge along which a rule was expected, without that: its place is the one that is seen."""
+    """An edge along which a rule was expected, freed of that: its place is where it is seen."""
     return replace(edge, shared=edge.shared[:, :0], shared_sigma=edge.shared_sigma[:0], rule_expected=False)
 
 

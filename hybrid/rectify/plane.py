@@ -1,4 +1,4 @@
-"""Flat films: where all four edges of the sheet are straight, their lines give the whole map, a homography."""
+"""Flat films: where all four edges of the sheet are straight, their lines determine the whole map, a homography."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from hybrid.rectify.tps import mad_sigma, tukey_weights
 from hybrid.strips import SIDES
 
 PARTS = 8
-"""Parts of an edge that must each lie on its line: an arc, a wave or a curled corner shows in some of them."""
+"""Parts of an edge, each of which must lie on its line: an arc, a wave or a curled corner shows in some of them."""
 
 EXPECTED_ERROR = 5e-4
 """Median error of the map of a flat film, in parts of its size; 0.1 to 1 on flat films of the generator."""
@@ -32,16 +32,16 @@ EXPECTED_ERROR = 5e-4
 
 @dataclass(frozen=True)
 class PlaneConfig:
-    """When a film is taken for flat. All in parts of the film's size."""
+    """When a film is taken to be flat. Lengths are in parts of the film's size."""
 
     max_off: float = 0.015
-    """Largest distance of the network's map from the nearest plane: beyond, edges are not looked at."""
+    """Largest distance of the network's map from that of the nearest plane: beyond it, edges are not examined."""
     max_bend: float = 0.001
     """Largest distance of a part of an edge from the edge's line."""
     max_shift: float = 0.03
-    """Largest distance of a corner by the edges from the corner by the network's map."""
+    """Largest distance between a corner as the edges give it and as the network's map does."""
     min_parts: int = 6
-    """Of the eight parts of each edge, so many must be seen."""
+    """How many of the eight parts of each edge must be seen."""
 
     def __post_init__(self) -> None:
         require_at_most(self, PARTS, "min_parts")
@@ -51,7 +51,7 @@ class PlaneConfig:
 class EdgeLine:
     """An edge as a line, ``across = at + slope * along`` in film coordinates.
 
-    bend: largest distance of a part of the edge from it. parts: of PARTS, how many are seen.
+    bend: largest distance of a part of the edge from the line. parts: how many of the PARTS are seen.
     """
 
     at: float
@@ -68,15 +68,15 @@ def flat_film(
     refine: RefineConfig,
     config: PlaneConfig,
 ) -> Refinement:
-    """The map of a flat film by the lines of its edges, with the grid that shows through it.
+    """The map of a flat film from the lines of its edges, with the grid that shows through it.
 
-    coarse: the network's map. phases: what it tells of the cells. edges: as they were read (edge_paths.py), through
-    ``coarse``. The map comes back, without expected_px, where the film is not surely flat.
+    coarse: the network's map. phases: what the network says about the cells. edges: as read (edge_paths.py) through
+    ``coarse``. Where the film is not surely flat, returns that map without expected_px.
     """
     start = perf_counter()
     decision, plane = survey_plane(coarse, config.max_off)
     found, evidence, lines = None, decision.reason, []
-    if decision.yes:  # straight edges are straight as the nearest plane sheet shows them
+    if decision.yes:  # edges that are straight look straight through the map of the nearest plane sheet
         read = carried(edges, coarse, plane)
         lines = [edge_line(edge) for edge in find_outline(photo, plane, refine.outline, read)]
         found, evidence = plane_by_edges(lines, plane, config)
@@ -91,7 +91,7 @@ def flat_film(
 def plane_by_edges(
     lines: Sequence[EdgeLine], plane: BackwardMap, config: PlaneConfig
 ) -> tuple[BackwardMap | None, str]:
-    """The homography by the edges' lines, seen through ``plane``; None where the film is not surely flat; evidence."""
+    """The homography from the edges' lines as seen through ``plane``, or None if not surely flat; and the evidence."""
     if len(lines) < len(SIDES):
         return None, f"{len(lines)} of 4 edges seen"
     bend, parts = max(line.bend for line in lines), min(line.parts for line in lines)
@@ -112,7 +112,7 @@ def plane_by_edges(
 
 
 def edge_line(side: Sightings) -> EdgeLine:
-    """The line along an edge, by robust least squares, and how far the edge leaves it."""
+    """The line along an edge, by robust least squares, and how far the edge departs from it."""
     along, across = side.seen[:, 1 - side.axis], side.seen[:, side.axis]
     rows = np.stack([np.ones_like(along), along], axis=1)
     weight = np.ones(len(along))
@@ -127,7 +127,7 @@ def edge_line(side: Sightings) -> EdgeLine:
 
 
 def film_corners(lines: Sequence[EdgeLine]) -> Float[np.ndarray, "4 2"]:
-    """Where the edges' lines (top, bottom, left, right) meet, in the order of ``film_nodes((2, 2))``."""
+    """Where the lines of the edges (top, bottom, left, right) meet, in the order of ``film_nodes((2, 2))``."""
     top, bottom, left, right = lines
     corners = []
     for across in (top, bottom):

@@ -1,8 +1,8 @@
-"""A coarse backward map made exact to a fraction of a pixel by what the photo shows of the sheet and its print.
+"""Refines a coarse backward map to a fraction of a pixel by what the photo shows of the sheet and its print.
 
-From a map to start from, the sheet's edges and what is printed on it are looked for, round for round, and fitted by a
-smooth displacement (course.py). Then one bent sheet that does not stretch, or hardly, is fitted to all that was seen
-(sheet_fit.py), and all is looked for again through its map: that counts if it explains what is seen as well.
+Starting from a map, each round searches for the sheet's edges and its print and fits a smooth displacement to them
+(course.py). Then one bent sheet that does not stretch, or hardly, is fitted to all that was seen (sheet_fit.py), and
+everything is searched for again through its map: the result counts if it explains what is seen as well.
 """
 
 from __future__ import annotations
@@ -38,11 +38,11 @@ from hybrid.rectify.sightings import Sightings
 
 @dataclass(frozen=True)
 class _Trend:
-    """Logarithm of the error that is left, as a linear function of what is known: a constant and slopes.
+    """Logarithm of the remaining error, as a linear function of what is known: a constant and slopes.
 
-    apart: by the logarithm of how far apart the two ends are, in percent of the film. residual: by that of the
-    held-out residual. unseen: added where no cells were matched. whole: by the number of axes of which all lines were
-    seen. sheet: added where an unstretched sheet explains what is seen.
+    apart: for the logarithm of how far apart the two ends are, in percent of the film. residual: for the logarithm of
+    the held-out residual. unseen: added where no cells were matched. whole: for the number of axes on which all lines
+    were seen. sheet: added where an unstretched sheet explains what is seen.
     """
 
     constant: float
@@ -55,23 +55,23 @@ class _Trend:
 
 EXPECTED = _Trend(-4.37, 1.0, 0.75, 0.55, -0.25, -0.43)
 """Ridge regression (of absolute deviations) over 250 simulated photos of the training scans, a fifth of them damaged.
-Half of the errors are smaller than it says; the logarithm spreads by 1.2: one in ten is over 3.8 times as large."""
+Half of the errors are smaller than predicted; the logarithm spreads by 1.2: one in ten is over 3.8 times as large."""
 
 UNKNOWN_APART = 0.008
-"""Stands for how far apart two ends are where there is only one, in parts of the film."""
+"""Assumed distance between the two ends where there is only one, in parts of the film."""
 
 
 @dataclass(frozen=True, eq=False)
 class Refinement:
     """A refined map, the slice grid if one was found, and what was done.
 
-    expected_px: mean end-point error that is left, in pixels of the photo, as such evidence goes (EXPECTED); None where
-        the coarse map was kept.
+    expected_px: expected mean end-point error that is left (EXPECTED), in pixels of the photo; None where the coarse
+        map was kept.
     edges: number of the sheet's edges that were seen.
     aspect: height over width of the unstretched sheet that explains what is seen; None where none does. aspect_sigma:
         standard deviation of its logarithm.
-    stands: whether what was seen bears the map out, also one that was kept as no other explains that better.
-    across: the sheet's edges as they were read across the map's (edge_paths.py); None where that was not looked at.
+    stands: whether what was seen bears the map out, even a coarse map kept because no other explains that better.
+    across: the sheet's edges as read across the map's (edge_paths.py); None where they were not read.
     """
 
     backward: BackwardMap
@@ -86,7 +86,7 @@ class Refinement:
 
     @property
     def believed(self) -> bool:
-        """Whether what was found is another map, and taken for better than the one that it started from."""
+        """Whether another map was found and is taken to be better than the one it started from."""
         return self.expected_px is not None
 
 
@@ -99,10 +99,10 @@ def refine(
 ) -> Refinement:
     """The coarse map, corrected where the photo shows how.
 
-    photo: RGB, the one that ``coarse`` maps into, as large as it has to be (config.working_px). phases: what the
-    network tells of the cells. edges: as they were read (edge_paths.py), through ``coarse``. Returns the coarse map
-    itself where nothing was seen, where the correction does not explain the photo better, or where it would fold the
-    film or move it too far; the report of stage ``spline`` says which. Raises nothing on any photo.
+    photo: RGB, the one that ``coarse`` maps into, as large as needed (config.working_px). phases: what the network says
+    about the cells. edges: as read (edge_paths.py) through ``coarse``. Returns the coarse map itself where nothing was
+    seen, where the correction does not explain the photo better, or where it would fold the film or move it too far;
+    the report of stage ``spline`` says which. Raises nothing on any photo.
     """
     watch = Stopwatch()
     scene = scene_of(photo, coarse, phases, tuple(edges))
@@ -148,7 +148,7 @@ def refine(
 
 
 def _about_sheet(sheet: FittedSheet | None, config: RefineConfig) -> str:
-    """What the report says of the sheet that explains what is seen, or (None) of there being none."""
+    """What the report says about the sheet that explains what is seen, or about there being none (None)."""
     if not config.sheet_rounds:
         return "no sheet is fitted in this effort"
     if sheet is None:
@@ -160,13 +160,13 @@ def _about_sheet(sheet: FittedSheet | None, config: RefineConfig) -> str:
 def _film_of(
     points: Float[np.ndarray, "r c 2"], film: BackwardMap, near: Float[np.ndarray, "r c 2"]
 ) -> Float[np.ndarray, "r c 2"]:
-    """Film coordinates, by a map, of photo points whose coordinates are known nearly."""
+    """Film coordinates, by a map, of photo points whose coordinates are roughly known."""
     return film.film_near(points.reshape(-1, 2), near.reshape(-1, 2)).reshape(near.shape)
 
 
 def _course(begun: Progress, config: RefineConfig, watch: Stopwatch) -> Course | None:
-    """All rounds from one map to start from, and then from the unstretched sheets that explain what they saw, if that
-    explains it as well. None where nothing is seen."""
+    """All rounds from a starting map, then those from the unstretched sheets that explain what was seen, if these
+    explain it as well. None where nothing is seen."""
     progress = followed(begun, config, watch)
     if progress is None:
         return None
@@ -189,10 +189,10 @@ def _course(begun: Progress, config: RefineConfig, watch: Stopwatch) -> Course |
 
 def _better(free: Course, bound: Course, config: RefineConfig, watch: Stopwatch) -> Course:
     """The less doubtful course: doubt is the residual over the square of how alike the cells look. Neither alone tells:
-    cells look alike through a sheet that is bent wrongly, too, and what misleads a sheet fits it.
+    cells also look alike through a wrongly bent sheet, and the sightings that misled a sheet do fit it.
 
-    ``bound`` ends with a sheet, which films are, so it counts if it is hardly more doubtful. A course that is believed
-    is better than one that is not.
+    ``bound`` ends with a sheet, as films are, so it counts even if it is slightly more doubtful. A course that is
+    believed is better than one that is not.
     """
     if free.believed != bound.believed:
         return bound if bound.believed else free
@@ -203,8 +203,8 @@ def _better(free: Course, bound: Course, config: RefineConfig, watch: Stopwatch)
 
 
 def _apart(one: Course, other: Course) -> float:
-    """Mean distance between the maps that two courses end with, but for a shift of the whole film, in parts of its
-    longer side: where between its margins the grid lies only the sheet tells."""
+    """Mean distance between the final maps of two courses, up to a shift of the whole film, in parts of its longer
+    side: only the sheet tells where between the margins the grid lies."""
     ends = [end.scene.coarse.photo_from_film(end.displacement(film_nodes((9, 9)))) for end in (one, other)]
     apart = ends[1] - ends[0]
     apart -= apart.mean(axis=(0, 1))
@@ -212,10 +212,10 @@ def _apart(one: Course, other: Course) -> float:
 
 
 def _expected_share(course: Course) -> float:
-    """The error that is left, in parts of the film's longer side, by what is known at the end of a course.
+    """The error that is expected to be left at the end of a course, in parts of the film's longer side.
 
-    Where the rounds and the unstretched sheet end tells most: what leads the one astray seldom leads the other the same
-    way. EXPECTED says how this was calibrated.
+    The distance between the ends of the rounds and of the unstretched sheet tells most: what leads one astray seldom
+    leads the other the same way. EXPECTED says how this was calibrated.
     """
     layout, trend = course.layout, EXPECTED
     whole = sum(comb is not None and len(comb.seen) > comb.cells for comb in layout.combs)

@@ -1,4 +1,4 @@
-"""Cells that look alike: what a film without rules still tells about its grid.
+"""Cells that look alike: what even a film without rules tells about its grid.
 
 Corner texts, scale bars and tables are printed at the same place of every cell, and slices of one series look
 alike. The pitch shows in the autocorrelation of the flat film. Then the cells are matched (match.py) and registered
@@ -51,14 +51,14 @@ class Repeats:
     cells: int
     filling: bool = False
     pitch_at: ClassVar[int] = -1
-    """Which of the constants that its sightings share is the pitch's."""
+    """Index of the pitch among the constants that its sightings share."""
 
     def lines(self) -> Float[np.ndarray, " n"]:
         """Film coordinates of the cells' ends."""
         return self.first + self.pitch * np.arange(self.cells + 1)
 
     def adjusted(self, constants: Float[np.ndarray, " g"]) -> Repeats:
-        """With the pitch that a fit of its matches found; the place, which texts do not tell, stays centred."""
+        """With the pitch found by a fit of its matches; the place, which texts do not determine, stays centred."""
         pitch = float(np.clip(self.pitch + constants[self.pitch_at], 0.5 * self.pitch, 1.0 / self.cells))
         return replace(self, first=0.5 * (1.0 - self.cells * pitch), pitch=pitch)
 
@@ -72,8 +72,8 @@ def shrunk(image: Float[np.ndarray, "h w"], factor: int) -> Float[np.ndarray, "s
 
 
 def detail(image: Float[np.ndarray, "h w"], fine: float, coarse: float) -> Float[np.ndarray, "h w"]:
-    """The image without its light (scales above ``coarse`` px) and noise (below ``fine`` px), strong contrasts cut."""
-    # What is smooth over ``coarse`` px is as smooth on a copy a third of the size, and nine times as quick to find.
+    """The image without its light (scales above ``coarse`` px) and noise (below ``fine`` px), high contrast clipped."""
+    # What is smooth over ``coarse`` px is as smooth on a copy a third of the size, and found nine times as fast there.
     light = cv2.resize(
         cv2.GaussianBlur(shrunk(image, 3), (0, 0), coarse / 3), image.shape[::-1], interpolation=cv2.INTER_LINEAR
     )
@@ -83,7 +83,7 @@ def detail(image: Float[np.ndarray, "h w"], fine: float, coarse: float) -> Float
 
 
 def find_repeats(grey: Float[np.ndarray, "h w"], config: RepeatConfig) -> tuple[Repeats | None, Repeats | None]:
-    """The pitch at which the flat film looks like itself along u and along v; None where it does not."""
+    """The pitch at which the flat film repeats itself along u and along v; None where it does not."""
     band = detail(shrunk(grey, 2), 2.0, 8.0)
     return _repeats_along(0, autocorrelation(band), config), _repeats_along(1, autocorrelation(band.T), config)
 
@@ -106,8 +106,9 @@ def _repeats_along(axis: int, curve: Float[np.ndarray, " n"], config: RepeatConf
 def _peak_chain(curve: Float[np.ndarray, " n"], cells: int, config: RepeatConfig) -> tuple[float, float] | None:
     """Correlation at one pitch, and the pitch in film units, if the film repeats ``cells`` times; else None.
 
-    The peaks at 1, 2, ... pitches are followed, each from the last: the map is not yet straight, and the longest
-    lag averages over most of the film. A peak must be one (not a slope), and lie where ``cells`` cells fit best.
+    The peaks at 1, 2, ... pitches are followed, each from the last: the map is not yet straight, and the longest lag
+    averages over most of the film. Each must be a real peak (not a slope), and ``cells`` must be the number of cells
+    that fits the pitch best.
     """
     n = len(curve)
     low, high = int((1.0 - 2.0 * config.margin) / cells * n), int(np.ceil((1.0 + config.stretch) / cells * n))
@@ -141,7 +142,7 @@ def autocorrelation(band: Float[np.ndarray, "h w"]) -> Float[np.ndarray, " n"]:
     w = band.shape[1]
     size = 2 * cv2.getOptimalDFTSize(w)
     padded = cv2.copyMakeBorder(band, 0, 0, 0, size - w, cv2.BORDER_CONSTANT)
-    spectrum = cv2.dft(padded, flags=cv2.DFT_ROWS)  # real and imaginary parts by turns, but the first and the last
+    spectrum = cv2.dft(padded, flags=cv2.DFT_ROWS)  # real and imaginary parts in turn, but for the first and last
     squares = cv2.reduce(cv2.multiply(spectrum, spectrum), 0, cv2.REDUCE_SUM, dtype=cv2.CV_64F)[0]
     power = np.concatenate([squares[:1], squares[1:-1:2] + squares[2:-1:2], squares[-1:]])
     products = np.fft.irfft(power, size)[:w]
@@ -157,9 +158,9 @@ def autocorrelation(band: Float[np.ndarray, "h w"]) -> Float[np.ndarray, " n"]:
 def cell_corners(
     image: Float[np.ndarray, "h w"], columns: Repeats, rows: Repeats, number: Int[np.ndarray, "n 2"]
 ) -> tuple[tuple[int, int], Float[np.ndarray, "n 2"]]:
-    """Size (width, height) of all cells in pixels of the image, and the corners (x, y) of some, in OpenCV's pixels.
+    """Size (width, height) of any cell in pixels of the image, and corners (x, y) of some cells in OpenCV's pixels.
 
-    number: (column, row) of each of these.
+    number: (column, row) of each of these cells.
     """
     h, w = image.shape
     size = (max(8, round(columns.pitch * w)), max(8, round(rows.pitch * h)))
@@ -170,7 +171,7 @@ def cell_corners(
 def _cell_image(
     image: Float[np.ndarray, "h w"], columns: Repeats, rows: Repeats, column: int, row: int
 ) -> Float[np.ndarray, "ch cw"]:
-    """One cell in pixels of the view, shifted by the fraction of a pixel that brings its corner to a pixel's."""
+    """One cell in pixels of the view, shifted by a fraction of a pixel so that its corner falls on a pixel's."""
     size, ((x, y),) = cell_corners(image, columns, rows, np.array([[column, row]]))
     shift = np.array([[1.0, 0.0, x], [0.0, 1.0, y]])
     return cv2.warpAffine(
@@ -181,8 +182,8 @@ def _cell_image(
 def cell_agreement(view: FilmView, columns: Repeats, rows: Repeats, fine_px: float = 0.7) -> float:
     """Share of the fine detail that all cells have in common, in [0, 1]: largest where the cells are straight.
 
-    Texts and scale bars a pixel off lower it, and it knows nothing of the matches that a map was made from:
-    an independent judge of maps made from them.
+    Texts and scale bars that are a pixel off lower it. It does not use the matches that a map was made from, so it is
+    an independent judge of such maps.
     """
     image = detail(view.image[..., 0], fine_px, 4.0 * fine_px + 4.0)
     mean, square = cell_moments(image, columns, rows)

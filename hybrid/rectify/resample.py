@@ -14,14 +14,14 @@ from hybrid.pyramid import Pyramid
 from hybrid.threads import in_strips
 
 SHRINK_LIMIT = 2.4
-"""Photo pixels per film pixel, along an axis, above which the photo is halved first. Up to there interpolation comes as
-near to an area average of a print's texts as it does on the halved photo (40 to 43 dB); above, it aliases."""
+"""Photo pixels per film pixel, along an axis, above which the photo is halved first. Up to this limit, interpolation
+comes as near to an area average of a print's texts as on the halved photo (40 to 43 dB); above, it aliases."""
 STRIP_ROWS = 128
-"""Rows of the film that are made at a time."""
+"""Rows of the film made at a time."""
 LEAST_WEIGHT = 1e-7
-"""Weights of nodes below which single precision knows nothing of them."""
+"""Weights of nodes below this are lost in single precision."""
 MARGIN_PX = 8
-"""Photo pixels kept around the film when the photo is cropped: more than any interpolation kernel reaches."""
+"""Photo pixels kept around the film when the photo is cropped: more than the reach of any interpolation kernel."""
 
 
 @dataclass(frozen=True)
@@ -29,14 +29,14 @@ class ResampleConfig:
     """How the photo's pixels are interpolated."""
 
     cubic_below: float = 1.0
-    """Photo pixels per film pixel, along an axis, below which interpolation is cubic, for 2.5 times the time of linear.
-    Against an area average of a print's texts cubic gains 3 dB at 0.7 (34 against 32 dB) and at 1 (40 against 37, far
-    above all other errors of a film), nothing at 1.4, and loses from there on (at 1.8: 41 against 47). 0: never."""
+    """Photo pixels per film pixel, along an axis, below which interpolation is cubic, at 2.5 times the cost of linear.
+    Against an area average of a print's texts, cubic gains 3 dB at 0.7 (34 against 32 dB) and at 1 (40 against 37, far
+    above all other errors of a film), nothing at 1.4, and loses beyond (at 1.8: 41 against 47). 0: never."""
 
 
 @dataclass(frozen=True, eq=False)
 class Rectified:
-    """The flat film with its light. image: (h, w, 3) uint8 sRGB, black where not ``valid``. valid: inside the photo."""
+    """The flat film, light kept. image: (h, w, 3) uint8 sRGB, black where not ``valid``. valid: inside the photo."""
 
     image: UInt8[np.ndarray, "h w 3"]
     valid: Bool[np.ndarray, "h w"]
@@ -54,23 +54,23 @@ def rectify_photo(
 ) -> Rectified:
     """The film, flat, in ``size`` (h, w) pixels, interpolated once from the full-resolution photo.
 
-    A photo of far more pixels than the film is interpolated from its copy of half the size, or less.
+    A photo with far more pixels than the film is interpolated from a copy of half its size, or less.
     """
     pyramid = photo if isinstance(photo, Pyramid) else Pyramid(photo)
     shrink = photo_per_film_pixel(backward, size)
     part, factor = pyramid.reduced(2.0 * shrink / SHRINK_LIMIT)
-    whole = np.array(pyramid.photo.shape[1::-1]) / factor  # a copy lacks what halving left over of it
+    whole = np.array(pyramid.photo.shape[1::-1]) / factor  # a copy lacks the remainder that halving dropped
     backward, shrink = backward.cropped((0.0, 0.0), (1.0 / factor, 1.0 / factor)), shrink / factor
     low = np.maximum(np.floor(backward.nodes.min(axis=(0, 1))) - MARGIN_PX, 0).astype(int)
     high = np.minimum(np.ceil(backward.nodes.max(axis=(0, 1))) + MARGIN_PX, part.shape[1::-1]).astype(int)
     if (high - low < 2).any():
         return Rectified(np.zeros((*size, 3), np.uint8), np.zeros(size, bool))
     surely_inside = _surely_inside(backward, whole)
-    part = part[low[1] : high[1], low[0] : high[0]]  # OpenCV reads no picture of more than 32,767 pixels a side
+    part = part[low[1] : high[1], low[0] : high[0]]  # OpenCV reads no image of more than 32,767 pixels a side
     image = np.empty((*size, 3), np.uint8)
     valid = np.ones(size, bool)
     weights_v, columns_x, columns_y = _opencv_columns(backward.cropped((float(low[0]), float(low[1]))), size)
-    # OpenCV's cubic steps of 1/32 px do not show; Lanczos gains another 0.3 dB for five times the time, and rings.
+    # OpenCV's cubic steps of 1/32 px do not show; Lanczos gains another 0.3 dB at five times the cost, and rings.
     method = cv2.INTER_CUBIC if shrink < (config or ResampleConfig()).cubic_below else cv2.INTER_LINEAR
 
     def read(rows: slice) -> None:
@@ -81,7 +81,7 @@ def rectify_photo(
             valid[rows] = _inside(map_x, map_y, whole - low)
             image[rows] *= valid[rows, :, None]
 
-    in_strips(read, size[0], STRIP_ROWS)  # the two maps in the cache: that halves the time on top of the remap
+    in_strips(read, size[0], STRIP_ROWS)  # the two maps stay in the cache: this halves the time on top of the remap
     return Rectified(image, valid)
 
 
@@ -90,8 +90,8 @@ def index_in_grid(
 ) -> tuple[Float[np.ndarray, "*n"], Float[np.ndarray, "*n"]]:
     """Fractional (column, row) of photo points in a map whose pixel centres lie at ``photo_points``.
 
-    Exact at once where these are a plane seen aslant, as of a window of the photo and of a film flattened by a plane's
-    map; what bends them is followed by a few corrections. Beyond the grid it goes on as the plane does.
+    Exact at once where these are a plane seen aslant, as for a window of the photo or a film flattened by a plane's
+    map; a few corrections follow any bending. Beyond the grid, the index goes on as the plane does.
     """
     origin, last = photo_points[0, 0].astype(np.float64), np.array(photo_points.shape[1::-1]) - 1
     grid = photo_points - origin
@@ -120,7 +120,7 @@ def _opencv_columns(
 ) -> tuple[Float[np.ndarray, "h gh"], Float[np.ndarray, "gh w"], Float[np.ndarray, "gh w"]]:
     """Factors (float32) of OpenCV's two maps at the film's pixel centres: rows times columns of x, and of y.
 
-    The shift between the frames is taken off the nodes, not off millions of pixels: the weights sum to one.
+    The shift between the frames is subtracted from the nodes, not from millions of pixels: the weights sum to one.
     """
     nodes = opencv_from_photo(backward.nodes)
     along_v = spline_weights(nodes.shape[0], film_centres_1d(size[0])).astype(np.float32)
@@ -129,8 +129,8 @@ def _opencv_columns(
 
 
 def _near_rows(weights: Float[np.ndarray, "h gh"]) -> tuple[Float[np.ndarray, "h n"], slice]:
-    """The weights of the rows of nodes that matter to some rows of pixels, and which: a spline's weights fall off by
-    0.27 from node to node, and a map of many nodes is then read several times as fast."""
+    """The weights of those rows of nodes that matter to some rows of pixels, and which: a spline's weights fall off by
+    0.27 from node to node, so a map of many nodes is read several times as fast."""
     rows = np.flatnonzero(np.abs(weights).max(axis=0) > LEAST_WEIGHT)
     near = slice(rows[0], rows[-1] + 1)
     return weights[:, near], near
@@ -138,7 +138,7 @@ def _near_rows(weights: Float[np.ndarray, "h gh"]) -> tuple[Float[np.ndarray, "h
 
 def _surely_inside(backward: BackwardMap, end: Float[np.ndarray, "2"]) -> bool:
     """True where the nodes alone show that the whole film lies within an image that ends at ``end``: the usual case."""
-    # between nodes the spline leaves their range by far less than the distance of the outermost ones from the next
+    # between nodes the spline leaves their range by far less than the distance from the outermost ones to the next
     spare = float(max(np.abs(np.diff(backward.nodes, axis=k)).max() for k in range(2)))
     return bool((backward.nodes > spare / 8).all() and (backward.nodes < end - spare / 8).all())
 

@@ -1,9 +1,9 @@
 """The film's outermost pixels in a view of it: what lies beyond the sheet shines into them.
 
-The photo's blur mixes film and background there. Where a text stands near the sheet's edge, cells at that edge then
-look shifted against those inside, which have no background beside them, by up to a third of a pixel: more than their
-texts are found to. The next pixels inside are put in the place of these, unless rules are printed between the cells:
-half a rule then lies along the sheet's edge, and tells more than the background takes.
+The photo's blur mixes film and background there. Where a text lies near the sheet's edge, cells at that edge then look
+shifted against those inside, which have no background beside them, by up to a third of a pixel: texts are located more
+exactly than that. The next pixels inside replace the outermost ones, unless rules are printed between the cells; half
+a rule then lies along the sheet's edge, and tells more than the background spoils.
 """
 
 from __future__ import annotations
@@ -19,26 +19,26 @@ from hybrid.rectify.layout import Layout
 from hybrid.rectify.repeat import Repeats
 
 NEAR = np.arange(-2, 2)
-"""Pixels from where cells meet, in which a rule is looked for."""
+"""Pixels around where cells meet, in which a rule is looked for."""
 AFTER = np.arange(3, 6)
 BEFORE = -1 - AFTER
-"""Those beside, on either side."""
+"""Pixels beside these, on either side."""
 
 
 @dataclass(frozen=True)
 class RimConfig:
-    """Options of the rim."""
+    """Options of the correction of the rim."""
 
     width_px: int = 2
-    """Width of what is put right, in pixels of the view; 0: nothing is."""
+    """Width of the rim that is replaced, in pixels of the view; 0: nothing is."""
     rule: float = 2.0
     """Grey levels (of 255) by which a rule between the cells is brighter than the film beside it."""
 
 
 def without_background(view: FilmView, layout: Layout, config: RimConfig) -> FilmView:
-    """The view, which covers the film from edge to edge, with its rim as the film inside it.
+    """The view, which covers the film from edge to edge, with its rim replaced by the film inside it.
 
-    As it is along an axis on which rules are printed, or no cells are known.
+    Left as it is along an axis on which rules are printed or no cells are known.
     """
     image = None
     for repeats, comb in zip(layout.repeats, layout.combs, strict=True):
@@ -65,7 +65,7 @@ def _is_ruled(grey: Float[np.ndarray, "h w"], repeats: Repeats, comb: Comb | Non
 
 
 def _between(repeats: Repeats, n: int) -> np.ndarray:
-    """First of the pixels after each place where two cells meet, of a view of n pixels; none too near its ends."""
+    """The first pixel after each place where two cells meet, in a view of n pixels; none too near its ends."""
     edges = np.round((repeats.first + repeats.pitch * np.arange(1, repeats.cells)) * n).astype(int)
     return edges[(edges >= -BEFORE[-1]) & (edges < n - AFTER[-1])]
 

@@ -15,17 +15,17 @@ from hybrid.rectify.cell_phases import AxisPhases, CellPhases
 from hybrid.rectify.sightings import Sightings
 
 VIEW_STEP = 24
-"""Sides of views are multiples of so many pixels: their halves, thirds and eighths are whole, and OpenCV averages whole
-numbers of pixels ten times as fast."""
+"""Sides of views are multiples of this many pixels: their halves, thirds and eighths are whole, and OpenCV averages
+whole numbers of pixels ten times as fast."""
 
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """A photo, or the copy of it that is large enough, the map to start from, and what the networks tell of the film.
+    """A photo, or a copy of it that is large enough, the map to start from, and what the networks say about the film.
 
     coarse: maps into ``photo``. grey: the photo without colour. film_size: (height, width) of a view of the film.
-    aspect: height over width of the film as the photo shows it. phases: of the cells. edges: the sheet's, as they were
-    read, through ``coarse``.
+    aspect: height over width of the film as the photo shows it. phases: of the cells. edges: the sheet's, as read
+    through ``coarse``.
     """
 
     photo: UInt8[np.ndarray, "H W 3"]
@@ -43,7 +43,7 @@ def scene_of(
     phases: CellPhases | None = None,
     edges: tuple[Sightings, ...] = (),
 ) -> Scene:
-    """The scene in which a view of the film has about as many pixels as the photo has of it."""
+    """The scene in which a view of the film has about as many pixels as the film has in the photo."""
     down, across = coarse.mean_film_pixels()
     height, width = (VIEW_STEP * int(np.clip(round(n / VIEW_STEP), 3, 170)) for n in (down, across))
     grey = cv2.cvtColor(photo, cv2.COLOR_RGB2GRAY)
@@ -51,12 +51,12 @@ def scene_of(
 
 
 def view_of(scene: Scene, film: BackwardMap) -> FilmView:
-    """The flat grey film as a map of it into the scene's photo sees it."""
+    """The flat grey film, seen through a map of it into the scene's photo."""
     return _view(scene.grey, film, scene.film_size)
 
 
 def half_view(scene: Scene, film: BackwardMap) -> FilmView:
-    """The same at half the size, in a copy of the photo of half the size."""
+    """The same at half the size, from a copy of the photo at half the size."""
     height, width = (max(1, n // 2) for n in scene.grey.shape)
     grey = cv2.resize(scene.grey[: 2 * height, : 2 * width], (width, height), interpolation=cv2.INTER_AREA)
     small = film.cropped((0.0, 0.0), (0.5, 0.5))
@@ -64,7 +64,7 @@ def half_view(scene: Scene, film: BackwardMap) -> FilmView:
 
 
 def phases_along(scene: Scene, film: BackwardMap) -> tuple[AxisPhases, AxisPhases] | None:
-    """What the network tells of the cells along u and v, through a map; None where it tells nothing."""
+    """What the network says about the cells along u and v, through a map; None where it says nothing."""
     return None if scene.phases is None else scene.phases.inside(film).axes()
 
 

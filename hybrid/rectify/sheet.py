@@ -1,7 +1,7 @@
 """The film as a sheet that bends but does not stretch, before a camera: its shape and what the photo shows of it.
 
-The surface in space is a cubic B-spline of film uv; the camera has a focal length, looks at the photo's centre, and its
-lens has a first radial distortion. Which sheet it is that the photo shows is found in sheet_fit.py.
+The surface in space is a cubic B-spline of film uv. The camera has a focal length and a first radial distortion, and
+looks at the photo's centre. sheet_fit.py finds which sheet the photo shows.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from hybrid.rectify.bspline import SortedDesign, axis_weights
 from hybrid.rectify.invert import fit_homography
 
 FOCAL, ASPECT, LENS = range(3)
-"""Unknowns beside the surface: logarithms of the focal length and of the ratio of sides, and the distortion."""
+"""Unknowns besides the surface: logarithms of the focal length and of the ratio of sides, and the distortion."""
 CAMERA = 3
-"""Number of these."""
+"""Number of these unknowns."""
 
 
 @dataclass(frozen=True)
@@ -31,46 +31,46 @@ class SheetConfig:
     intervals: int = 7
     """Knot intervals of the surface along each film axis."""
     steps: tuple[int, int, int] = (12, 8, 20)
-    """Most Gauss-Newton steps to come near to a map, to do so from a mirror image, and with what is seen."""
+    """Most Gauss-Newton steps to come near a map, to do so from a mirror image, and to fit what is seen."""
     settled: float = 2e-3
-    """Steps that lower the cost by less than this part are the last."""
+    """A step that lowers the cost by less than this part is the last."""
     settled_near: float = 2e-2
-    """The same where a sheet has only to come near to a map, or begins at one that is near."""
+    """The same where a sheet only has to come near a map, or starts from one that is near."""
 
     every: tuple[int, int] = (4, 2)
-    """Of the points of an edge or a line, and of the cells' windows, one of so many counts: they are correlated."""
+    """Of the points of edges and lines, and of the cells' windows, only one in so many counts: they are correlated."""
     edge_px: float = 0.7
     """Standard deviation of an edge's place."""
     print_px: float = 0.5
-    """Standard deviation of the place of what is printed, beside what is stated for it."""
+    """Standard deviation of the place of what is printed, besides the one stated for it."""
     network_px: float = 12.0
-    """Standard deviation of the network's map; smooth, so that all nodes tell as much as six."""
+    """Standard deviation of the network's map; its errors are smooth, so all nodes count as much as six."""
     strain: float = 1e-3
     """Standard deviation of the strain at 40 places: what the splines cannot follow; film itself strains far less."""
     stretched: float = 40.0
-    """Cost of strain of a sheet that does stretch, from which on more counts ever less (sheet_problem.py)."""
+    """Cost of strain above which a sheet is taken to stretch and further strain costs ever less (sheet_problem.py)."""
     firm: float = 5e-4
     """Part of all cost of strain that counts even so: cloth stretches by a percent or two, and no sheet is rubber."""
     bending: float = 120.0
-    """Weight of the mean squared second derivatives, in units of the film's height, of films that are hardly bent."""
+    """Weight of the mean squared second derivatives, in units of the film's height, for films that are hardly bent."""
     bent: float = 0.25
-    """The same for the cost of bending of a film that is: in parts of the cost of what is seen."""
+    """Cost from which on further bending costs less, however bent a film is: in parts of the cost of what is seen."""
     doubtful: float = 0.5
-    """Cost for each point that is seen from which on the sheet is tried bent the other way round, too."""
+    """Cost per point seen from which on the sheet is also tried bent the other way round."""
     same_relief: float = 0.05
-    """That is the same sheet again where no coefficient lies this far, in film heights, from where it was."""
+    """The mirrored sheet, once fitted, is the same again if no coefficient is off by this, in film heights."""
     reversed_gain: float = 0.75
-    """It counts if the cost is less than this part then."""
+    """The mirrored sheet counts if its cost is less than this part of the first one's."""
     focal: float = 1.1
     """Usual focal length of a phone, in sides of the photo: between that of main lenses and longer ones."""
     focal_sigma: tuple[float, float] = (0.1, 0.5)
-    """Standard deviation of its logarithm: while nothing but the network's map is known, and with what is seen."""
+    """Standard deviation of its logarithm: while only the network's map is known, and with what is seen."""
     main_lens: float = 0.6
-    """Share of photos of flat films that are taken by a main lens (film_size.py); 0 where the focal length is told."""
+    """Share of photos of flat films taken with a main lens (film_size.py); 0 where the focal length is given."""
     focal_range: tuple[float, float] = (0.65, 3.5)
-    """Shortest and longest of a phone."""
+    """Shortest and longest focal length of a phone."""
     beyond_sigma: float = 0.1
-    """The standard deviation beyond these."""
+    """Standard deviation beyond these."""
     distortion: float = 0.02
     """Standard deviation of the first radial distortion."""
     least_edges: int = 3
@@ -87,18 +87,18 @@ class SheetConfig:
 
     @property
     def near(self) -> SheetConfig:
-        """The same options for such sheets."""
+        """The same options for a sheet that has only to come near a map, or starts from one that is near."""
         return replace(self, settled=self.settled_near)
 
     @property
     def blind(self) -> SheetConfig:
-        """The same where a map is all that is known, which tells more of how a sheet is bent than that it is little."""
+        """The same where only a map is known, which tells more about how a sheet is bent than that it hardly is."""
         return replace(self.near, network_px=1.0, bending=5.0)
 
 
 @dataclass(frozen=True)
 class Frame:
-    """The photo's centre (x, y) and longer side in pixels: points are measured from the one, in units of the other."""
+    """The photo's centre (x, y) and longer side in pixels: points count from the former, in units of the latter."""
 
     centre: tuple[float, float]
     side: float
@@ -122,7 +122,7 @@ class Sheet:
     """A bent sheet before a camera.
 
     control: (n, 3) B-spline coefficients in camera axes, in units of the film's height, depths from ``stand`` focal
-    lengths on: so the focal length alone changes how strong the perspective is, and hardly where things are seen.
+    lengths on: so the focal length by itself changes the strength of the perspective, but hardly where things are seen.
     log_focal: of the focal length in sides of the photo. log_aspect: of the film's width over its height.
     distortion: first radial coefficient.
     """
@@ -135,7 +135,7 @@ class Sheet:
     distortion: float
 
     def moved(self, step: Float[np.ndarray, " m"]) -> Sheet:
-        """With a step of all unknowns added: all x of the coefficients, then y and z, then of the camera."""
+        """With a step of all unknowns added: all x of the coefficients, then all y and z, then the camera's."""
         n = self.control.size
         focal, aspect, distortion = step[n : n + CAMERA]
         return replace(
@@ -152,11 +152,11 @@ class Sheet:
         return float(np.exp(self.log_focal))
 
     def nearest(self) -> float:
-        """Least depth of the coefficients, between which the sheet lies."""
+        """Least depth of the coefficients; no point of the sheet is nearer."""
         return float(self.control[:, 2].min() + self.stand * self.focal)
 
     def backward(self, frame: Frame) -> BackwardMap | None:
-        """The map of the sheet; None where a point of it has no finite image."""
+        """The map of the sheet; None if some point of it has no finite image."""
         nodes = film_nodes((33, 33))
         seen = project(self, surface(self, nodes.reshape(-1, 2))[0]).point
         return BackwardMap(frame.to_photo(seen).reshape(nodes.shape)) if np.isfinite(seen).all() else None
@@ -164,9 +164,9 @@ class Sheet:
 
 @dataclass(frozen=True, eq=False)
 class Projection:
-    """Photo points in the units of the frame, and their derivatives, each made when it is first asked for.
+    """Photo points in the units of the frame, and their derivatives, each computed on first use.
 
-    ahead: the points in space, per unit of depth. depth: theirs. square: of how far off the axis ``ahead`` is.
+    ahead: x and y of the points in space, over their depth. depth: of the points. square: of the length of ``ahead``.
     """
 
     sheet: Sheet
@@ -177,7 +177,7 @@ class Projection:
 
     @cached_property
     def by_point(self) -> Float[np.ndarray, "m 2 3"]:
-        """Of x and of y by the point in space."""
+        """Derivatives of x and y by the point in space."""
         x, bent = self.ahead, 2.0 * self.sheet.distortion
         stretch = 1.0 + self.sheet.distortion * self.square
         by_point = (bent * x)[:, :, None] * np.column_stack([x, -self.square])[:, None, :]
@@ -189,12 +189,12 @@ class Projection:
 
     @property
     def by_focal(self) -> Float[np.ndarray, "m 2"]:
-        """Of x and y by the logarithm of the focal length."""
+        """Derivatives of x and y by the logarithm of the focal length."""
         return self.point + self.sheet.stand * self.sheet.focal * self.by_point[:, :, 2]
 
     @property
     def by_lens(self) -> Float[np.ndarray, "m 2"]:
-        """Of x and y by the distortion."""
+        """Derivatives of x and y by the distortion."""
         return self.sheet.focal * self.square[:, None] * self.ahead
 
 
@@ -208,7 +208,7 @@ def project(sheet: Sheet, point: Float[np.ndarray, "m 3"]) -> Projection:
 
 
 def inner(a: Float[np.ndarray, "m k"], b: Float[np.ndarray, "m k"]) -> Float[np.ndarray, " m"]:
-    """Inner product of each row of one matrix with that of the other."""
+    """Inner product of each row of one matrix with the same row of the other."""
     return np.einsum("mk,mk->m", a, b)
 
 
@@ -216,7 +216,7 @@ def inner(a: Float[np.ndarray, "m k"], b: Float[np.ndarray, "m k"]) -> Float[np.
 
 
 def surface(sheet: Sheet, uv: Float[np.ndarray, "m 2"]) -> tuple[Float[np.ndarray, "m 3"], Float[np.ndarray, "m 3 2"]]:
-    """Points of a sheet, and their derivatives by u and v: quicker than with the weights of all coefficients."""
+    """Points of a sheet and their derivatives by u and v: quicker than with the weights of all coefficients."""
     n = sheet.intervals
     across, across_slope = (axis_weights(uv[:, 0], n, k) for k in (0, 1))
     down, down_slope = (axis_weights(uv[:, 1], n, k) for k in (0, 1))
@@ -227,13 +227,13 @@ def surface(sheet: Sheet, uv: Float[np.ndarray, "m 2"]) -> tuple[Float[np.ndarra
 
 
 def _along(weights: Float[np.ndarray, "m k"], rows: Float[np.ndarray, "m 3 k"]) -> Float[np.ndarray, "m 3"]:
-    """For each point the sum of its row's coefficients, weighted."""
+    """For each point, the weighted sum of its row's coefficients."""
     return np.einsum("mk,mjk->mj", weights, rows)
 
 
 @lru_cache(maxsize=4)
 def slopes(intervals: int) -> tuple[SortedDesign, SortedDesign]:
-    """Slopes along u and v, on the lattice of places where strain is measured."""
+    """Slopes along u and v on the lattice where strain is measured."""
     places = film_centres((2 * intervals - 2, 2 * intervals - 2)).reshape(-1, 2)
     return SortedDesign.of(places, intervals, 1, 0), SortedDesign.of(places, intervals, 0, 1)
 
@@ -244,26 +244,26 @@ NODES = (6, 6)
 
 @lru_cache(maxsize=4)
 def at_nodes(intervals: int) -> SortedDesign:
-    """The surface in these points."""
+    """The surface at these points."""
     return SortedDesign.of(film_nodes(NODES).reshape(-1, 2), intervals)
 
 
 @lru_cache(maxsize=4)
 def _plane(intervals: int) -> Float[np.ndarray, "n 3"]:
-    """Coefficients of the functions u, v and 1: where those of a linear function have its values."""
+    """Coefficients of the functions u, v and 1: those of a linear function are its values at the knots."""
     knots = np.arange(-1, intervals + 2) / intervals
     u, v = np.meshgrid(knots, knots)
     return np.stack([u.ravel(), v.ravel(), np.ones(u.size)], axis=1)
 
 
 def nearest_homography(film: BackwardMap, frame: Frame) -> Float[np.ndarray, "3 3"]:
-    """The homography from film points to the units of the frame that comes nearest to a map."""
+    """The homography from film points to the units of the frame that is nearest to a map."""
     uv = film_nodes((17, 17)).reshape(-1, 2)
     return fit_homography(uv, frame.from_photo(film.photo_from_film(uv)), np.ones(len(uv)))
 
 
 def flat_sheet(coarse: BackwardMap, frame: Frame, intervals: int, focal: float) -> Sheet:
-    """The flat sheet that shows about what a map says, from the homography between film and photo."""
+    """The flat sheet that roughly reproduces a map, from the homography between film and photo."""
     homography = nearest_homography(coarse, frame)
     pose = np.diag([1.0 / focal, 1.0 / focal, 1.0]) @ homography
     if pose[2] @ np.array([0.5, 0.5, 1.0]) < 0:
@@ -277,9 +277,9 @@ def flat_sheet(coarse: BackwardMap, frame: Frame, intervals: int, focal: float) 
 
 
 def relief_reversed(sheet: Sheet) -> Sheet:
-    """The sheet mirrored at the plane that is nearest to it: bent towards the camera where it was bent away.
+    """The sheet mirrored at the plane nearest to it: bent towards the camera where it was bent away.
 
-    From afar both look the same; what little they differ by, perspective, is also had by another focal length.
+    From afar both look the same. They differ only by a little perspective, which another focal length can imitate.
     """
     plane = _plane(sheet.intervals)
     pose = np.linalg.lstsq(plane, sheet.control, rcond=None)[0]

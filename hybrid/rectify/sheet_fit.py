@@ -1,19 +1,19 @@
 """Which unstretched sheet the photo shows: fitted to its edges and to what is printed on it.
 
-A network's map, even one that is put right along the edges, is off inside, where it knows only what films look like on
-average. But a film does not stretch (its strain is a millionth), and what a camera shows of the four edges of such a
+A network's map, even one that was corrected along the edges, is off inside, where it knows only what films look like on
+average. But a film does not stretch (its strain is a millionth), and the camera's view of the four edges of such a
 sheet tells where it is near and where it slopes: opposite edges show how the distance varies, and distance and slope
 how the film's length is spread along the edges and over the inside (compare Perriollat and Bartoli 2013, "A
 computational model of bounded developable surfaces"). Edges alone do not always tell: a sheet rolled about a slanting
 axis may be mistaken for another. Lines and cells printed on it tell the rest, and the sheet in turn tells what they
-leave open, as where between the edges the grid lies and how wide its cells are.
+leave open, such as where between the edges the grid lies and how wide its cells are.
 
-How far it is bent nothing tells beforehand, nor whether it is cloth in a simulation, which does stretch: so of both
-more counts ever less (``Eased``).
+It is not known beforehand how far the sheet is bent, nor whether it is simulated cloth, which does stretch: so
+further bending and further strain cost ever less (``Eased``).
 
-Fitted at once are the surface, the camera, the sheet's ratio of sides, and the constants that sightings share.
-Minimised are the distances of what is seen from where it should be, strain, bending, and, weakly, the distance from the
-network's map: Gauss-Newton steps with Levenberg's damping.
+The surface, the camera, the sheet's ratio of sides, and the constants that sightings share are fitted together. The
+cost is made of the distances of what is seen from where it should be, strain, bending, and, weakly, the distance from
+the network's map: it is minimised by Gauss-Newton steps with Levenberg's damping.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from hybrid.rectify.sheet_seen import NOTHING, seen_through
 from hybrid.rectify.sightings import Sightings
 
 FIRM_STEPS = 3
-"""Steps in which bending counts in full."""
+"""First steps, in which bending counts in full."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +55,7 @@ class FittedSheet:
 
     @property
     def cost(self) -> float:
-        """Half the sum of squares, in deviations: how badly the sheet explains what was seen."""
+        """Half the sum of squares, in standard deviations: how badly the sheet explains what was seen."""
         return self.state.cost
 
     @property
@@ -66,7 +66,7 @@ class FittedSheet:
 
     @property
     def aspect_sigma(self) -> float:
-        """Standard deviation of the logarithm of its ratio of sides; takes as long as a step of the fit."""
+        """Standard deviation of the logarithm of the ratio of sides; takes as long as a step of the fit."""
         return aspect_sigma(self.problem, self.state)
 
 
@@ -78,10 +78,10 @@ def fit_sheet(
     config: SheetConfig,
     before: FittedSheet | None = None,
 ) -> FittedSheet | None:
-    """The sheet that explains best what is seen of its edges and its print; None where the fit fails.
+    """The sheet that best explains what is seen of its edges and its print; None where the fit fails.
 
-    near: a map that is near, to start from, and from ``before`` if that is its sheet. through: the map through which
-    the sightings were made. size: (height, width) of the photo, whose centre the camera looks at.
+    near: a map near the solution, to start from; if ``before`` is its sheet, the fit starts from that. through: the map
+    through which the sightings were made. size: (height, width) of the photo, whose centre the camera looks at.
     """
     frame = Frame.of(size)
     problem = Problem(seen_through(through, sightings, frame, config), _target(near, frame), config)
@@ -97,10 +97,10 @@ def fit_sheet(
 
 
 def _bent_either_way(problem: Problem, near: BackwardMap, frame: Frame) -> State:
-    """The sheet that explains best what is seen, bent towards the camera or away from it.
+    """The sheet that best explains what is seen, bent towards the camera or away from it.
 
-    From some way off both look nearly the same, so that steps from one do not lead to the other: where the first does
-    not explain well what is seen its mirror images are tried, too, as it was before and after that was looked at.
+    From some distance both look nearly the same, and steps from one do not lead to the other: where the first does not
+    explain well what is seen, the mirror images of the sheet from before and from after its fit are tried, too.
     """
     config = problem.config
     blind = _blind(problem, near, frame)
@@ -117,10 +117,10 @@ def _bent_either_way(problem: Problem, near: BackwardMap, frame: Frame) -> State
 
 
 def _found(problem: Problem, start: Sheet, enough: float = np.inf) -> State:
-    """The sheet that explains best what is seen, from one to start from. enough: the cost from which on it counts.
+    """The sheet that best explains what is seen, found from a starting sheet. enough: cost below which it counts.
 
-    In the first steps bending counts in full: a step from afar may bend the sheet so much that little more of it seems
-    to count, and many steps would undo that.
+    In the first steps bending counts in full: a step from afar may bend the sheet so much that further bending would
+    hardly cost anything, and undoing that would take many steps.
     """
     config = problem.config
     state = minimised(problem, problem.begun(start), FIRM_STEPS)
@@ -130,8 +130,8 @@ def _found(problem: Problem, start: Sheet, enough: float = np.inf) -> State:
 
 
 def _mirrored(problem: Problem, blind: Problem, sheet: Sheet, enough: float) -> State | None:
-    """The sheet found from the mirror image of one; None where that comes to be the same, or to nothing. enough: the
-    cost from which on it counts."""
+    """The sheet found from the mirror image of one; None if that ends at the same sheet or fails. enough: cost below
+    which it counts."""
     config = problem.config
     try:
         mirrored = minimised(blind, blind.begun(relief_reversed(sheet)), config.steps[1], near=True).sheet
@@ -143,20 +143,20 @@ def _mirrored(problem: Problem, blind: Problem, sheet: Sheet, enough: float) -> 
 
 
 def _blind(problem: Problem, near: BackwardMap, frame: Frame) -> Problem:
-    """The problem to come near to a map: of what is seen it knows nothing."""
+    """The problem of coming near to a map: it ignores what is seen."""
     config = problem.config.blind
     return Problem(seen_through(near, [NOTHING], frame, config), problem.target, config)
 
 
 def _near_map(blind: Problem, near: BackwardMap, frame: Frame) -> Sheet:
-    """The unstretched sheet that comes nearest to a map."""
+    """The unstretched sheet nearest to a map."""
     config = blind.config
     begun = blind.begun(flat_sheet(near, frame, config.intervals, config.focal))
     return minimised(blind, begun, config.steps[0], near=True).sheet
 
 
 def _target(coarse: BackwardMap, frame: Frame) -> Float[np.ndarray, "m 2"]:
-    """Where the network has some points of the film."""
+    """Where the network puts some points of the film."""
     return frame.from_photo(coarse.photo_from_film(film_nodes(NODES).reshape(-1, 2)))
 
 

@@ -1,4 +1,4 @@
-"""What is minimised to find a sheet: distances of what is seen, strain, bending, and what is known beforehand."""
+"""What is minimised to find a sheet: distances of what is seen, strain, bending, and prior knowledge."""
 
 from __future__ import annotations
 
@@ -26,18 +26,18 @@ from hybrid.rectify.sheet_sum import Block, Sum
 from hybrid.rectify.tps import tukey_weights
 
 NEAREST = 0.05
-"""No point of the sheet comes nearer to the camera than this, in units of the film's height."""
+"""Least distance of any point of the sheet from the camera, in units of the film's height."""
 MOST_BENT = 0.4
-"""Longest second-order part of a step, in lengths of the first."""
+"""Largest length of the second-order part of a step, in lengths of the first-order part."""
 FAIR_STEPS, HOPELESS = 3, 4.0
-"""After so many steps a state that costs so many times what is enough is given up."""
+"""After so many steps, a state that costs so many times what is enough is given up."""
 _POTRF, _POTRS = get_lapack_funcs(("potrf", "potrs"), dtype=np.float64)
-"""LAPACK's factor of a positive definite matrix, and the solution by it."""
+"""LAPACK's factorisation of a positive definite matrix, and the solution with it."""
 
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """A sheet, the constants of all sightings, and the cost of both. bent: of the problem that it solves."""
+    """A sheet, the constants of all sightings, and their cost. bent: of the problem that the state solves."""
 
     sheet: Sheet
     constants: Float[np.ndarray, " g"]
@@ -53,12 +53,12 @@ class State:
 
 @dataclass(frozen=True)
 class Eased:
-    """A cost of which more counts ever less: one film is hardly bent, another is rolled, and how much a film is bent,
-    or stretched, nothing tells beforehand.
+    """A cost of which each further part counts less: one film is hardly bent, another is rolled, and how much a film is
+    bent or stretched is not known beforehand.
 
-    A quadratic cost q becomes ``scale * log(1 + q / scale) + firm * q``: the first as of a normal distribution whose
-    width is not known, the second as some widths there are not. weight: of the quadratic cost that has the same slope.
-    beyond: what the eased cost is above that one's.
+    A quadratic cost q becomes ``scale * log(1 + q / scale) + firm * q``: the first term as for a normal distribution of
+    unknown width, the second because some widths do not occur. weight: of the quadratic cost with the same slope.
+    beyond: by how much the eased cost exceeds that one.
     """
 
     weight: float
@@ -74,8 +74,8 @@ class Eased:
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """What is minimised. target: where the network has the film. bent: cost of bending of a film that is bent, from
-    which on more counts ever less."""
+    """What is minimised. target: where the network puts the film. bent: cost of bending above which further
+    bending costs ever less."""
 
     seen: Seen
     target: Float[np.ndarray, "m 2"]
@@ -83,22 +83,22 @@ class Problem:
     bent: float = np.inf
 
     def begun(self, sheet: Sheet) -> State:
-        """A sheet to start from."""
+        """The state of a sheet to start from."""
         return State(sheet, np.zeros(self.seen.shared.shape[1]), bent=self.bent)
 
     def explains(self, state: State, most: float) -> bool:
-        """Whether a state's cost is below ``most`` for each point that is seen."""
+        """Whether a state's cost is below ``most`` per point seen."""
         return bool(state.cost < most * len(self.seen.along))
 
     def eased_after(self, state: State) -> Problem:
-        """The same where bending counts ever less: the sooner, the more exactly a state, which may be bent too little
-        yet, has what is seen."""
+        """The same where further bending costs ever less: the better a state, which may not be bent enough yet,
+        explains what is seen, the sooner."""
         curves = slid(self.seen, state.sheet, state.constants, self.seen.along, near=True)
         cost = self._from_sightings(state, curves, derivatives=False).cost
         return replace(self, bent=self.config.bent * max(cost, 1.0))
 
     def normal_equations(self, state: State, curves: Curves, derivatives: bool = True) -> Sum:
-        """Cost of a state, and the normal equations around it; without the latter where ``derivatives`` is False."""
+        """Cost of a state, and the normal equations around it; only the cost where ``derivatives`` is False."""
         sheet, config, constants = state.sheet, self.config, len(state.constants)
         strained = strain(sheet, config, constants, derivatives)
         stretching = Eased.of(strained.cost, config.stretched, config.firm)
@@ -117,7 +117,7 @@ class Problem:
         return total
 
     def _from_network(self, sheet: Sheet, constants: int, derivatives: bool) -> Block:
-        """Distances of points of the film from where the network has them."""
+        """Distances of points of the film from where the network puts them."""
         nodes = at_nodes(sheet.intervals)
         shown = project(sheet, nodes.dense @ sheet.control)
         sigma = 1e-3 * self.config.network_px * np.sqrt(len(shown.point) / 6.0)
@@ -131,7 +131,7 @@ class Problem:
         return block
 
     def _from_sightings(self, state: State, curves: Curves, derivatives: bool) -> Block:
-        """Distances of what is seen from its curves, weighed down where they are large."""
+        """Distances of what is seen from its curves, with less weight where they are large."""
         shown = project(state.sheet, curves.design.values(state.sheet.control))
         residual = inner(shown.point - curves.point, curves.normal)
         residual += curves.pull @ (state.constants - curves.constants)
@@ -148,10 +148,10 @@ class Problem:
 
 
 def aspect_sigma(problem: Problem, state: State) -> float:
-    """Standard deviation of the logarithm of the ratio of sides around a solution, by the inverse normal matrix.
+    """Standard deviation of the logarithm of the ratio of sides around a solution, from the inverse normal matrix.
 
-    Sides that are parallel in the photo, as of a sheet that only leans, leave it open how long the lens is, and so the
-    ratio. Infinite where the matrix cannot be inverted.
+    Sides that are parallel in the photo, as those of a sheet that only leans, do not determine the focal length, and so
+    not the ratio. Infinite where the matrix cannot be inverted.
     """
     curves = slid(problem.seen, state.sheet, state.constants, problem.seen.along, near=True)
     total = problem.normal_equations(state, curves)
@@ -167,8 +167,8 @@ def aspect_sigma(problem: Problem, state: State) -> float:
 def minimised(problem: Problem, state: State, steps: int, near: bool = False, enough: float = np.inf) -> State:
     """The state after at most so many Gauss-Newton steps.
 
-    near: whether it is so near that what disagrees with it tells how exact sightings are (``slid``); else that counts
-    from the second step on. enough: the cost from which on a state is of use; steps end where it stays far above.
+    near: whether the state is already so near that residuals tell how exact the sightings are (``slid``); otherwise
+    they do from the second step on. enough: cost below which a state is of use; the steps end where it stays far above.
     Raises LinAlgError where the normal equations cannot be solved.
     """
     damping = 1e-3
@@ -198,13 +198,13 @@ def minimised(problem: Problem, state: State, steps: int, near: bool = False, en
 def _step(total: Sum, sheet: Sheet, damping: float, config: SheetConfig) -> Float[np.ndarray, " m"]:
     """The damped Gauss-Newton step, bent along the valley that the strain makes.
 
-    A sheet that is bent along a straight line of coefficients stretches with the square of the step; a second-order
-    term takes that back (geodesic acceleration: Transtrum and Sethna 2012, "Improvements to the Levenberg-Marquardt
-    algorithm for nonlinear least-squares minimization"), of the strain alone, where it counts most.
+    A sheet whose coefficients move along a straight line stretches with the square of the step; a second-order term
+    takes that back (geodesic acceleration: Transtrum and Sethna 2012, "Improvements to the Levenberg-Marquardt
+    algorithm for nonlinear least-squares minimization"). It is computed for the strain alone, where it matters most.
     """
     damped = total.matrix.copy()
     damped.flat[:: len(damped) + 1] *= 1.0 + damping
-    factor, info = _POTRF(damped.T, lower=True, clean=False, overwrite_a=True)  # transposed, it is as LAPACK reads it
+    factor, info = _POTRF(damped.T, lower=True, clean=False, overwrite_a=True)  # transposed, it is in LAPACK's order
     if info != 0:
         raise LinAlgError("the normal equations of the sheet are not positive definite")
     first = -_POTRS(factor, total.right, lower=True)[0]
@@ -216,7 +216,7 @@ def _step(total: Sum, sheet: Sheet, damping: float, config: SheetConfig) -> Floa
 
 
 def strain(sheet: Sheet, config: SheetConfig, constants: int, derivatives: bool) -> Block:
-    """Residuals of the lengths of film along u and v, and of the right angle between them."""
+    """Residuals of the film's lengths along u and v, and of the right angle between them."""
     across, down = slopes(sheet.intervals)
     a, b, aspect = across.dense @ sheet.control, down.dense @ sheet.control, float(np.exp(sheet.log_aspect))
     sigma = config.strain * np.sqrt(len(a) / 40.0)
@@ -235,7 +235,7 @@ def strain(sheet: Sheet, config: SheetConfig, constants: int, derivatives: bool)
 
 
 def strain_curvature(sheet: Sheet, step: Float[np.ndarray, " m"], config: SheetConfig) -> Float[np.ndarray, " m"]:
-    """Second derivatives of the strain's residuals along a step, times their first derivatives by all unknowns."""
+    """Second derivatives of the strain residuals along a step, times their first derivatives by all unknowns."""
     across, down = slopes(sheet.intervals)
     n, aspect = sheet.control.size, float(np.exp(sheet.log_aspect))
     move, wider = step[:n].reshape(3, -1).T, float(step[n + ASPECT])
@@ -259,7 +259,7 @@ def bending_cost(sheet: Sheet, config: SheetConfig) -> float:
 
 
 def _add_camera(total: Sum, sheet: Sheet, config: SheetConfig, focal_sigma: float) -> None:
-    """What is known of phones' cameras. focal_sigma: of the logarithm of the focal length, within the usual range."""
+    """Priors on phone cameras. focal_sigma: of the logarithm of the focal length, within the usual range."""
     focal = total.camera + FOCAL
     total.add_prior(focal, (sheet.log_focal - np.log(config.focal)) / focal_sigma, 1.0 / focal_sigma)
     beyond = sheet.log_focal - float(np.clip(sheet.log_focal, *np.log(config.focal_range)))

@@ -17,8 +17,8 @@ from hybrid.rectify.tps import MAD_TO_SIGMA
 NOTHING = Sightings(0, np.zeros((0, 2)), np.zeros(0), np.zeros(0), np.zeros((0, 0)), np.zeros(0))
 """No sightings at all."""
 BEYOND = 0.03
-"""How far beyond the sheet's edges what is seen may lie on the way, in film units: were it held to the edges, the
-constants would grow without end, as nothing would follow from them."""
+"""How far beyond the sheet's edges what is seen may lie during the fit, in film units: were it clipped at the edges,
+the constants could grow without end, as they would no longer change anything."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,8 +26,8 @@ class Seen:
     """Points of the photo, in the frame's units, at which one film coordinate is known up to the shared constants.
 
     across: the axis of that coordinate. along: film coordinate on the other axis, as far as known. sigma: in film
-    units, 0 where only ``floor`` counts: the deviation in the frame's units. number: of the list each is from.
-    group: of what shows the same thing, -1 where there is none.
+    units, 0 where only ``floor`` counts: the deviation in the frame's units. number: of the list that each comes from.
+    group: number shared by points that show the same thing, -1 for none.
     """
 
     point: Float[np.ndarray, "n 2"]
@@ -43,7 +43,7 @@ class Seen:
 
 
 def seen_through(through: BackwardMap, sightings: Sequence[Sightings], frame: Frame, config: SheetConfig) -> Seen:
-    """Sightings that were made through a map, as points of the photo."""
+    """Sightings made through a map, as points of the photo."""
     thinned = [s.subset(np.arange(0, len(s), config.every[s.group is not None])) for s in sightings]
     number = np.repeat(np.arange(len(thinned)), [len(s) for s in thinned])
     widths = [s.shared.shape[1] for s in thinned]
@@ -75,11 +75,11 @@ def seen_through(through: BackwardMap, sightings: Sequence[Sightings], frame: Fr
 
 @dataclass(frozen=True, eq=False)
 class Curves:
-    """Where a sheet has what is seen: film points that slid along their curves to where they are nearest.
+    """Where a sheet puts what is seen: film points slid along their curves to where they are nearest to it.
 
-    along: as in Seen, and in that order. All else is in the order of ``design``, which is that of the film points.
-    point: as in Seen. normal: to the curves in the photo, over the deviation. pull: by how much the points move along
-    the normal with each of the constants. tolerance: in deviations. constants: at which all this holds.
+    along: as in Seen, and in that order. All else is in the order of ``design``, that of the film points. point: as in
+    Seen. normal: to the curves in the photo, over the deviation. pull: by how much the points move along the normal
+    with each of the constants. tolerance: in deviations. constants: those at which all this holds.
     """
 
     along: Float[np.ndarray, " n"]
@@ -95,7 +95,7 @@ def slid(
     seen: Seen, sheet: Sheet, constants: Float[np.ndarray, " g"], along: Float[np.ndarray, " n"], near: bool
 ) -> Curves:
     """What is seen, slid along its curves on a sheet. along: where to start from. near: whether the sheet is so near
-    that what still disagrees tells how exact sightings are."""
+    that the residuals tell how exact the sightings are."""
     rows = np.arange(len(along))
     place = np.empty((len(along), 2))
     place[rows, seen.across] = np.clip(seen.known + seen.shared @ constants, -BEYOND, 1.0 + BEYOND)

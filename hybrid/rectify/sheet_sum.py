@@ -1,7 +1,7 @@
-"""Normal equations of a sheet, from residuals that each have to do with few of its coefficients.
+"""Normal equations of a sheet, from residuals each of which depends on few of its coefficients.
 
-The unknowns are the x of all coefficients, their y, their z, the camera, and the constants of the sightings. What a
-point of the film shows has to do with four rows of coefficients alone (SortedDesign) and with the latter two.
+The unknowns are the x of all coefficients, their y, their z, the camera, and the constants of the sightings. Where a
+point of the film is seen depends on only four rows of coefficients (SortedDesign), the camera and the constants.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from hybrid.rectify.sheet import CAMERA
 
 @dataclass(frozen=True, eq=False)
 class Block:
-    """Residuals at the points of a design, of one or several kinds at each, in deviations.
+    """Residuals at the points of a design, one or more kinds at each, in standard deviations.
 
     derivatives: by the coefficients that count at the point, all x, then y, then z; then by the ``tail``, camera and
-    constants. Empty where only the cost is asked for.
+    constants. Empty where only the cost is needed.
     """
 
     design: SortedDesign
@@ -30,7 +30,7 @@ class Block:
 
     @staticmethod
     def of(design: SortedDesign, residual: Float[np.ndarray, "n kinds"], constants: int) -> Block:
-        """Derivatives by the coefficients are still to be written, those by the tail are 0."""
+        """A block whose derivatives by the coefficients are still to be written; those by the tail are 0."""
         near = 3 * design.weights.shape[1]
         derivatives = np.empty((*residual.shape, near + CAMERA + constants))
         derivatives[:, :, near:] = 0.0
@@ -38,12 +38,12 @@ class Block:
 
     @staticmethod
     def without_derivatives(design: SortedDesign, residual: Float[np.ndarray, "n kinds"]) -> Block:
-        """Residuals of which only the cost is asked for."""
+        """Residuals of which only the cost is needed."""
         return Block(design, residual, np.empty((*residual.shape, 0)))
 
     def write(self, kind: int, *terms: tuple[Float[np.ndarray, "n k4"], Float[np.ndarray, "n 3"]]) -> None:
-        """Derivatives by the coefficients, as the sum of terms: weights of these, and the derivatives by the point in
-        space, or by its slope, that is so weighed."""
+        """Write derivatives by the coefficients, as the sum of terms: each has the coefficients' weights in a point in
+        space, or in its slope, and the derivatives by that."""
         near = self.design.weights.shape[1]
         for k in range(3):
             written = self.derivatives[:, kind, k * near : (k + 1) * near]
@@ -54,7 +54,7 @@ class Block:
                     np.multiply(weights, by_point[:, k : k + 1], out=written)
 
     def weighed(self, weight: float) -> Block:
-        """Residuals of which the squares count so much."""
+        """The residuals, with this weight on their squares."""
         root = float(np.sqrt(weight))
         return replace(self, residual=root * self.residual, derivatives=root * self.derivatives)
 
@@ -72,9 +72,9 @@ class Block:
 class Sum:
     """Cost, normal matrix and gradient of all residuals.
 
-    strain_weight: what the squares of strain count among them.
-    matrix: its upper triangle; what is below is not all there. camera: index of the camera's first unknown.
-    derivatives: whether the blocks have some; else matrix and gradient are empty.
+    strain_weight: weight of the squares of strain among them.
+    matrix: its upper triangle; the part below is incomplete. camera: index of the camera's first unknown.
+    derivatives: whether the blocks have any; otherwise matrix and gradient are empty.
     """
 
     def __init__(self, blocks: Sequence[Block], strain_weight: float) -> None:
@@ -88,7 +88,7 @@ class Sum:
             self._add(blocks)
 
     def _add(self, blocks: Sequence[Block]) -> None:
-        """The products of all blocks, knot interval by knot interval: so they are few, and small."""
+        """The products of all blocks, knot interval by knot interval: so there are few, and they are small."""
         first, n = self.camera, self.camera // 3
         surface, mixed = self.matrix[:first, :first].reshape(3, n, 3, n), self.matrix[:first, first:].reshape(3, n, -1)
         tail, right = self.matrix[first:, first:], self.right[:first].reshape(3, n)
@@ -98,7 +98,7 @@ class Sum:
             own = [block.derivatives[points] for block, points in zip(blocks, inside, strict=True)]
             rows = np.concatenate([x.reshape(-1, x.shape[2]) for x in own])
             residual = np.concatenate([b.residual[points].ravel() for b, points in zip(blocks, inside, strict=True)])
-            square, slope = rows.T @ rows, residual @ rows  # of one matrix with itself only half is computed
+            square, slope = rows.T @ rows, residual @ rows  # only half of a matrix's product with itself is computed
             surface[:, here, :, here] += square[: 3 * near, : 3 * near].reshape(3, near, 3, near)
             mixed[:, here] += square[: 3 * near, 3 * near :].reshape(3, near, -1)
             tail += square[3 * near :, 3 * near :]
@@ -106,14 +106,14 @@ class Sum:
             self.right[first:] += slope[3 * near :]
 
     def add_prior(self, k: int, residual: float, slope: float) -> None:
-        """What is known of one unknown beforehand."""
+        """Add what is known of one unknown beforehand."""
         self.cost += 0.5 * residual * residual
         if self.derivatives:
             self.matrix[k, k] += slope * slope
             self.right[k] += slope * residual
 
     def add_energy(self, energy: Float[np.ndarray, "n n"], control: Float[np.ndarray, "n 3"]) -> None:
-        """A quadratic form of the coefficients' x, and of their y and z."""
+        """Add a quadratic form of the coefficients' x, and of their y and z."""
         slope = energy @ control
         self.cost += 0.5 * float(np.vdot(control, slope))
         if self.derivatives:

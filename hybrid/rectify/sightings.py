@@ -1,9 +1,9 @@
-"""One-sided observations of the film, and the smooth displacement that explains them.
+"""Observations of the film along one axis each, and the smooth displacement that explains them.
 
-A sighting says: the photo, looked at through the current map, shows at film point ``seen`` something whose
-true film coordinate along one axis is ``known``. An edge or a rule says nothing about the other axis.
-The displacement d makes ``photo_from_film(uv + d(uv))`` right: at the true place of a sighting, d's component
-along its axis is ``seen - known``. u and v are never coupled, so that there are two small systems.
+A sighting says: the photo, looked at through the current map, shows at film point ``seen`` something whose true film
+coordinate along one axis is ``known``. An edge or a rule says nothing about the other axis. The displacement d makes
+``photo_from_film(uv + d(uv))`` right: at the true place of a sighting, d's component along its axis is
+``seen - known``. u and v are never coupled, so there are two small systems.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ from hybrid.errors import require_at_least
 from hybrid.rectify.tps import MAD_TO_SIGMA, LatticeSpline, lattice_spline, mad_sigma, tukey_weights
 
 PRIOR_COUNT = 4.0
-"""Residuals of a group that the stated deviations count as."""
+"""Number of residuals of a group that the stated deviations count as."""
 LONE_FACTOR = 2.0
-"""By how much stated deviations grow where a group is too small to show its spread."""
+"""Factor by which stated deviations grow where a group is too small to show its spread."""
 (_POSV,) = get_lapack_funcs(("posv",), dtype=np.float64)
 """LAPACK's solver of positive definite systems."""
 
@@ -41,11 +41,11 @@ class Sightings:
         cell): known + shared @ constants.
     shared_sigma: prior standard deviation of these constants around 0, in film units.
     group: a number for each sighting, or None. Sightings of one number show the same thing in different places: a
-        text, which is alike everywhere, or anatomy, which is not. How alike is found from how well they agree.
-    has_rule: of one of the sheet's edges, whether a rule is printed along it. rule_expected: whether one may be that
-        was not told from the edge, so that its place is not known (course.py). has_frame: whether a bright band wider
-        than a rule is, so that the print ends inside it.
-    along: film coordinate of the things along the other axis, where it is better known than as they are ``seen``.
+        text, which is alike everywhere, or anatomy, which is not. How alike it is follows from how well they agree.
+    has_rule: for one of the sheet's edges, whether a rule is printed along it. rule_expected: whether there may be one
+        that was not told apart from the edge, so that the edge's place is uncertain (course.py). has_frame: whether
+        there is a bright band wider than a rule, so that the print ends inside it.
+    along: film coordinate of the things along the other axis, where it is known better than from ``seen``.
     """
 
     axis: int
@@ -64,7 +64,7 @@ class Sightings:
         return len(self.known)
 
     def places(self) -> Float[np.ndarray, "n 2"]:
-        """The film points as far as known: ``seen`` with what is known of both coordinates put right."""
+        """The film points as far as known: ``seen``, with both coordinates corrected where they are known better."""
         uv = self.seen.copy()
         uv[:, self.axis] = self.known
         if self.along is not None:
@@ -95,10 +95,10 @@ class SplineConfig:
     lattice: tuple[int, int] = (9, 9)
     """Rows and columns of the lattice of kernels; finer than any error of a smooth coarse map."""
     prior_px: float = 40.0
-    """Expected size of the coarse map's error, in pixels of a film 1000 pixels long: holds what nothing observes, and
-    is wide, as edges tell more of the film's inside than the coarse map does."""
+    """Expected size of the coarse map's error, in pixels of a film 1000 pixels long: it constrains what nothing
+    observes, and is wide, as edges tell more about the film's inside than the coarse map does."""
     stiffness: tuple[float, float, int] = (5e3, 5e5, 5)
-    """Lowest and highest bending weight tried, and how many; the evidence chooses. In 1 / (squared film units)."""
+    """Lowest and highest bending weight tried, and how many; the evidence selects. In 1 / (squared film units)."""
     reweightings: int = 5
     """Rounds of robust reweighting."""
 
@@ -153,12 +153,12 @@ def carried(sightings: Sequence[Sightings], before: BackwardMap, after: Backward
 
 @lru_cache(maxsize=4)
 def _rows_at_nodes(lattice: tuple[int, int], size: tuple[int, int]) -> Float[np.ndarray, "m n"]:
-    """Weights of a spline's lattice values at the nodes of a map: the same few sizes come again and again."""
+    """Weights of a spline's lattice values at the nodes of a map: cached, as the same few sizes recur."""
     return lattice_spline(lattice).rows(film_nodes(size).reshape(-1, 2))
 
 
 def no_displacement(config: SplineConfig) -> Displacement:
-    """The displacement that leaves all where it is."""
+    """The displacement that moves nothing."""
     lattice = lattice_spline(config.lattice)
     return Displacement(lattice, np.zeros((len(lattice.nodes), 2)))
 
@@ -179,7 +179,7 @@ class DisplacementFit:
 
 
 def lattice_rows(sightings: Sequence[Sightings], config: SplineConfig) -> list[Float[np.ndarray, "_ m"]]:
-    """Weights of the displacement's node values in what it is where the things of each list truly are."""
+    """Weights of the node values in the displacement at the true places of each list's sightings."""
     places = np.concatenate([np.zeros((0, 2)), *(s.places() for s in sightings)])
     rows = lattice_spline(config.lattice).rows(np.clip(places, 0.0, 1.0))
     return np.split(rows, np.cumsum([len(s) for s in sightings])[:-1])
@@ -190,7 +190,7 @@ def fit_displacement(
 ) -> DisplacementFit:
     """The smooth displacement that explains the sightings (all made through the same map), outliers set aside.
 
-    rows: ``lattice_rows`` of the sightings, where they are known already.
+    rows: ``lattice_rows`` of the sightings, if already known.
     """
     lattice = lattice_spline(config.lattice)
     rows = lattice_rows(sightings, config) if rows is None else rows
@@ -234,9 +234,9 @@ class _System:
     lattice: LatticeSpline
 
     def precision(self, scaled: Float[np.ndarray, " n"], config: SplineConfig) -> Float[np.ndarray, "m m"]:
-        """Of the unknowns, from the observations, given their precisions, and from what is known before any of them."""
+        """Precision matrix of the unknowns, from the observations with these precisions and from the priors."""
         whitened = self.rows * np.sqrt(scaled)[:, None]
-        precision = whitened.T @ whitened  # of one matrix with itself only half is computed
+        precision = whitened.T @ whitened  # only half of a matrix's product with itself is computed
         n, m = len(self.lattice.nodes), len(precision)
         precision.flat[:: m + 1] += np.append(np.full(n, _ridge(n, config)), 1.0 / self.shared_sigma**2)
         return precision
@@ -257,7 +257,7 @@ def _ridge(n_nodes: int, config: SplineConfig) -> float:
 def _assemble(
     sightings: Sequence[Sightings], lattice: LatticeSpline, known: Sequence[Float[np.ndarray, "_ m"]]
 ) -> _System:
-    """One row for each sighting. known: as of ``lattice_rows``."""
+    """One row for each sighting. known: as from ``lattice_rows``."""
     n = len(lattice.nodes)
     total = sum(len(s) for s in sightings)
     rows = np.zeros((total, n + sum(s.shared.shape[1] for s in sightings)))
@@ -279,9 +279,9 @@ def _assemble(
 
 
 def _solve_robust(system: _System, config: SplineConfig) -> tuple[np.ndarray, np.ndarray, float]:
-    """Unknowns, weights and stiffness: Tukey's biweight with a tolerance that falls, stiffness by evidence.
+    """Unknowns, weights and stiffness: by Tukey's biweight with a falling tolerance, and the stiffness by evidence.
 
-    It begins as stiff as can be: only then does the noise of what differs from cell to cell show, and is not followed.
+    It starts as stiff as can be: only then does the noise of what differs from cell to cell show, and is not fitted.
     """
     candidates = _geometric(*config.stiffness)
     weights = np.ones(len(system.right))
@@ -309,7 +309,7 @@ def _solve_robust(system: _System, config: SplineConfig) -> tuple[np.ndarray, np
 def _likeliest(
     system: _System, precision: np.ndarray, right: np.ndarray, near: int, config: SplineConfig
 ) -> tuple[int, Float[np.ndarray, " m"]]:
-    """Which of the candidates for the stiffness has most evidence, uphill from ``near``, and the unknowns with it."""
+    """Index of the stiffness candidate with most evidence, searched uphill from ``near``, and the unknowns with it."""
     solutions: dict[int, Float[np.ndarray, " m"]] = {}
 
     def evidence(number: int, stiffness: float) -> float:
@@ -322,7 +322,7 @@ def _likeliest(
 
 
 def highest_near(start: int, values: Sequence[Callable[[], float]]) -> int:
-    """Which of some values is higher than its neighbours, uphill from ``start``; few of them are computed."""
+    """Index of a value that is higher than its neighbours, searched uphill from ``start``; only a few are computed."""
     value = cache(lambda k: values[k]())
     at, best = -1, start
     while at != best:
@@ -333,14 +333,14 @@ def highest_near(start: int, values: Sequence[Callable[[], float]]) -> int:
 
 @lru_cache(maxsize=4)
 def _geometric(low: float, high: float, count: int) -> tuple[float, ...]:
-    """Numbers from low to high, each as many times the one before."""
+    """Numbers from low to high in geometric progression."""
     return tuple(np.geomspace(low, high, count).tolist())
 
 
 def group_noise(
     stated: Float[np.ndarray, " n"], groups: Int[np.ndarray, " n"], residual: Float[np.ndarray, " n"]
 ) -> Float[np.ndarray, " n"]:
-    """Stated deviations, with those of each group multiplied by what its sightings' agreement says.
+    """Stated deviations, those of each group multiplied by a factor found from how well its sightings agree.
 
     groups: a number for each sighting, -1 for none. The spread of few residuals tells little: the stated deviations
     count as ``PRIOR_COUNT`` more of them.
@@ -355,7 +355,7 @@ def group_noise(
 
 
 def group_medians(values: Float[np.ndarray, " n"], group: Int[np.ndarray, " n"]) -> Float[np.ndarray, " g"]:
-    """Median of the values of each group, which are numbered from 0; 0 of one that is empty."""
+    """Median of the values of each group, numbered from 0; an empty group gives 0."""
     size = np.bincount(group)
     order = np.argsort(values)
     order = order[np.argsort(group[order].astype(np.uint16), kind="stable")]  # a radix sort, quicker than np.lexsort
@@ -367,9 +367,9 @@ def group_medians(values: Float[np.ndarray, " n"], group: Int[np.ndarray, " n"])
 def _solve(matrix: Float[np.ndarray, "m m"], right: Float[np.ndarray, " m"]) -> tuple[Float[np.ndarray, " m"], float]:
     """Solution of a positive definite system, and the logarithm of its determinant.
 
-    LAPACK itself: SciPy's wrappers take longer than the system of a hundred unknowns does. The matrix is overwritten.
+    Calls LAPACK itself: SciPy's wrappers take longer than a system of a hundred unknowns. The matrix is overwritten.
     """
-    factor, solution, info = _POSV(matrix.T, right, overwrite_a=True)  # transposed, it is as LAPACK reads it
+    factor, solution, info = _POSV(matrix.T, right, overwrite_a=True)  # transposed, it is in LAPACK's order
     if info != 0:
         raise np.linalg.LinAlgError("normal equations of the displacement are not positive definite")
     return solution, 2.0 * float(np.sum(np.log(np.diag(factor))))
@@ -383,7 +383,7 @@ def _bending_eigenvalues(size: tuple[int, int]) -> np.ndarray:
 def _log_evidence(
     system: _System, precision: np.ndarray, right: np.ndarray, stiffness: float, config: SplineConfig
 ) -> tuple[Float[np.ndarray, " m"], float]:
-    """The unknowns with a stiffness, and its log marginal likelihood, up to a constant (the noise is stated, so this is
+    """The unknowns for a stiffness, and its log marginal likelihood up to a constant (the noise is stated, so this is
     not scale-free)."""
     solution, log_det = _solve(system.stiffened(precision, stiffness), right)
     ridge = _ridge(len(system.lattice.nodes), config)

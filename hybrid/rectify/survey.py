@@ -1,6 +1,6 @@
 """A cheap look at a photo and at what the network made of it: what is there, and which stages are needed.
 
-Every decision carries the one line of evidence that the user sees in the stage reports.
+Every decision carries one line of evidence, which the user sees in the stage reports.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class SurveyConfig:
     min_side_px: int = 64
     """Photos with a shorter side are refused."""
     blank_spread: float = 4.0
-    """A photo whose grey levels (0 to 255) hardly ever leave a band this wide is of one colour."""
+    """A photo whose grey levels (0 to 255) hardly ever leave a band this wide counts as being of one colour."""
     min_mask_share: float = 0.03
     """Least share of the network's crop that shows film."""
     min_inlier_share: float = 0.7
@@ -43,7 +43,7 @@ class SurveyConfig:
     min_overlap: float = 0.825
     """Least intersection over union of the mask with the outline of the flattened film."""
     max_expected_error: float = 0.0145
-    """Largest median of the errors that the network expects of film coordinates; of what is no film it is unsure."""
+    """Largest median error that the network expects of film coordinates; it is unsure about what is no film."""
     min_skewness: float = -0.7
     """Least skewness of the print's fine detail. A film is dark with bright texts and bones (-0.3 to 4 on photos with
     truth), a sheet of paper bright with dark type (-3.5 to -1.1 on photographed invoices)."""
@@ -65,8 +65,7 @@ class Decision:
 
 @dataclass(frozen=True)
 class Verdict:
-    """How far a photo can be worked on: OK or the status that ends the work, with the evidence, and what speaks against
-    it."""
+    """Whether a photo can be worked on: OK or the status that ends the work, the evidence, and the doubts."""
 
     code: StatusCode
     reason: str
@@ -94,7 +93,7 @@ def survey_maps(
 ) -> Verdict:
     """Whether what the network saw is a film: one sheet, seen once, most of it, with an outline that fits the mask.
 
-    size: height and width of the photo: what fits a film as far as that reaches, and not beyond, is cut off.
+    size: height and width of the photo: a film whose outline fits the mask only within the photo is cut off.
     """
     config = config or SurveyConfig()
     if isinstance(inversion, NotInverted):
@@ -125,8 +124,8 @@ def survey_maps(
 
 
 def grey_spread(photo: UInt8[np.ndarray, "H W 3"]) -> float:
-    """Of how many grey levels (0 to 255) a photo makes use: the range of 99 % of its pixels, in the colour that has
-    most."""
+    """How many grey levels (0 to 255) a photo puts to use: the range of 99 % of its pixels, in the colour with the
+    largest range."""
     step = max(min(photo.shape[:2]) // 256, 1)
     low, high = np.percentile(photo[::step, ::step], [0.5, 99.5], axis=(0, 1))
     return float((high - low).max())
@@ -141,7 +140,7 @@ def survey_print(
     grey = cv2.cvtColor(flat.image, cv2.COLOR_RGB2GRAY).astype(np.float32)
     detail = (grey - cv2.GaussianBlur(grey, (0, 0), PRINT_DETAIL_PX))[flat.valid]
     spread = float(detail.std()) if detail.size else 0.0
-    if spread < 0.5:  # grey levels: rounding alone makes as much
+    if spread < 0.5:  # grey levels: rounding alone gives as much
         return Verdict(StatusCode.OK, "nothing printed is seen")
     share = np.clip(detail / spread, -4.0, 4.0)
     skewness = float(np.mean(share * share * share))  # a general power takes ten times as long
@@ -151,13 +150,13 @@ def survey_print(
 
 
 def expected_error(maps: CoarseMaps) -> float:
-    """Median error that the network expects of the film coordinates it gives; 0 where it says nothing."""
+    """Median error that the network expects of its film coordinates; 0 where it states none."""
     film = maps.film
     return float(np.median(maps.expected_error[film])) if maps.expected_error is not None and film.any() else 0.0
 
 
 def _shape_verdict(backward: BackwardMap, evidence: str, config: SurveyConfig) -> Verdict:
-    """OK where the map neither folds nor crushes a part of the sheet."""
+    """OK where the map neither folds nor crushes any part of the sheet."""
     area = np.abs(np.linalg.det(backward.jacobian(film_nodes((17, 17)))))
     if backward.folds((17, 17)):
         return Verdict(StatusCode.FOLDED, f"the map turns over; {evidence}")
@@ -170,7 +169,7 @@ def _shape_verdict(backward: BackwardMap, evidence: str, config: SurveyConfig) -
 def mask_overlap(maps: CoarseMaps, backward: BackwardMap, size: Sequence[int] | None = None) -> float:
     """Intersection over union of the mask with the film's outline, within the picture that the network saw.
 
-    size: height and width of the photo, if only what it reaches counts.
+    size: height and width of the photo, if only what lies within it counts.
     """
     mask: Bool[np.ndarray, "h w"] = maps.film
     outline = np.stack(index_in_grid(maps.photo_points, backward.outline()), axis=-1)
@@ -189,12 +188,12 @@ def film_share(maps: CoarseMaps, size: Sequence[int]) -> float:
 
 
 def _reached(maps: CoarseMaps, size: Sequence[int]) -> Bool[np.ndarray, "h w"]:
-    """Pixels of maps that a photo of ``size`` reaches."""
+    """Which pixels of the maps lie within a photo of ``size``."""
     return np.all((maps.photo_points >= 0) & (maps.photo_points <= (size[1], size[0])), axis=-1)
 
 
 def survey_plane(backward: BackwardMap, max_off: float) -> tuple[Decision, BackwardMap]:
-    """Whether a map lies within ``max_off`` (parts of the film's size) of a plane sheet's, and that of the nearest."""
+    """Whether a map is within ``max_off`` (parts of the film's size) of a plane sheet's, and the nearest such map."""
     nodes = backward.nodes.reshape(-1, 2)
     uv = film_nodes(backward.nodes.shape[:2]).reshape(-1, 2)
     centre, unit = nodes.mean(axis=0), float(nodes.std())
@@ -207,7 +206,7 @@ def survey_plane(backward: BackwardMap, max_off: float) -> tuple[Decision, Backw
 
 def survey_light(gain: Float[np.ndarray, "gh gw"], veil: Float[np.ndarray, "vh vw"], even: float) -> Decision:
     """Whether the light is even: over the film ``gain`` varies by less than ``even`` (relative), and ``veil``, given
-    in parts of the light of white, by less than a third of it, as black shows a veil more than white a gain."""
+    in parts of the light of white, by less than a third of that, as a veil shows more on black than a gain on white."""
     spread = float(np.percentile(gain, 98) / max(float(np.percentile(gain, 2)), 1e-6) - 1.0)
     lift = float(np.percentile(veil, 98) - np.percentile(veil, 2))
     text = f"light varies by {spread:.0%}, reflections by {lift:.1%} of white over the film"

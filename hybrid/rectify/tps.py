@@ -29,7 +29,7 @@ MIN_POINTS = 3
 COLLINEAR_RATIO = 1e-6
 """Points whose spread across is below this fraction of their spread along lie on a line for float64's purposes."""
 CLOSE_RATIO = 1e-6
-"""Points that are closer than this fraction of the extent of all are one point for float64's purposes."""
+"""Points closer together than this fraction of the extent of all are one point for float64's purposes."""
 TUKEY_CUT = 4.685
 """Tukey's biweight with this cut, in standard deviations, is 95 % efficient under Gaussian noise."""
 MAD_TO_SIGMA = 1.4826
@@ -37,7 +37,7 @@ MAD_TO_SIGMA = 1.4826
 
 
 def mad_sigma(residuals: Float[np.ndarray, " n"]) -> float:
-    """Standard deviation of Gaussian noise by the median of the residuals' absolute values; at least one is needed.
+    """Standard deviation of Gaussian noise from the median of the residuals' absolute values; needs at least one.
 
     By sorting: on a thousand values NumPy's median takes three times as long.
     """
@@ -46,7 +46,7 @@ def mad_sigma(residuals: Float[np.ndarray, " n"]) -> float:
 
 
 class SplineError(HybridError, ValueError):
-    """Observations from which no thin-plate spline can be made."""
+    """Observations that do not determine a thin-plate spline."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,9 +104,9 @@ def affine_basis(points: Float[np.ndarray, "m 2"]) -> Float[np.ndarray, "m 3"]:
 class LatticeSpline:
     """All thin-plate splines with kernels on a regular film lattice, written by their values at its nodes.
 
-    Centres on a fixed lattice rather than at the observations keep the system small and equally conditioned
-    however many observations there are, and allow observations that know one coordinate only, or a value up
-    to an unknown constant: each is one row over the node values.
+    Centres on a fixed lattice rather than at the observations keep the system small and equally conditioned however
+    many observations there are, and allow observations of one coordinate only, or of a value up to an unknown
+    constant: each is one row over the node values.
 
     size: rows and columns of the lattice, edges of the film included.
     bending: the bending energy of node values y is ``y @ bending @ y``.
@@ -118,7 +118,7 @@ class LatticeSpline:
     bending: Float[np.ndarray, "n n"]
 
     def rows(self, uv: Float[np.ndarray, "m 2"]) -> Float[np.ndarray, "m n"]:
-        """Weights of the node values in the spline's value at film points."""
+        """Weights of the node values in the spline's values at film points."""
         return self._basis(uv) @ self.cardinal
 
     def evaluate(self, uv: Float[np.ndarray, "m 2"], values: Float[np.ndarray, "n c"]) -> Float[np.ndarray, "m c"]:
@@ -208,11 +208,10 @@ def fit_tps_robust(
 ) -> ThinPlateSpline:
     """A smoothed spline that outliers do not move: reweighted least squares with Tukey's biweight.
 
-    sigma: noise of a good observation, in the unit of the values; errors beyond ``4.685 sigma`` end without
-    any weight. The noise assumed starts at the spread of the values and falls to ``sigma``: at first the spline
-    is stiff and tolerant, so that no outlier can bend it to itself (graduated non-convexity). Holds with 30 %
-    of gross outliers. ``smoothing`` must be above 0: an interpolating spline has no residuals.
-    Raises SplineError.
+    sigma: noise of a good observation, in the unit of the values; errors beyond ``4.685 sigma`` end without any weight.
+    The noise assumed starts at the spread of the values and falls to ``sigma``: at first the spline is stiff and
+    tolerant, so that no outlier can bend it to itself (graduated non-convexity). Withstands 30 % of gross outliers.
+    ``smoothing`` must be above 0: an interpolating spline has no residuals. Raises SplineError.
     """
     if not (np.isfinite(sigma) and sigma > 0 and smoothing > 0):
         raise SplineError(
@@ -245,7 +244,7 @@ def tukey_weights(standardised: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*
 
 
 def _saddle(centres: Float[np.ndarray, "n 2"], ridge: Float[np.ndarray, " n"]) -> Float[np.ndarray, "m m"]:
-    """The symmetric system of kernel and affine coefficients, ``ridge`` on the kernels' diagonal."""
+    """The symmetric system of kernel and affine coefficients, with ``ridge`` on the kernels' diagonal."""
     affine = affine_basis(centres)
     return np.block([[thin_plate_kernel(centres, centres) + np.diag(ridge), affine], [affine.T, np.zeros((3, 3))]])
 
@@ -253,7 +252,7 @@ def _saddle(centres: Float[np.ndarray, "n 2"], ridge: Float[np.ndarray, " n"]) -
 def _checked(
     points: np.ndarray, values: np.ndarray, sigma: np.ndarray | None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The observations that count, or a SplineError that says why there is no spline through them."""
+    """The observations that count; raises SplineError, saying why, if no spline goes through them."""
     points, values = np.asarray(points, dtype=np.float64), np.asarray(values, dtype=np.float64)
     sigma = np.ones(len(points)) if sigma is None else np.asarray(sigma, dtype=np.float64)
     if not (np.isfinite(points).all() and np.isfinite(values).all() and not np.isnan(sigma).any()):
@@ -277,7 +276,7 @@ def _checked(
 
 
 def _refuse_lines(points: Float[np.ndarray, "n 2"]) -> None:
-    """SplineError where the points do not determine a plane."""
+    """Raise SplineError where the points do not determine a plane."""
     if len(points) < MIN_POINTS or _collinear(points):
         raise SplineError(
             describe(
@@ -299,8 +298,8 @@ def _collinear(points: Float[np.ndarray, "n 2"]) -> bool:
 def _merged(points: np.ndarray, values: np.ndarray, sigma: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Distinct points, weighted mean values, and variances of those means.
 
-    Points closer than CLOSE_RATIO of their extent count as one: a spline through two values at all but one place is
-    lost in rounding. Raises SplineError where what is left lies on a line.
+    Points closer than CLOSE_RATIO of their extent count as one: a spline through two values at almost the same place
+    is lost in rounding. Raises SplineError where what is left lies on a line.
     """
     close = CLOSE_RATIO * float(np.ptp(points, axis=0).max())
     first, second = KDTree(points).query_pairs(close, output_type="ndarray").T

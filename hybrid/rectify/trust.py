@@ -1,10 +1,10 @@
 """How far a flattened film can be trusted: what speaks for its map and against it, and the error to be expected.
 
-All is looked at once more, through the finished map: across its edges EdgeNet must read edges where they are, across
-the borders that its grid predicts BorderNet should, and what FilmNet sees must lie where the map has it. How far the
-two ends of refinement lie apart, whether a bent sheet explains what was seen, and whether margins are alike on both
-sides tell the rest. Two regressions over photos with truth turn these signs into an error and into a probability that
-it is small. Others are musts: without them, photos exist on which all these speak for a map that is wrong.
+All is looked at once more, through the finished map: EdgeNet must read edges where the map has them, BorderNet should
+read borders where the grid predicts them, and what FilmNet sees must lie where the map puts it. How far apart the two
+ends of refinement lie, whether a bent sheet explains what was seen, and whether margins are alike on both sides tell
+the rest. Two regressions over photos with truth turn these signs into an error and into a probability that it is small.
+Other signs are musts: without them, there are photos on which all of these speak for a wrong map.
 """
 
 from __future__ import annotations
@@ -31,33 +31,33 @@ REFERENCE_PX = 1080
 """Longer side of the photos that limits in pixels are stated for."""
 
 FLAT_ERROR, ASLANT = 0.0005, 0.004
-"""Error of a photo that is the flat film itself, in parts of the film's size, where cells pin it; and how far off it
-may be at the mean where they do not: of 81 scans put aslant 28 pass for flat, one of which is further off."""
+"""Error of a photo that is the flat film itself, in parts of the film's size, where cells pin it; and its largest mean
+error where they do not: of 81 scans put aslant, 28 pass for flat, one of which is further off."""
 
 UNKNOWN_STATED = 0.01
-"""Stands for the error that refinement expects where it left the map as it was: the network's, in parts of the film."""
+"""Assumed expected error where refinement left the map as it was: the network's, in parts of the film."""
 
 UNKNOWN_EDGES = 0.02
-"""Stands for how far beside the map an edge is read where not all are, in film units."""
+"""Assumed distance between an edge as read and the map's, where not all edges are read, in film units."""
 
 OUTSIDE = 0.6
-"""Part of a side that lies outside the photo from which on the whole side does: of 25 such films of 936 17 were over 5
-px off, at the median 13; of 18 of which less of a side does three."""
+"""A side counts as lying outside the photo if this part of it does: of 936 films 25 had such a side, and 17 of these
+were over 5 px off, at the median 13; of 18 with less of a side outside, three were."""
 
 OUTSIDE_BY = 0.005
-"""How far outside, in parts of the film's size: a film may end where the photo does."""
+"""How far outside that part must lie, in parts of the film's size: a film may end where the photo does."""
 
 UNKNOWN_LOPSIDED = 0.05
-"""Stands for how unlike opposite margins are where there is no grid, in film units; more than that counts no more."""
+"""Assumed difference between opposite margins where there is no grid, in film units; larger ones count as this one."""
 
 
 @dataclass(frozen=True)
 class ChanceConfig(FittedWeights):
-    """How probable it is that a map is right to a limit: a logistic regression over the maps of 1,920 simulated photos
-    of the training scans, with limits of 4, 5 and 6 pixels of a photo of 1080.
+    """How probable it is that a map is right to within a limit: a logistic regression over the maps of 1,920 simulated
+    photos of the training scans, with limits of 4, 5 and 6 pixels of a photo of 1080.
 
-    limit: of the error, in parts of the film, by its logarithm. no_sheet: where no bent sheet explains what was seen.
-    doubted: where it was in doubt at first: the surest of several refinements is sure by selection, too.
+    limit: for the logarithm of the limit, in parts of the film. no_sheet: where no bent sheet explains what was seen.
+    doubted: where the map was in doubt at first: the surest of several refinements is so partly by selection.
     The others: as in ``features``.
     """
 
@@ -74,8 +74,8 @@ class ChanceConfig(FittedWeights):
 
 @dataclass(frozen=True)
 class ErrorConfig(FittedWeights):
-    """Which error is to be expected: its logarithm, in parts of the film, as a linear function of the same
-    ``features``, fitted by absolute deviations to the same maps."""
+    """Which error is expected: its logarithm, in parts of the film, as a linear function of the same ``features``,
+    fitted by absolute deviations to the same maps."""
 
     constant: float = 4.025
     seen_beside: float = 0.662
@@ -87,9 +87,9 @@ class ErrorConfig(FittedWeights):
 
 @dataclass(frozen=True)
 class TrustConfig:
-    """From which error on a film is not called flattened, and how an error is predicted.
+    """The error from which on a film is not called flattened, and how errors are predicted.
 
-    The typical error tells little of how probable a large one is: for that ``chance`` has weights of its own.
+    The typical error tells little about how probable a large one is: ``chance`` has weights of its own for that.
     """
 
     limit_px: float = 5.0
@@ -99,29 +99,28 @@ class TrustConfig:
     least_chance: float = 0.95
     """Least probability that the error is below the limit."""
     chance: ChanceConfig = ChanceConfig()
-    """How that is told."""
+    """How this probability is predicted."""
     error: ErrorConfig = ErrorConfig()
-    """How the error to be expected is told."""
+    """How the error is predicted."""
     min_edges: int = 4
-    """Least number of the sheet's edges that are seen: what only repeats tells neither place nor size, and a printed
-    line may be taken for the edge that is not seen."""
+    """Least number of the sheet's edges that must be seen: repetition alone tells neither place nor size, and a printed
+    line may be taken for an edge that is not seen."""
     min_support: float = 0.6
-    """Least mean probability that an edge lies where the map puts it: others look like none to who reads them."""
+    """Least mean probability that an edge lies where the map puts it: others do not look like edges to EdgeNet."""
     least_support: float = 0.2
-    """Below that, what has no grid and is not corrected by anything that is seen on it is no film, but part of a room:
-    of 1,110 films that were found in simulated photos that holds of one, which is 59 px off."""
+    """Below this, what has no grid and was not corrected by anything seen on it is no film, but part of a room:
+    of 1,110 films found in simulated photos this holds for one, which is 59 px off."""
     min_overlap: float = 0.925
     """Least intersection over union of what the network sees as film with the finished map's outline."""
     min_in_step: float = 0.88
-    """Least agreement of the grid with what the network tells of the cells."""
+    """Least agreement of the grid with what the network says about the cells."""
     min_alike: float = 0.12
     """Least agreement of the cells: noise repeats by chance, too."""
     most_lopsided: float = 0.055
-    """Of a photo that is the flat film itself, how unlike margins on opposite sides may be (``SliceGrid.lopsided``): of
-    50 whole films they are by 0.05 at most, of nine that lack 0.4 of a column or 7 % of their width by 0.06 and more.
-    """
+    """How much opposite margins may differ on a photo that is the flat film itself (``SliceGrid.lopsided``): they do by
+    0.05 at most on 50 whole films, by 0.06 and more on nine that lack 0.4 of a column or 7 % of their width."""
     min_levels: float = 20.0
-    """Least number of grey levels that the photo makes use of: over fewer, gutters look like the sheet's edges."""
+    """Least number of grey levels that the photo makes use of: with fewer, gutters look like the sheet's edges."""
 
     def __post_init__(self) -> None:
         require_at_least(self, 0, "limit_px")
@@ -143,10 +142,10 @@ def signs_of(
 ) -> Signs:
     """What speaks for a refined map.
 
-    seen, coarse: what the network saw last before refinement, and the map made of it. again: what it sees of the film
-    as the refined map flattens it (as a plane sheet). across: the edges as they are read across the refined map's.
-    shown: how probable it is that borders between cells show where its grid has them (``borders_shown``). near: whether
-    the network saw the film in a look at a part of the photo alone.
+    seen, coarse: what the network saw last before refinement, and the map made from it. again: what it sees of the film
+    flattened by the refined map (as a plane sheet). across: the edges as read across the refined map's. shown: how
+    probable it is that borders between cells show where its grid has them (``borders_shown``). near: whether the
+    network saw the film only in a look at a part of the photo.
     """
     backward, grid = refinement.backward, refinement.grid
     film_px = _film_px(backward)
@@ -177,7 +176,7 @@ def signs_of(
 
 
 def sides_outside(backward: BackwardMap, size: tuple[int, int]) -> tuple[str, ...]:
-    """Names of the sides of the sheet that lie for the most part outside a photo of ``size`` (height, width)."""
+    """Names of the sides of the sheet that lie mostly outside a photo of ``size`` (height, width)."""
     along, beside = film_centres_1d(32), OUTSIDE_BY * max(backward.mean_film_pixels())
 
     def outside(side: Side) -> float:
@@ -188,7 +187,7 @@ def sides_outside(backward: BackwardMap, size: tuple[int, int]) -> tuple[str, ..
 
 
 def expected_error_px(signs: Signs, config: TrustConfig | None = None) -> float:
-    """Mean distance, in pixels of the photo, by which the points of the film are expected to be off."""
+    """Mean distance, in pixels of the photo, by which points of the film are expected to be off."""
     config = config or TrustConfig()
     if _whole_photo(signs, config):
         return float(np.clip(signs.off_frame, FLAT_ERROR, ASLANT)) * signs.film_px
@@ -201,7 +200,7 @@ def _whole_photo(signs: Signs, config: TrustConfig) -> bool:
 
 
 def features(signs: Signs) -> dict[str, float]:
-    """What the weights of ErrorConfig are of, and most of those of ChanceConfig."""
+    """The values that the weights of ErrorConfig, and most of those of ChanceConfig, multiply."""
     return {
         "constant": 1.0,
         "seen_beside": float(np.log(min(signs.seen_beside, 1.0) + 1e-3)),
@@ -213,7 +212,7 @@ def features(signs: Signs) -> dict[str, float]:
 
 
 def chance_right(signs: Signs, config: TrustConfig | None = None) -> float:
-    """Probability that the mean error is below the largest of a film that is called flattened."""
+    """Probability that the mean error is below the largest allowed for a film that is called flattened."""
     config = config or TrustConfig()
     if _whole_photo(signs, config):
         return 1.0
@@ -222,7 +221,7 @@ def chance_right(signs: Signs, config: TrustConfig | None = None) -> float:
 
 
 def chance_features(signs: Signs, limit_px: float) -> dict[str, float]:
-    """What the weights of ChanceConfig are of. limit_px: of the error, in pixels of the photo."""
+    """The values that the weights of ChanceConfig multiply. limit_px: of the error, in pixels of the photo."""
     limit = float(np.log(limit_px / signs.film_px))
     return {
         **features(signs),
@@ -233,13 +232,13 @@ def chance_features(signs: Signs, limit_px: float) -> dict[str, float]:
 
 
 def largest_error_px(photo_px: int, config: TrustConfig) -> float:
-    """Of a film that is called flattened, in pixels of a photo whose longer side has ``photo_px``."""
+    """Largest error of a film that is called flattened, in pixels of a photo whose longer side has ``photo_px``."""
     return max(config.limit_px / REFERENCE_PX * photo_px, 1.0)
 
 
 def film_verdict(signs: Signs, config: TrustConfig | None = None) -> Verdict:
-    """OK where the film is as good as certain to lie where the map says, UNSURE else, NO_FILM where nothing of what
-    makes a film is seen, with the evidence."""
+    """OK where the film almost certainly lies where the map says, NO_FILM where no sign of a film is seen, otherwise
+    UNSURE; with the evidence."""
     config = config or TrustConfig()
     if _whole_photo(signs, config):
         return Verdict(StatusCode.OK, f"the photo is the flat film itself: cells are alike to {signs.alike:.0%}")
@@ -284,7 +283,7 @@ def film_verdict(signs: Signs, config: TrustConfig | None = None) -> Verdict:
 
 
 def cells_alike(pyramid: Pyramid, backward: BackwardMap, grid: SliceGrid, side_px: int = 500) -> float:
-    """Share of fine detail that the cells of the grid have in common, less what as many unlike ones would have."""
+    """Share of fine detail that the cells of the grid have in common, less what as many unlike cells would share."""
     cells = grid.rows * grid.cols
     if cells < 2:
         return 0.0
@@ -297,7 +296,7 @@ def cells_alike(pyramid: Pyramid, backward: BackwardMap, grid: SliceGrid, side_p
 
 
 def _in_step(again: CoarseMaps, backward: BackwardMap, grid: SliceGrid) -> float:
-    """Agreement of a grid with the phases that the network tells, along the worse axis; 0 where it tells none."""
+    """Agreement of a grid with the phases that the network predicts, along the worse axis; 0 where it predicts none."""
     phases = CellPhases.of(again)
     if phases is None:
         return 0.0
@@ -312,7 +311,7 @@ def _repeats(grid: SliceGrid, axis: int) -> Repeats:
 
 
 def _weighted(features: Mapping[str, float], weights: ChanceConfig | ErrorConfig) -> float:
-    """Sum of the features, each with its weight."""
+    """Sum of the features, each times its weight."""
     return sum(getattr(weights, name) * value for name, value in features.items())
 
 
@@ -331,12 +330,12 @@ def seen_beside(again: CoarseMaps, backward: BackwardMap) -> float:
 
 
 def _film_px(backward: BackwardMap) -> float:
-    """Side of a square of the film's area in the photo, in pixels."""
+    """Side of a square with the film's area in the photo, in pixels."""
     return max(float(np.sqrt(np.prod(backward.mean_film_pixels()))), 1e-9)
 
 
 def floored(chance: float) -> str:
-    """A probability in whole percent, none of which it falls short of."""
+    """A probability in whole percent, rounded down."""
     return f"{int(100 * chance + 1e-9)}%"
 
 
