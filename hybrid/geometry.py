@@ -87,7 +87,7 @@ def shape_of(
     with clock.stage("edges") as report:
         read = read_edges(pyramid, coarse, reader, config.edges)
         start = put_on_edges(coarse, read, config.edges)
-        report.reason = f"{len(read.sightings)} of 4 edges read, up to {read.off:.1%} of the film beside the network's"
+        report.reason = f"{len(read.sightings)} of 4 edges read, at most {read.off:.1%} of the film off the network's"
     by_edges = partial(flat_film, edges=read.seen_through(start), refine=config.refine, config=config.plane)
     flat = _on_copy(pyramid, start, phases, config.refine.working_px, by_edges)
     clock.reports += flat.stages
@@ -97,9 +97,7 @@ def shape_of(
         report.ran, before = phases is not None, start
         start = _evened(start, phases, read, config)
         moved = mean_move(before, start)
-        report.reason = (
-            f"cells moved by {moved:.2%} of the film" if report.ran else "the network tells nothing of cells"
-        )
+        report.reason = f"cells moved by {moved:.2%} of the film" if report.ran else "the network predicts no cells"
     return exact(pyramid, start, phases, read, reader, config, clock)
 
 
@@ -140,7 +138,7 @@ def reread(
     least = float(read.support.min())
     first = replace(first, across=read)
     report.ran = first.believed and least < options.doubtful and read.off > options.beside
-    report.reason = f"an edge reads as one to {least:.0%} at least, up to {read.off:.2%} of the film beside"
+    report.reason = f"each edge is at least {least:.0%} likely, and at most {read.off:.2%} of the film off the map's"
     if not report.ran:
         return first
     on_edges = put_on_edges(first.backward, read, options)
@@ -254,7 +252,7 @@ def flat_itself(
     coarse = seen.inversion.backward if isinstance(seen.inversion, Inversion) else None
     with clock.stage("flat") as report:
         if told is not None and not is_frame(told, pyramid.size):
-            report.ran, report.reason = False, "the corners that are given are not the photo's"
+            report.ran, report.reason = False, "the given corners are not those of the photo"
             return None
         exactly = partial(_exactly, pyramid, phases, None, config)
         flat, report.reason = already_flat(pyramid, coarse, seen.filled, refined, exactly)
@@ -311,7 +309,7 @@ def beyond_doubt(
         report.ran = bool(config.tries and doubtful and hopeful)
         if not report.ran:
             some = "too little speaks for it" if config.tries else "one refinement is enough in this effort"
-            report.reason = some if doubtful else "there is no doubt that more refinements would take away"
+            report.reason = some if doubtful else "no doubt is left that another refinement could remove"
             return first
         found, beside = [first.doubted(config)], partial(network_beside, readers.network, seen, config)
         for start in _starts(readers, pyramid, seen, first, config):
@@ -325,7 +323,7 @@ def beyond_doubt(
         surest = max(found, key=lambda one: (one.verdict.ok, one.verdict.code is not StatusCode.NO_FILM, one.chance))
         said = ", ".join(floored(one.chance) for one in found[1:])
         counts = "the first still counts" if surest is found[0] else f"{floored(surest.chance)} counts"
-        report.reason = f"as it was {floored(found[0].chance)} sure to be right, refined again {said}: {counts}"
+        report.reason = f"{floored(found[0].chance)} sure to be right at first, refined again {said}: {counts}"
     return surest
 
 

@@ -71,7 +71,7 @@ def see(
             report.reason = inversion.reason
         else:
             inversion = inversion.enlarged(factor)
-            report.reason = f"{looks} looks, the last explained to {inversion.residual_px:.1f} px"
+            report.reason = f"{looks} looks, the last one fitted to {inversion.residual_px:.1f} px"
     return LastLook(maps.enlarged(factor), inversion, view, photo, factor, filled)
 
 
@@ -89,10 +89,10 @@ def see_at(network: FilmNet, pyramid: Pyramid, told: BackwardMap, config: Rectif
         inversion = fit_backward(maps, config.invert)
         if isinstance(inversion, Inversion):
             inversion = replace(inversion, backward=put_on_corners(inversion.backward, told))
-            report.reason = f"a look at the given corners, explained to {inversion.residual_px * factor:.1f} px"
+            report.reason = f"a look at the given corners, fitted to {inversion.residual_px * factor:.1f} px"
         if isinstance(inversion, NotInverted) or inversion.backward.folds((17, 17)):
             inversion = Inversion(told, residual_px=0.0, coverage=0.0, inlier_share=0.0)
-            report.reason = "the plane sheet with the given corners: no film is seen there"
+            report.reason = "the plane sheet with the given corners, as no film is seen there"
     return LastLook(maps.enlarged(factor), inversion.enlarged(factor), view, photo, factor)
 
 

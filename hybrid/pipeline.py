@@ -274,8 +274,8 @@ class Rectifier:
         with clock.stage("cover") as report:
             covered = covered_parts(maps, backward, flat.valid, self.config.cover)
             report.ran = bool(covered.any())
-            seen_before = f"something lies before {covered.mean():.1%} of the film"
-            report.reason = seen_before if report.ran else "nothing is seen before the film"
+            seen_before = f"something lies in front of {covered.mean():.1%} of the film"
+            report.reason = seen_before if report.ran else "nothing is seen in front of the film"
         light = self._without_light(flat, covered, clock)
         return RectifyResult(
             status=Status(StatusCode.OK),
@@ -302,12 +302,12 @@ class Rectifier:
         """How the flat film must be moved to read right, by what it shows, and the probability that it then does."""
         config = self.config.upright
         if config.given is not None:
-            report.reason = f"turned by {config.turn} degrees{' after mirroring' * config.mirror}, as was asked for"
+            report.reason = f"turned by {config.turn} degrees{' after mirroring' * config.mirror}, as requested"
             return config.given, None
         vertices = None if grid is None else grid.vertices
         chances, read = orientation_chances(self._reader, flat.image, vertices, config)
         if chances is None:
-            report.ran, report.reason = False, "left as it lies: so small a film cannot be read"
+            report.ran, report.reason = False, "left as it lies: the film is too small to be read"
             return Orientation(0, False), None
         way, said = upright_way(chances, config)
         report.reason = f"{said} ({read})"

@@ -109,28 +109,28 @@ class StatusCode(Enum):
     OK = "The film was found and flattened."
     UNSURE = (
         "A film was found and flattened, but parts of it may be off by more than a few pixels. Compare it with the "
-        "photo; for a surer result photograph the whole sheet from the front, on a plain background, without glare."
+        "photo; for a surer result, photograph the whole sheet from the front, on a plain background, without glare."
     )
     NO_FILM = (
         "No film was found in the photo. Photograph the whole sheet, edges included, "
-        "so that it fills at least a third of the picture; one film to a photo. "
-        "Where there is one, name its corners (--corners of hybrid rectify)."
+        "so that it fills at least a third of the picture; one film per photo. "
+        "If there is one, give its corners (--corners of hybrid rectify)."
     )
     CUT_OFF = (
         "A film was seen, but a large part of the sheet lies outside the photo. "
         "Step back, so that all four edges are in the picture. "
-        "Where they are, name its corners (--corners of hybrid rectify)."
+        "If they are, give its corners (--corners of hybrid rectify)."
     )
     PAPER = (
-        "What is seen is printed dark on bright, as paper is, and not bright on dark, as CT films are. "
-        "Photograph a film; of a negative, invert the picture first."
+        "The photo shows dark print on a bright sheet, as on paper, not bright print on dark, as on CT films. "
+        "Photograph a film; invert the picture of a negative first."
     )
     TOO_SMALL = "The photo is too small. Use one of at least 64 x 64 pixels; 1000 or more are better."
-    BLANK = "The photo shows nothing (it is all of one colour). Check the lens and the exposure and take it again."
+    BLANK = "The photo shows nothing (all of it has one colour). Check the lens and the exposure and take it again."
     FOLDED = (
         "A film was seen, but its shape could not be made out (the map folds over itself). "
         "Hold the sheet flatter, photograph it from the front, and avoid covering it; "
-        "or name its corners (--corners of hybrid rectify)."
+        "or give its corners (--corners of hybrid rectify)."
     )
 
 

@@ -104,8 +104,8 @@ def survey_maps(
     overlap = mask_overlap(maps, inversion.backward)
     unsure = expected_error(maps)
     evidence = (
-        f"film on {share:.0%} of the picture, {inversion.coverage:.0%} of the sheet seen, one shape explains "
-        f"{inversion.inlier_share:.0%} to {residual:.1%} of its size, outline and mask agree to {overlap:.0%}, "
+        f"film on {share:.0%} of the picture, {inversion.coverage:.0%} of the sheet seen, one shape fits "
+        f"{inversion.inlier_share:.0%} of it to {residual:.1%} of its size, outline and mask agree to {overlap:.0%}, "
         f"{unsure:.1%} error expected"
     )
     if (
