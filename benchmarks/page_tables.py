@@ -111,7 +111,7 @@ def forward_text(report: Report) -> str:
     ]
     head = [f"{'GPU' if device == 'cuda' else 'processor'}, batch of {batch}, ms" for device, batch in columns]
     none = "" if any(f.device == "cuda" for f in report.forward) else " No GPU was at hand."
-    note = f"\n\nThe quickest of several passes; in brackets the processor's time, on all threads.{none}"
+    note = f"\n\nThe fastest of several passes; in brackets processor time over all threads.{none}"
     return table(("network", "million parameters", "input, px", *head), rows) + note
 
 
@@ -151,7 +151,7 @@ def losses_text(report: Report) -> str:
         lines += _lost_kinds(report, name)
         lines += _lost_films(report, name)
     if not lines:
-        return "Nothing: it is faster than every rival, and nearer to the truth wherever two errors can be compared."
+        return "Nothing: it is faster than every rival, and more accurate wherever two errors can be compared."
     return "\n".join(lines)
 
 
