@@ -1,4 +1,4 @@
-"""Bent sheets with a known backward map, and what a perfect or a noisy network would see of them."""
+"""Bent sheets with a known backward map, and what a perfect or a noisy network would predict for them."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ PHOTO_SIZE = (1080, 1080)
 def bent_sheet(
     bend: float = 0.8, aspect: float = 1.25, tilt: float = 0.3, turn: float = 0.2
 ) -> Callable[[np.ndarray], np.ndarray]:
-    """Photo points of the film points of a sheet that is rolled by ``bend`` radians about its v axis.
+    """A function from film points to photo points of a sheet rolled by ``bend`` radians about its v axis.
 
-    tilt, turn: about the photo's x axis and in its plane, in radians.
+    tilt, turn: rotations about the photo's x axis and in its plane, in radians.
     """
     width, height = 1.0, aspect
 
@@ -43,10 +43,11 @@ def bent_sheet(
 def flat_sheet_seen(
     aspect: float, focal: float, turns: tuple[float, float, float], size: tuple[int, int]
 ) -> Callable[[np.ndarray], np.ndarray]:
-    """Photo points of the film points of a flat sheet, three heights from a camera that looks at the photo's centre.
+    """A function from film to photo points of a flat sheet, three heights from a camera whose axis meets the photo's
+    centre.
 
-    aspect: height over width. focal: in sides of the photo of size (height, width). turns: about x, y and z, in
-    radians.
+    aspect: height over width. focal: in longer sides of the photo, whose size is (height, width). turns: rotation
+    vector (x, y, z), in radians.
     """
     pose, side = cv2.Rodrigues(np.array(turns))[0], max(size)
 
@@ -59,7 +60,7 @@ def flat_sheet_seen(
 
 
 def maps_of(backward: BackwardMap, n: int = 64) -> CoarseMaps:
-    """What a perfect network of resolution ``n`` would say about the film of ``backward``."""
+    """What a perfect network of resolution ``n`` would predict for the film of ``backward``."""
     points = pixel_centres((n, n)) * (PHOTO_SIZE[0] / n)
     uv = backward.film_from_photo(points)
     mask = np.isfinite(uv).all(axis=-1)

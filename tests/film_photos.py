@@ -1,4 +1,4 @@
-"""Photos of the generator's own prints, bent a little and put before a background, with their exact map."""
+"""Photos of the generator's own prints, slightly bent, on a background, with their exact maps."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def table(level: int = 130, seed: int = 5) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class Shot:
-    """How a print is photographed. fill: the longer side, in parts of the photo. at: the middle, in parts of it.
+    """How a print is photographed. fill: the longer side, as a fraction of the photo. at: the centre, likewise.
 
     roll: of the sheet, as in RolledFilm. light: colour of the light, sRGB white being 1.
     """
@@ -63,7 +63,7 @@ class Shot:
 
 @dataclass(frozen=True, eq=False)
 class Photographed:
-    """A photo, sRGB, its true map, where it shows film, and the film's coordinates of its pixels."""
+    """An sRGB photo, its true map, a mask of where it shows film, and the film coordinates of its pixels."""
 
     photo: np.ndarray
     truth: BackwardMap
@@ -71,11 +71,11 @@ class Photographed:
     uv: np.ndarray
 
     def error_px(self, found: BackwardMap) -> float:
-        """Mean end-point error over the part of the film that is in the photo, for a photo of 1080 px."""
+        """Mean end-point error over the part of the film that is in the photo, scaled to a photo of 1080 px."""
         return float(self.errors_px(found).mean())
 
     def errors_px(self, found: BackwardMap) -> np.ndarray:
-        """Errors of the film points of a lattice that are in the photo, whatever side is up."""
+        """End-point errors of the lattice's film points that are in the photo, whichever way up the map is."""
         nodes = film_nodes((33, 33))
         true = self.truth.photo_from_film(nodes)
         inside = ((true >= 0) & (true <= PHOTO_PX)).all(axis=-1)

@@ -1,4 +1,4 @@
-"""That a benchmark's kept results are not put together with others."""
+"""Check that a benchmark does not mix its kept results with results of other settings."""
 
 from __future__ import annotations
 
@@ -12,13 +12,12 @@ from hybrid.errors import ConfigError
 
 
 def refused_elsewhere(go_on: Callable[[], object], data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Going on with what is there is refused on another processor, and then with other photos in ``data``, which is
-    changed."""
+    """Resuming is refused on another processor, and then with other photos in ``data``, which this changes."""
     with monkeypatch.context() as elsewhere:
         elsewhere.setattr(benchmarks.machine, "processor", lambda: "another")
         with pytest.raises(ConfigError, match="results of other settings"):
             go_on()
     (shard,) = data.glob("*.tar")
-    shard.write_bytes(shard.read_bytes()[:-1] + b"x")  # in what fills a tar up
+    shard.write_bytes(shard.read_bytes()[:-1] + b"x")  # in the tar's padding
     with pytest.raises(ConfigError, match="results of other settings"):
         go_on()

@@ -15,5 +15,5 @@ READER = level_reader(ready(packaged_light_net()))
 def without_light(
     photo: np.ndarray, valid: np.ndarray, covered: np.ndarray | None = None, config: DeilluminateConfig | None = None
 ) -> Deillumination:
-    """The print of a flat film, by the packaged network."""
+    """The print of a flat film, recovered with the packaged network."""
     return deilluminate(photo, valid, READER, config, covered)

@@ -29,10 +29,10 @@ def film_from_photo(xy: np.ndarray) -> np.ndarray:
 
 
 def flat_case(px: int, nodes: int, batch: int = 2) -> tuple[Tensor, PaperTargets]:
-    """Photos (batch, 3, px, px) and their truth; every film of the batch has another print."""
+    """Photos (batch, 3, px, px) and their truth; each film of the batch has a different print."""
     uv = film_from_photo(film_centres((px, px)))
     mask = ((uv > 0) & (uv < 1)).all(axis=-1)
-    tilt = np.array([[0.55, 0.0, 0.25], [0.0, 0.7, -0.1]])  # film axes in the camera's, in diagonals
+    tilt = np.array([[0.55, 0.0, 0.25], [0.0, 0.7, -0.1]])  # film axes in camera coordinates, in diagonals
     xyz = (uv - 0.5) @ tilt
     normal = np.broadcast_to(np.cross(tilt[0], tilt[1]) / np.linalg.norm(np.cross(tilt[0], tilt[1])), xyz.shape)
     rng = np.random.default_rng(5)
@@ -62,7 +62,7 @@ def flat_case(px: int, nodes: int, batch: int = 2) -> tuple[Tensor, PaperTargets
 def assert_a_few_steps_lower_the_loss(
     network: nn.Module, losses: Callable[[Any, Any], dict[str, Tensor]], inputs: Tensor, targets: PaperTargets
 ) -> None:
-    """The network learns the case, and every part of it takes part."""
+    """The network learns the case, and every parameter gets a gradient."""
     optimiser = torch.optim.Adam(network.parameters(), lr=3e-3)
     values = []
     for _ in range(8):

@@ -1,4 +1,4 @@
-"""Samples that are made in a millisecond, for tests of what is done with samples: a cylinder in front of a camera."""
+"""Samples made in a millisecond, for tests of code that uses samples: a cylinder in front of a camera."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def _simple_sample(rng: np.random.Generator, config: SampleConfig, parameters: d
 
 
 def simple_dataset(out: Path, count: int = 4, shard_size: int = 4) -> Path:
-    """A data set of simple samples, without its card; the folder."""
+    """The folder of a data set of simple samples, made without its card."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(data_gen.work, "film_samples", simple_film)
         patch.setattr(data_gen.generate, "write_card", lambda folder: None)

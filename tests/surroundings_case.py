@@ -1,4 +1,4 @@
-"""A flat film, a camera before it and even or made-up light: what tests of a photo's surroundings share."""
+"""A flat film, a camera in front of it and even or made-up light: shared by the tests of a photo's surroundings."""
 
 from dataclasses import replace
 
@@ -17,7 +17,7 @@ FILM = film_mesh((430.0, 350.0), np.linspace(0.1, 0.9, 5), np.linspace(0.1, 0.9,
 
 
 def camera(size=SIZE, distance_mm=900.0, tilt=0.0) -> Camera:
-    """A camera before the film's middle, aside by ``tilt`` radians."""
+    """A camera in front of the film, aimed at its middle from ``tilt`` radians to the side."""
     eye = distance_mm * np.array([np.sin(tilt), 0.2 * np.sin(tilt), -np.cos(tilt)])
     focal = 1.5 * size[0]
     intrinsics = np.array([[focal, 0, size[1] / 2], [0, focal, size[0] / 2], [0, 0, 1]])
@@ -25,7 +25,7 @@ def camera(size=SIZE, distance_mm=900.0, tilt=0.0) -> Camera:
 
 
 def even_room(radiance=1.0):
-    """Light that is the same from everywhere."""
+    """Light that is the same from every direction."""
     return prefilter(Environment(np.full((32, 64, 3), radiance, np.float32), "even"))
 
 

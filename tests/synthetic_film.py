@@ -13,7 +13,7 @@ from hybrid.coords import film_nodes, opencv_from_photo, pixel_centres, pixel_fr
 
 @dataclass(frozen=True)
 class FilmDrawing:
-    """What is drawn: rows x cols cells in a margin, with rules, texts, or neither."""
+    """What is drawn: rows x cols cells within a margin, with or without rules and texts."""
 
     rows: int = 4
     cols: int = 3
@@ -24,7 +24,7 @@ class FilmDrawing:
 
 
 def draw_print(drawing: FilmDrawing, rng: np.random.Generator, size: tuple[int, int] = (1200, 960)) -> np.ndarray:
-    """The print (h, w) uint8: another ellipse of tissue in every cell, and the same texts in all."""
+    """The print (h, w) uint8: a different ellipse of tissue in every cell, and the same texts in all."""
     h, w = size
     image = np.full(size, drawing.base, np.uint8)
     left, top = drawing.margin * w, drawing.margin * h
@@ -54,11 +54,11 @@ def draw_print(drawing: FilmDrawing, rng: np.random.Generator, size: tuple[int, 
 
 @dataclass(frozen=True, eq=False)
 class RolledFilm:
-    """A film that is rolled, not stretched, before a camera; where it is seen in closed form.
+    """A film that is rolled without stretching, in front of a camera; its projection has a closed form.
 
-    centre: pixel in which its middle is seen. height: of the film there, in pixels. aspect: width over height.
-    turn: in the photo. roll: (direction on the film, turns per film height) in radians. tilt: of its middle, about the
-    axis of the roll. focal: in film heights as seen.
+    centre: pixel in which its middle is seen. height: height of the film there, in pixels. aspect: width over height.
+    turn: rotation in the photo. roll: (direction on the film, turn per film height), both in radians. tilt: rotation of
+    its middle about the axis of the roll. focal: focal length, in film heights as seen.
     """
 
     centre: np.ndarray
@@ -70,7 +70,7 @@ class RolledFilm:
     focal: float = 1.6
 
     def _pose(self) -> np.ndarray:
-        """Camera axes from those of the roll: across it, along it, and away."""
+        """Rotation to the camera's axes from those of the roll: across it, along it, and away."""
         c, s = np.cos(self.tilt), np.sin(self.tilt)
         return _rotation(self.turn + self.roll[0]) @ np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
 
@@ -102,7 +102,7 @@ class RolledFilm:
 
 
 def _rotation(angle: float) -> np.ndarray:
-    """By an angle about the camera's axis."""
+    """Rotation by an angle about the camera's axis."""
     c, s = np.cos(angle), np.sin(angle)
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 

@@ -1,4 +1,4 @@
-"""What lies behind the film: light in, light out in proportion; the plane where the camera sees it; the same twice."""
+"""The background behind the film: proportional to the light, its plane where the camera sees it, and reproducible."""
 
 from dataclasses import replace
 
@@ -46,7 +46,7 @@ def test_a_background_fills_the_photo_with_light_and_is_the_same_twice(kind, roo
 
 @pytest.mark.parametrize("kind", ["room", "table", "wall"])
 def test_twice_the_light_is_twice_the_radiance(kind, room):
-    """With nothing on the plane that shines itself."""
+    """This holds if nothing on the plane emits light of its own."""
     once = background(scene(kind, 1, light_for(kind, 0.5), things=0), FILM, room, BASE)
     twice = background(scene(kind, 1, light_for(kind, 1.0), things=0), FILM, room, BASE)
     np.testing.assert_allclose(twice, 2 * once, rtol=1e-4, atol=1e-6)
@@ -86,11 +86,11 @@ def test_coordinates_on_the_plane_project_back_to_their_place():
     u, v, seen = ground.pixels(view)
     assert seen.all()
     off = view.photo_from_world(ground.world(np.stack([u, v], axis=-1).astype(np.float64))) - pixel_centres(view.size)
-    assert np.abs(off).max() < 0.01 * max(view.size)  # its lens distortion is left aside
+    assert np.abs(off).max() < 0.01 * max(view.size)  # lens distortion is ignored
 
 
 def test_what_lies_on_the_plane_is_seen_the_right_way_round():
-    """A step along the first axis goes right in the photo, one along the second down: writing can be read."""
+    """A step along the first axis goes right in the photo, one along the second goes down: writing is legible."""
     for seed, tilt in ((0, -0.5), (1, 0.0), (2, 0.5)):
         view = camera(tilt=tilt)
         ground = ground_below(FILM, view, scene("table", seed).backdrop)
@@ -112,7 +112,7 @@ def test_white_matt_ground_in_even_light_is_as_bright_as_the_light():
 
 
 def test_what_lies_on_metal_hides_its_gloss(room):
-    """Black things on a mirroring table are dark, whatever room it mirrors."""
+    """Black things on a mirror-like table are dark, whatever room it reflects."""
     photographed = scene("table", 2, light_for("table"), material="metal", things=40, blur=0.01)
     ground = ground_below(FILM, photographed.camera, photographed.backdrop)
     rng, reflectance = np.random.default_rng(photographed.backdrop.seed), np.ones((*SIZE, 3), np.float32)
@@ -124,13 +124,13 @@ def test_what_lies_on_metal_hides_its_gloss(room):
     assert background(photographed, FILM, room, BASE)[black].mean() < 0.5 * gloss[black].mean()
 
 
-# ---------------------------------------------------------------- shadows on it
+# ---------------------------------------------------------------- shadows on the background
 
 BULB = Lamp("sphere", (-500.0, 0.0, -900.0), (0.0, 0.0, 1.0), (1.0, 0.0, 0.0), (8.0, 8.0), (3000.0, 3000.0, 3000.0))
 
 
 def shadow_of(room, light, film=FILM, shadows=(), ground=None, **changes):
-    """Light on the ground below a milky film over the light without anything upon it, the scene and its ground."""
+    """The light on the ground below a milky film divided by that on bare ground; also the scene and its ground."""
     of = scene("table", 5, light, tilt=(0.0, 0.0), **changes)
     photographed = replace(of, camera=OVERHEAD, shadows=shadows, material=replace(of.material, clear=0.0))
     ground = ground or ground_below(film, photographed.camera, photographed.backdrop)
@@ -154,7 +154,7 @@ def test_shadows_only_darken_and_in_even_light_grow_fainter_with_the_gap(room):
 
 
 def test_a_bulb_throws_the_film_where_its_rays_go():
-    """40 mm above the ground a bulb at the left throws the right edge 40 / 900 of its distance farther right."""
+    """A bulb at the left casts the film's right edge, 40 mm above ground, 40 / 900 of its distance farther right."""
     factor, photographed, ground = shadow_of(even_room(1e-6), Light(1.0, 0.0, True, lamps=(BULB,)), gap_mm=40.0)
     right = 175.0 + 40.0 * (175.0 + 500.0) / 900.0
     row = np.array([[right - 25.0, 0.0, 40.0], [right + 25.0, 0.0, 40.0]])
@@ -166,14 +166,14 @@ def test_a_bulb_throws_the_film_where_its_rays_go():
 
 @pytest.mark.parametrize(("gap_mm", "least", "most"), [(0.2, 0.8, 0.92), (6.0, 0.35, 0.8), (200.0, 0.15, 0.25)])
 def test_a_clear_film_that_touches_its_ground_is_paid_for_once(gap_mm, least, most):
-    """Bare film on a table shows it as light that passed twice, and both passes are in what is made of the print."""
+    """Bare film shows a table by light that passed twice, and the print as rendered already includes both passes."""
     photographed = scene("table", 5, Light(1.0, 0.0, True), gap_mm=gap_mm)
     material = replace(photographed.material, diffuse=0.0, transmission=0.0, clear=0.9, haze=0.0, tint=(1.0, 1.0, 1.0))
     assert least < through(replace(photographed, material=material))[1] * 0.95 < most
 
 
 def test_a_bluish_film_throws_a_bluish_shadow():
-    """Once through its base; what the sheet itself scatters has no colour, as over the film."""
+    """The light passes once through the film's base; what the sheet scatters has no colour, as over the film."""
     blue, of = (0.5, 0.7, 0.9), scene("table", 5, Light(1.0, 0.0, True), gap_mm=200.0)
     milky = replace(of.material, diffuse=0.0, transmission=0.3, clear=0.0)
     let_through = [
@@ -185,7 +185,7 @@ def test_a_bluish_film_throws_a_bluish_shadow():
 
 
 def test_a_shadows_rim_is_soft_where_the_sheet_is_lifted():
-    """Seen by a large lamp overhead, one side of a sloping sheet on the ground, the other 150 mm above it."""
+    """A large lamp overhead lights a sloping sheet with one side on the ground and the other 150 mm above it."""
     t = np.linspace(0, 1, FILM.shape[1])[None, :, None]
     sloping = FILM.bent(FILM.vertices - t * np.array([0.0, 0.0, 150.0]))
     lamp = replace(BULB, kind="disc", centre_mm=(0.0, 0.0, -1500.0), half_mm=(300.0, 300.0))

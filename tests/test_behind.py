@@ -26,7 +26,7 @@ def place(dataset: Path, monkeypatch: pytest.MonkeyPatch) -> Place:
 
 
 def told(monkeypatch: pytest.MonkeyPatch, place: Place, **changes: object) -> None:
-    """Lets the record of a sample tell something else."""
+    """Replaces the record of a sample."""
     record = {"material": MILKY, "lens": SHARP, "things": []} | changes
     monkeypatch.setattr(type(place[0]), "record", lambda self, index: record)
 
@@ -73,7 +73,7 @@ def test_behind_a_clear_film_nothing_but_its_shadow_is_put(place: Place, monkeyp
 
 
 def test_the_wedges_of_round_corners_are_ground(place: Place, monkeypatch: pytest.MonkeyPatch) -> None:
-    """And so they get what is put there, as no other place of the film does."""
+    """They receive what is put behind the film, unlike any other part of the film."""
     corners, photo = RoundCorners(20 / 120, 20 / 140), grey(180)
     y, x = np.mgrid[: SIZE[0], : SIZE[1]] + 0.5
     uv = np.stack([(x - 50) / 120, (y - 50) / 140], axis=-1)
@@ -94,7 +94,7 @@ def test_the_wedges_of_round_corners_are_ground(place: Place, monkeypatch: pytes
 def test_of_the_old_ground_little_is_left_around_a_blurred_film(
     place: Place, monkeypatch: pytest.MonkeyPatch, defocus_px: float
 ) -> None:
-    """Black film on white ground, as the lens blurs it, on a black sheet instead: what is left along the edge."""
+    """A blurred black film on white ground gets a black sheet instead: little white is left along its edge."""
     told(monkeypatch, place, lens={"defocus_px": defocus_px, "motion_px": 0.0})
     monkeypatch.setattr(behind, "KINDS", {"sheet": 1.0})
     monkeypatch.setattr(behind, "with_sheet", lambda photo, nodes, free, rng: behind.mixed(photo, 0 * photo, free))
@@ -105,7 +105,7 @@ def test_of_the_old_ground_little_is_left_around_a_blurred_film(
 
 
 def test_light_is_taken_in_linear_light() -> None:
-    """As much of a dark ground's light as of a bright one's; nothing where the share is 0."""
+    """A dark and a bright ground lose the same share of light, and nothing is lost where the share is 0."""
     share = np.zeros(SIZE, np.uint8)
     share[100:] = 255
     for seed in range(10):
@@ -117,4 +117,4 @@ def test_light_is_taken_in_linear_light() -> None:
             left.append(light / before)
         np.testing.assert_allclose(left[0], left[1], atol=0.02)
         assert np.min(left) > 0.05 - 0.02
-        assert 0.1 - 0.02 < left[1][1] < 0.85 + 0.02  # of green, which keeps its share
+        assert 0.1 - 0.02 < left[1][1] < 0.85 + 0.02  # of green, whose share is not varied

@@ -1,4 +1,4 @@
-"""Check photos by Blender: what is drawn, kept and refused; Blender itself is stood in for by a small script."""
+"""Check photos by Blender: what is drawn, kept and refused, with a small script in place of Blender."""
 
 import json
 import sys

@@ -1,4 +1,4 @@
-"""Charts: what is written beside points lies on nothing else, and within the frame."""
+"""Charts: labels of points overlap nothing else and stay within the frame."""
 
 import itertools
 

@@ -1,4 +1,4 @@
-"""The picture of a training's curves."""
+"""The plot of a training run's curves."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""The benchmarks of the data set: consistency notices what it is there for; rates are measured and written."""
+"""The benchmarks of the data set: consistency catches wrong maps; rates are measured and written."""
 
 import json
 from dataclasses import replace
@@ -22,7 +22,7 @@ def truth():
 
 
 def half_and_back(values):
-    """A map resized to half and back bilinearly, as if what is not film were film at 0."""
+    """A map resized bilinearly to half and back, with pixels off the film treated as film at 0."""
     h, w = values.shape[:2]
     filled = np.nan_to_num(values).astype(np.float32)
     half = cv2.resize(filled, (w // 2, h // 2), interpolation=cv2.INTER_LINEAR)
@@ -45,7 +45,7 @@ def test_maps_mixed_at_the_edge_are_caught(truth, name):
 
 
 def test_depth_mixed_with_background_is_caught_though_it_stays_on_its_ray(truth):
-    """Every second pixel of the rim at two thirds of its depth: projection sees nothing of it."""
+    """The rim's pixels are moved to two thirds of their depth: projection does not notice."""
     inner = cv2.erode(truth.mask.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
     rim = truth.mask & ~inner
     found = errors_of(replace(truth, xyz=np.where(rim[..., None], truth.xyz * np.float32(2 / 3), truth.xyz)))

@@ -1,4 +1,4 @@
-"""How the removal of light is scored: bounds that reach what they promise, pooled overlaps, and the command itself."""
+"""How light removal is scored: bounds that keep their promise, pooled overlaps, and the command itself."""
 
 import json
 from pathlib import Path
@@ -43,7 +43,7 @@ def test_what_is_alike_after_gain_and_offset_scores_no_less_than_its_rounding():
     half = SEEN.copy()
     half[:, 40:] = False
     spoilt = np.where(half, 0.3 * truth + 0.2, np.float32(0.9))
-    assert decibels(affine(spoilt, truth, half), truth, half) > 80  # what is not seen does not count
+    assert decibels(affine(spoilt, truth, half), truth, half) > 80  # unseen pixels do not count
     assert decibels(affine(spoilt, truth, SEEN), truth, SEEN) < 20
 
 
@@ -101,7 +101,7 @@ def test_a_film_is_as_large_as_keeps_its_pixels():
 
 
 def test_the_command_measures_photos_with_their_prints(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    """A print in uneven light, that fills the photo but for a rim: the light stage must be worth something."""
+    """A print in uneven light fills the photo but for a rim: the light stage must improve it."""
     sheet = cv2.resize(film_print(19).image, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
     h, w = sheet.shape
     u, v = film_centres((h, w)).transpose(2, 0, 1)

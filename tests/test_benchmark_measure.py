@@ -1,4 +1,4 @@
-"""Photos with truth: a perfect rectifier scores perfect, a wrong one does not, and a run is told anonymously."""
+"""Photos with truth: a perfect rectifier scores perfect, a wrong one does not, and run records are anonymous."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ FILM_SIZE = (512, 512)
 
 
 def true_map(shift: float = 0.0) -> BackwardMap:
-    """A slightly bent film that is seen in a 400 x 320 photo."""
+    """The map of a slightly bent film in a 400 x 320 photo."""
 
     def photo_from_film(uv: np.ndarray) -> np.ndarray:
         u, v = uv[:, 0], uv[:, 1]
@@ -40,7 +40,7 @@ def true_map(shift: float = 0.0) -> BackwardMap:
 
 
 def write_true_photo(folder: Path, name: str, style: str) -> None:
-    """A photo with truth: the print (blobs and bars) as the true map shows it, in dim light."""
+    """Writes a photo with truth: the print (blobs) as seen through the true map, in dim light."""
     rng = np.random.default_rng(len(name))
     blobs = cv2.resize(rng.random((24, 24)).astype(np.float32), (640, 640), interpolation=cv2.INTER_CUBIC)
     texture = np.clip(blobs * 255, 0, 255).astype(np.uint8)
@@ -57,7 +57,7 @@ def write_true_photo(folder: Path, name: str, style: str) -> None:
 
 
 class StandIn:
-    """A rectifier that knows the truth, off by ``shift`` pixels; it finds no film in a photo that ``fails`` says."""
+    """A rectifier that returns the truth, off by ``shift`` pixels; it finds no film in its first ``fails`` calls."""
 
     def __init__(self, shift: float = 0.0, fails: int = 0) -> None:
         self.shift, self.fails, self.calls = shift, fails, 0
@@ -112,7 +112,7 @@ def test_the_truth_scores_perfect(case: Case) -> None:
     assert found.score.paper.raw.ms_ssim > 0.9999
     assert found.film.psnr is not None
     assert found.film.psnr > 30  # what JPEG and two resamplings leave
-    assert found.film.psnr == pytest.approx(found.film.lit_psnr, abs=0.1)  # even light: one gain takes it away
+    assert found.film.psnr == pytest.approx(found.film.lit_psnr, abs=0.1)  # even light: one gain removes it
     assert found.parts["network"] == pytest.approx(0.25)  # the median of 0.5, 0.25, 0.17
     assert (found.grid, found.output, found.sides) == ("2x3", FILM_SIZE, 0.0)
     note = note_of(case)
@@ -129,7 +129,7 @@ def test_a_shift_is_measured_as_such(case: Case) -> None:
 
 @pytest.mark.parametrize("way", [Orientation(0, False), Orientation(1, False), Orientation(3, True)])
 def test_a_film_that_is_flattened_to_another_shape_is_off_by_that(way: Orientation, case: Case) -> None:
-    """Also one that is given on its side."""
+    """This includes a film that is given on its side."""
 
     def rectify(photo: np.ndarray) -> RectifyResult:
         wide = np.ascontiguousarray(way.moved(np.zeros((400, 500, 3), np.uint8)))
@@ -138,7 +138,7 @@ def test_a_film_that_is_flattened_to_another_shape_is_off_by_that(way: Orientati
     assert case.sheet_ratio == 1.0
     found = measure(of_rectifier("wide", rectify), case, 0.128, repeats=1, warm=True)
     assert found.score is not None
-    assert found.score.end_point_px < 1e-3  # which does not show it
+    assert found.score.end_point_px < 1e-3  # this error does not show it
     assert found.sides == pytest.approx(np.log(1.25))
     told = measure(Method("told", lambda photo: true_map()), case, 0.128, repeats=1, warm=True)
     assert told.sides is None

@@ -1,4 +1,4 @@
-"""The check against the path tracer, as far as it goes without one."""
+"""The check against the path tracer, as far as it can run without one."""
 
 from __future__ import annotations
 

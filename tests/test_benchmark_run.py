@@ -1,4 +1,4 @@
-"""The benchmark of run time against error: perfect is perfect, results are kept, a method is one small file."""
+"""The benchmark of run time against error: the truth scores perfect, results are kept, a method is one small file."""
 
 from __future__ import annotations
 
@@ -116,7 +116,7 @@ def test_the_truth_is_perfect_at_any_size(cases: list[Case]) -> None:
 def test_every_photo_is_read_with_one_thread_of_linear_algebra_each(
     cases: list[Case], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """In strips side by side, that is; the thread pool that BLAS has of its own would wait for them."""
+    """Strips are read in parallel, each with one BLAS thread, as the thread pool of BLAS would wait for them."""
     seen: dict[str, set[int]] = {}
 
     def blas(at: str) -> None:
@@ -151,7 +151,7 @@ def test_a_method_that_makes_the_print_itself_gives_it_at_the_films_size(cases: 
     assert alone is not None
     np.testing.assert_array_equal(alone.nodes, made.backward.nodes)
     by_uv = recover(PromptedFiReNet(network, answer), photo, outline=False).backward
-    outwards = end_point_error(by_uv, alone.lattice((9, 9))).mean()  # uv alone carries the corners there
+    outwards = end_point_error(by_uv, alone.lattice((9, 9))).mean()  # uv alone moves the corners outwards
     assert 0 < outwards < 1.0
 
 
@@ -224,7 +224,7 @@ def test_trained_networks_are_scored_and_say_how_they_were_trained(
     assert method is not None
     found = measure(method, cases[0], 0.002, repeats=1, warm=True)
     assert found.score is not None
-    assert found.output == cases[0].photo().shape[:2]  # as released: of the photo's size
+    assert found.output == cases[0].photo().shape[:2]  # as released: the photo's size
     photo = cases[0].photo()
     made = flattened(method, photo, photo, (48, 48)).backward
     monkeypatch.setattr(benchmarks.methods, "published_image", None)  # the map alone needs no picture
@@ -245,7 +245,7 @@ def test_methods_without_weights_stay_out_unless_they_are_named(
 
 
 def test_the_network_alone_is_what_refinement_starts_from() -> None:
-    """Its last look from one side; the mean of all sides is another map."""
+    """That is the map of its last look from one side, not the mean over all sides."""
     method, photo = LINEUP["filmnet"](None), read_photo(EXAMPLE)
     assert method is not None
     alone, rectifier = method.find(photo), Rectifier()
@@ -358,7 +358,7 @@ def test_a_run_goes_on_where_it_was_cut_off(made: tuple[Options, Report]) -> Non
 
 
 def one_photo(out: Path, data: Path, mine: Path) -> Options:
-    """The least run: a method of one's own on a single small photo of a data set."""
+    """The smallest run: one added method on a single small photo of a data set."""
     return Options(
         out,
         data=(data,),
@@ -375,7 +375,7 @@ def one_photo(out: Path, data: Path, mine: Path) -> Options:
 def test_results_of_other_photos_or_elsewhere_are_not_put_together(
     tmp_path: Path, mine: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """On another processor; and of data sets of the same name, one in the place of the other."""
+    """A run refuses results from another processor, and from a data set that replaced one of the same name."""
     data = simple_dataset(tmp_path / "data")
     options = one_photo(tmp_path / "out", data, mine)
     first = run(options, ["x"])
@@ -399,7 +399,7 @@ def test_the_page_and_the_readme_come_from_the_figures(made: tuple[Options, Repo
 
 
 def test_every_loss_is_listed(made: tuple[Options, Report], monkeypatch: pytest.MonkeyPatch) -> None:
-    """The worse of two methods, taken for ours: it is said of both sizes, and of every kind of photo."""
+    """The worse of two methods is taken for ours: losses are listed for both sizes and every kind of photo."""
     _, report = made
     assert losses_text(report) == "`hybrid` was not run."
     monkeypatch.setattr(benchmarks.page_tables, "EFFORTS", {"middle": None})
@@ -460,7 +460,7 @@ def test_photos_are_listed_and_drawn_from_best_to_worst(made: tuple[Options, Rep
 
 
 def claiming(report: Report, claims: list[Claim]) -> Report:
-    """The report with these claims of `middle`, photo by photo of the first size."""
+    """The report with these claims of `middle`, one for each photo of the first size."""
     told = iter(claims)
     measured = tuple(
         replace(m, claim=next(told)) if (m.method, m.megapixels) == ("middle", 0.003) else m for m in report.measured
@@ -552,7 +552,7 @@ def test_a_run_that_failed_before_its_first_photo_decides_nothing(dataset: Path,
 
 
 class _First:
-    """Picklable: the first case of a data set, for a process of its own."""
+    """Picklable: the first case of a data set, for use in a separate process."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -622,12 +622,12 @@ def test_resized_maps_hold_no_pixel_mixed_with_background(cases: list[Case], px:
         truth = truth_at(case.source, points, (48, 48))
         assert truth.mask.any()
         film, seen = truth.uv[truth.mask].astype(np.float64), points[truth.mask]
-        film_per_px = np.median(film / seen)  # these films lie flat, their top left corner in the photo's
+        film_per_px = np.median(film / seen)  # these films lie flat, with their top left corner at the photo's
         assert np.linalg.norm(film / film_per_px - seen, axis=-1).max() * px / 48 < 1.0
 
 
 def test_scores_are_of_all_points_of_all_photos(cases: list[Case]) -> None:
-    """A map that is 10 px off on one side in twenty: that shows in the 95th percentile, hardly in the mean."""
+    """A map is 10 px off in an eighth of its width: the 95th percentile shows this, the mean hardly does."""
     case = cases[0]
     photo = case.photo()
     nodes = case.backward.lattice((65, 65)).copy()

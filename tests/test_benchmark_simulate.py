@@ -19,7 +19,7 @@ def test_the_command_writes_the_keys_it_promises(tmp_path):
 
 
 def test_a_bound_that_is_broken_fails_the_command():
-    """Whatever else is right: every bound counts, and only those of the checks that were made."""
+    """All else may be right: every bound counts, but only for checks that were made."""
     right = {
         "hanging_sheet": {"max_strain": 1e-6, "drift_rad": 1e-4},
         "elastica": {"max_error": 1e-3, "falls_with_refinement": True},

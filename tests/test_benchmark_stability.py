@@ -1,4 +1,4 @@
-"""Stability and soak: damage keeps the truth true, what fails is counted as such, and a run goes on."""
+"""Stability and soak: the truth follows the damage, failures are counted as such, and an interrupted run resumes."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def sheet() -> BackwardMap:
 
 
 def ramp() -> np.ndarray:
-    """A photo whose red and green tell the place."""
+    """A photo whose red and green values encode the position."""
     y, x = np.mgrid[: SIZE[0], : SIZE[1]]
     return np.stack([x * 0.75, y, np.full_like(x, 90)], axis=-1).astype(np.uint8)
 
@@ -88,12 +88,12 @@ def test_only_what_is_in_the_photo_counts() -> None:
 
 
 def moved(off: float) -> BackwardMap:
-    """The film so many pixels beside where it is."""
+    """The film, shifted right by a given number of pixels."""
     return BackwardMap(sheet().nodes + np.array([off, 0.0]))
 
 
 class Says:
-    """A rectifier that finds the film so many pixels from where it is, or fails as told."""
+    """A rectifier that finds the film a given number of pixels off, or fails as told."""
 
     def __init__(
         self,
@@ -139,7 +139,7 @@ def test_every_end_is_told_apart(rectify, outcome: str) -> None:
 
 @pytest.mark.parametrize(("off", "shift", "outcome"), [(4.9, 0, "lost"), (5.1, 0, "refused"), (0.0, -150, "refused")])
 def test_a_refusal_of_a_film_that_was_there_and_right_is_a_loss(off: float, shift: int, outcome: str) -> None:
-    """Unless most of the sheet lies outside the photo: it is moved to the left by ``shift``."""
+    """This does not hold if much of the sheet lies outside the photo: ``shift`` moves it to the left."""
     it = Damaged(ramp(), sheet().cropped((float(-shift), 0.0)))
     found = BackwardMap(it.backward.nodes + np.array([off, 0.0]))
     assert it.visible_share() == pytest.approx(1.0 if shift == 0 else 0.55, abs=0.02)
@@ -200,7 +200,7 @@ def test_a_shrunk_photo_may_be_off_by_one_of_its_own_pixels() -> None:
 
 
 def test_errors_are_told_as_of_a_photo_of_reference_size() -> None:
-    """The sheet 9 px off in a photo three times as large is 3 px off there, as the limit is told."""
+    """A sheet 9 px off in a photo of three times the reference size counts as 3 px off, in the limit's units."""
     it = replace(Damaged(ramp(), sheet()), before_px=3 * REFERENCE_PX)
     told = _rectified(0, it, Says(off=9.0), lambda photo: None)
     assert (told.outcome, told.end_point_px, told.allowed_px) == ("ok", pytest.approx(3.0, rel=1e-3), TRUTHFUL_PX)

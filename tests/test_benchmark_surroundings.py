@@ -1,4 +1,4 @@
-"""Surroundings: what is changed is around the film, its truth moves with it, and what is found is counted as it is."""
+"""Surroundings: changes lie around the film, its truth moves with it, and results are counted as they are."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ ALL_BUT_LIKE = ("plain", "moved", "rounded")
 
 
 def sheet(seed: int = 0) -> Sheet:
-    """A smooth random photo, with a film that is a little aslant."""
+    """A smooth random photo with a slightly slanted film."""
     rng = np.random.default_rng(seed)
     photo = cv2.GaussianBlur(rng.integers(30, 220, (*SIZE, 3), dtype=np.uint8), (0, 0), 4)
     slant = np.array([[120.0, 10.0 + seed], [-8.0, 140.0]])
@@ -37,7 +37,7 @@ def sheet(seed: int = 0) -> Sheet:
 
 
 def inner() -> np.ndarray:
-    """Film points off the edge."""
+    """Film points away from the edge."""
     return 0.06 + 0.88 * film_nodes((25, 25))
 
 
@@ -72,11 +72,11 @@ def test_a_film_beside_is_the_other_one_where_this_one_is_not() -> None:
     new = (it.photo == 7).all(axis=2)
     assert new.mean() > 0.15
     assert not new[before.ground == 0].any()
-    assert it.photo[:, :60].std() > 0  # its ground is not laid with it
+    assert it.photo[:, :60].std() > 0  # the other film's ground is not copied
 
 
 def test_round_corners_show_ground_and_nothing_else_is_changed() -> None:
-    """A rim that was left along the sides once deceived networks more than the corners."""
+    """A rim left along the sides once misled networks more than the corners did."""
     before = sheet()
     dark = replace(before, photo=np.where(before.ground[..., None] == 255, before.photo, np.uint8(5)))
     it = CHANGES["rounded"][1](dark, before, np.random.default_rng(3))
@@ -108,7 +108,7 @@ def test_motion_leaves_the_film_where_it_is() -> None:
 
 
 class Finds(Rectifier):
-    """A rectifier that knows the truth, and is so many pixels beside it."""
+    """A rectifier that returns the truth, off by a given number of pixels."""
 
     def __init__(self, task: Task, off: float, code: StatusCode = StatusCode.OK, limit: float | None = 2.0) -> None:
         self.task, self.off, self.code, self.limit = task, off, code, limit
@@ -127,7 +127,7 @@ class Finds(Rectifier):
 
 
 def both(finds: Finds) -> Rectifiers:
-    """One for the network alone, and for the pipeline."""
+    """The same rectifier for the network alone and for the pipeline."""
     return Rectifiers(finds, finds)
 
 

@@ -1,4 +1,4 @@
-"""The paper's tables: the truth scores perfect however it is read, what is missing is said, and the report is whole."""
+"""The paper's tables: the truth scores perfect however it is turned, gaps are named, and the report is complete."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ def small(name: str) -> Preset:
 
 @pytest.fixture(scope="module")
 def weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Random weights of all networks but one; one of them where a training leaves it."""
+    """Random weights of all networks but one, with one file where a training run writes it."""
     folder = tmp_path_factory.mktemp("weights")
     (folder / "firenet").mkdir()
     for name in ("filmnet", "dewarpnet_shape", "dewarpnet_bw", "net_bw", "net_uv", "firenet_uv_only"):
@@ -115,7 +115,7 @@ def test_the_report_holds_every_method_and_says_which_are_not_trained(
     rows = report["sets"]["samples"]
     assert set(rows) == set(names)
     assert [name for name in names if not rows[name]["trained"]] == ["firenet_multimap"]
-    for name in ("dewarpnet", "net_bw"):  # these find a map whatever they see
+    for name in ("dewarpnet", "net_bw"):  # these find a map in any photo
         assert rows[name]["lost"] == 0
         assert np.isfinite([*rows[name]["raw"].values(), *rows[name]["map"].values()]).all()
     assert all(len(row["photos"]) == 3 for row in rows.values() if row["trained"])

@@ -1,4 +1,4 @@
-"""The verdict's regressions find the weights that errors were drawn with, and no film is judged by weights it made."""
+"""The verdict's regressions find the weights that errors were drawn with; no film is judged by weights fitted to it."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ SURE: dict[str, Any] = {
 
 
 def drawn_signs(rng: np.random.Generator) -> Signs:
-    """Signs as spread as those of photos, each for itself."""
+    """Random signs, spread as in photos and drawn independently."""
     beside, stated, edges = np.exp(rng.normal(np.log([0.006, 0.002, 0.001]), 0.7)).tolist()
     return Signs(
         overlap_before=rng.uniform(0.8, 1), overlap_after=rng.uniform(0.9, 1), alike=rng.uniform(), grid=True,
@@ -40,7 +40,7 @@ def drawn_signs(rng: np.random.Generator) -> Signs:
 
 
 def drawn_films(count: int, seed: int) -> list[Judged]:
-    """Films whose chance to be right to any limit is what the packaged weights say of their signs."""
+    """Films whose chance to be right within any limit follows from their signs by the packaged weights."""
     rng, weights, films = np.random.default_rng(seed), asdict(TRUST.chance), []
     for k in range(count):
         signs = drawn_signs(rng)
@@ -65,7 +65,7 @@ def test_the_weights_of_the_expected_error_are_found_whatever_a_tenth_of_the_fil
     found = asdict(fit_error(films))
     table = [features(one.signs) for one in films]
     for name, weight in true.items():
-        if name != "constant":  # which takes up what a tenth of the films adds
+        if name != "constant":  # the constant absorbs what a tenth of the films adds
             spread = np.std([row[name] for row in table])
             assert spread * found[name] == pytest.approx(spread * weight, abs=0.02), name
 
@@ -94,7 +94,7 @@ def test_the_figures_add_up() -> None:
     assert (found["photos"], found["films"]) == (420, 400)
     assert found["right"] == sum(part["right"] for part in found["by_probability"])
     assert found["films"] == sum(part["films"] for part in found["by_probability"])
-    for part in found["by_probability"]:  # to four standard deviations, errors being drawn by these probabilities
+    for part in found["by_probability"]:  # within four standard deviations, as these probabilities drew the errors
         low, high, films_there = part["from"], part["to"], max(part["films"], 1)
         slack = 2.0 / np.sqrt(films_there)
         assert low - slack <= part["right"] / films_there <= high + slack or part["films"] < 10
@@ -103,7 +103,7 @@ def test_the_figures_add_up() -> None:
 
 
 class Told(Rectifier):
-    """Finds the true film, a little aside, with signs that are told; none without these."""
+    """Finds the true film, slightly shifted, with the given signs; finds none without signs."""
 
     def __init__(self, case, signs: Signs | None, aside: float = 2.0) -> None:
         self.case, self.signs, self.aside = case, signs, aside
@@ -176,4 +176,4 @@ def test_photos_are_judged_with_the_effort_that_was_asked_for(tmp_path: Path, mo
     monkeypatch.setattr("benchmarks.verdict.Rectifier", lambda config: made.append(config) or Rectifier(config))
     options = Options((simple_dataset(tmp_path / "data"),), tmp_path / "x.json", "fast", every=2, workers=1)
     assert judge_all(options) == ([], 2)  # photos of 48 px are too small for a film to be found in
-    assert made == 2 * [RectifyConfig.of("fast")]  # which does not go on where it is in doubt
+    assert made == 2 * [RectifyConfig.of("fast")]  # this effort does not go on when in doubt

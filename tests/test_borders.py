@@ -1,4 +1,4 @@
-"""The borders between cells as BorderNet reads them: strips, what is learnt, and sightings made of what is read."""
+"""The borders between cells as BorderNet reads them: strips, training views, and the sightings made from them."""
 
 from dataclasses import replace
 
@@ -49,13 +49,13 @@ def ruled_photo(columns: int = 4, rows: int = 5, size: int = 600) -> tuple[np.nd
 
 
 def known(columns: int = 4, rows: int = 5, off: float = 0.0) -> Layout:
-    """A layout that was read with its grid so far beside the film's."""
+    """A layout that was read, with its grid offset from the film's."""
     along = [Repeats(axis, off, 1.0 / n, n) for axis, n in ((0, columns), (1, rows))]
     return Layout(repeats=(along[0], along[1]), read=Reading(along[0], along[1], 0.99))
 
 
 def bright_reader(images: np.ndarray, inside: np.ndarray) -> np.ndarray:
-    """Log-probabilities by how bright rows are."""
+    """Log-probabilities that grow with the brightness of rows."""
     grey = images.astype(float).mean(axis=3).reshape(*images.shape[:2], -1, 2).mean(axis=3)
     logits = np.concatenate([0.1 * grey, np.full((len(grey), 1, grey.shape[2]), 8.0)], axis=1)
     return logits - np.log(np.exp(logits).sum(axis=1, keepdims=True))
@@ -106,12 +106,12 @@ def test_borders_that_are_read_are_sighted_where_they_are(off):
         assert isinstance(e.source, Borders)
         true = np.round(n * s.seen[:, s.axis]) / n
         np.testing.assert_allclose(s.seen[:, s.axis], true, atol=0.0025)
-        np.testing.assert_allclose(s.known, true, atol=1e-9)  # of a grid in the film's middle
+        np.testing.assert_allclose(s.known, true, atol=1e-9)  # of a grid centred on the film
         assert len(s) > 0.9 * (n - 1) * COLUMNS
 
 
 def shown(rows: int, columns: int, photo: np.ndarray, film: BackwardMap, margin: float = 0.0) -> float:
-    """How probable it is that borders of an even grid on the film show."""
+    """The probability that borders of an even grid on the film show."""
     vertices = margin + (1.0 - 2.0 * margin) * film_nodes((rows + 1, columns + 1))
     grid = SliceGrid(rows, columns, vertices, film.photo_from_film(vertices), 1.0)
     return borders_shown(Pyramid(photo), film, grid, BRIGHT, CONFIG)
@@ -120,7 +120,7 @@ def shown(rows: int, columns: int, photo: np.ndarray, film: BackwardMap, margin:
 def test_borders_show_where_the_grid_is_right_and_the_photo_is_not_blank():
     photo, film = ruled_photo()
     assert shown(5, 4, photo, film) > 0.95
-    assert shown(5, 1, photo, film) > 0.95  # along one axis there are none
+    assert shown(5, 1, photo, film) > 0.95  # there are none along one axis
     assert shown(5, 4, np.full_like(photo, 20), film) < 0.1
     assert shown(5, 4, photo, film, margin=0.1) < 0.6  # what lies farther from a border than its strip reaches
     assert shown(1, 1, photo, film) == 0.0
@@ -172,7 +172,7 @@ def test_ends_of_the_print_are_no_borders_between_cells():
 
 @pytest.mark.parametrize("beside", [0.0, 0.01, 0.035, -0.035])
 def test_lines_beside_borders_that_were_read_are_none_between_cells(beside):
-    """Such as couches and texts, of which each slice shows one at the same place."""
+    """Such lines are couches and texts, which each slice shows at the same place."""
     photo, film = ruled_photo()
     at = film_centres_1d(600)
     view = view_film(photo[..., 0], film, at, at)
@@ -305,7 +305,7 @@ def test_true_rows_follow_a_grid_that_lies_far_beside(samples):
         one, other = (border_view(sample, STRIP, np.random.default_rng(seed), augment)[2] for augment in (placed, far))
         beside = (other - one)[~np.isnan(other - one)]
         if len(beside):
-            assert np.ptp(beside) < 1.0  # all borders alike
+            assert np.ptp(beside) < 1.0  # the same for all borders
             found.append(np.abs(beside).max() / STRIP.rows)
     assert 0.1 < max(found) < 0.5
 
@@ -326,5 +326,5 @@ def test_the_packaged_network_reads_the_borders_of_a_drawn_film(rules):
         s = e.sightings
         off = s.seen[:, s.axis] - np.round(n * s.seen[:, s.axis]) / n
         assert np.median(np.abs(off - np.median(off))) < 0.0015
-        if rules:  # texts alone do not tell a print that it has not learnt where cells end
+        if rules:  # texts alone do not tell the network where cells end in a print it has not learnt
             assert np.median(np.abs(off)) < 0.0015

@@ -1,4 +1,4 @@
-"""What a photo's file tells of the lens, and what that is worth where the photo leaves the film's sides open."""
+"""What a photo's file says about the lens, and how that helps where the photo leaves the film's side ratio open."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ SIZE = 400, 300
 """Width and height of the photos."""
 
 LEANING, ASLANT = (0.5, 0.0, 0.0), (0.5, 0.5, 0.2)
-"""How a sheet is turned that only leans, and one whose sides all converge."""
+"""Rotations of a sheet that only leans, and of one whose sides all converge."""
 
 
 def photo_with(path: Path, orientation: int = 1, **tags: float) -> Path:
-    """A photo whose EXIF has such tags."""
+    """A photo whose EXIF has these tags."""
     picture = Image.new("RGB", SIZE)
     exif = picture.getexif()
     exif[Base.Orientation] = orientation

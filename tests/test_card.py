@@ -1,4 +1,4 @@
-"""The card: figures that are right for known films, charts that show them, a command that makes the set again."""
+"""The card: correct figures for known films, charts that show them, and a command that makes the set again."""
 
 import json
 import shlex
@@ -82,9 +82,9 @@ def test_ticks_are_few_and_within(low, span):
 
 
 def test_the_command_makes_the_same_options(folder):
-    """What the card tells to run is parsed to the options that the set was made with."""
+    """The card's command is parsed to the options that the set was made with."""
     described = read_description(folder)
-    described["shard_size"] = 16  # whole films, of 8 photos if nothing else is said
+    described["shard_size"] = 16  # whole films, of 8 photos by default
     described["sources"] |= {"only": ["scan a", "b*"], "leave_out": ["c"], "phantoms": [3, 5], "volumes": ["scan a"]}
     words = shlex.split(command(described).replace("\\\n", " "))[3:]
     config = tyro.cli(GenerateConfig, args=words)
@@ -96,7 +96,7 @@ def test_the_command_makes_the_same_options(folder):
 
 
 def test_options_that_the_command_has_no_words_for_are_named(folder):
-    """The set is of one photo a film, the command's own are of eight."""
+    """The set has another number of photos per film than the command's default of eight."""
     described = read_description(folder)
     text = _same(described)
     assert "`photos_per_film`" in text
@@ -116,7 +116,7 @@ def test_a_folder_without_data_set_has_no_card(tmp_path):
 
 
 def test_the_command_ends_in_one_line(tmp_path, monkeypatch, capsys):
-    """Whether there is no data set, the system refuses something, or it is stopped."""
+    """This holds if there is no data set, if the system refuses something, or if the command is stopped."""
 
     def ended():
         with pytest.raises(SystemExit) as end:

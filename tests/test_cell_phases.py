@@ -1,4 +1,4 @@
-"""What the network tells of the cells, through a map of the film."""
+"""What the network says about the cells, as seen through a map of the film."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def test_a_larger_copy_of_the_photo_tells_the_same():
 
 @pytest.mark.parametrize(("rows", "cols"), [(5, 4), (3, 6), (7, 5), (2, 2)])
 def test_cells_are_read_where_only_the_network_tells_them(rows: int, cols: int):
-    """The view shows noise: what is told decides."""
+    """The view shows only noise: the network's phases decide."""
     grey = np.random.default_rng(0).normal(90, 5, (480, 480 * cols // rows if cols < rows else 480)).astype(np.float32)
     aspect = rows / cols
     told = told_of(FLAT, even_grid(rows, cols, 0.01), np.random.default_rng(0)).inside(FLAT).axes()

@@ -1,4 +1,4 @@
-"""The cells of a film are read by all that speaks for them at once, with a probability."""
+"""The cells of a film are read from all evidence at once, with a probability."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ NO_PITCH = ((), ())
 
 
 def film_of(rows: int, cols: int, margin: float = 0.0, rules: bool = False, seed: int = 0) -> Float[np.ndarray, "h w"]:
-    """A dark film of square cells: in each a disc, not quite in the middle, and a text in two corners; maybe rules.
+    """A dark film of square cells: each has an off-centre disc and a text in two corners; rules are optional.
 
-    margin: empty film around the grid, in parts of the film.
+    margin: empty film around the grid, as a fraction of the film.
     """
     rng, cell = np.random.default_rng(seed), 480 // max(rows, cols)
     h, w = cell * rows, cell * cols

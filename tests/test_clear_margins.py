@@ -35,7 +35,7 @@ def found(film: BackwardMap, photo=PHOTO, config=MARGINS) -> list[BackwardMap]:
 
 
 def ends(film: BackwardMap) -> tuple[np.ndarray, np.ndarray]:
-    """Least and largest x and y of a map."""
+    """Smallest and largest x and y of a map."""
     return film.nodes.min(axis=(0, 1)), film.nodes.max(axis=(0, 1))
 
 
@@ -62,7 +62,7 @@ def test_a_whole_sheet_has_none():
 
 
 def test_lines_that_run_on_beyond_the_sheet_are_none_where_nothing_ends_them():
-    """The edges of a board below the film, as wide as it is."""
+    """Such lines are the edges of a board below the film that is as wide as the film."""
     photo = PHOTO.copy()
     photo[:100, 100:600] = 20
     assert found(part(), photo) == []
@@ -88,7 +88,7 @@ def test_margins_narrower_than_the_least_are_left():
 
 
 def test_an_end_that_nothing_bears_out_does_not_hide_the_other():
-    """A dark strip as wide as the film lies beyond one end, beside which nothing goes on."""
+    """A dark strip as wide as the film lies beyond one end, without sheet edges that lead to it."""
     photo = PHOTO.copy()
     photo[20:25, 100:600] = 20
     (film,) = found(part((100, 100), (600, 540)), photo)
@@ -107,7 +107,7 @@ def test_a_longer_map_goes_straight_on():
 
 
 def test_an_end_that_shows_nothing_may_lie_as_far_as_the_one_opposite():
-    """Beyond the lower end nothing is read through the map, as the sheet is wider than it."""
+    """Nothing is read beyond the lower end through the map, as the sheet is wider than the map."""
     top, bottom, left, right = SIDES
     tried = [{side.name: off for side, off in one.items()} for one in _together({top: 0.2, left: 0.1, right: 0.15})]
     assert tried[0] == {"top": 0.2, "bottom": 0.2, "left": 0.1, "right": 0.15}
@@ -117,7 +117,7 @@ def test_an_end_that_shows_nothing_may_lie_as_far_as_the_one_opposite():
 
 
 def test_margins_on_all_sides_are_found_at_once():
-    """Of what the sheet gains at one end the sides show no edge until it is as wide as it is."""
+    """The sides show no edge along what is gained at one end until the map is as wide as the sheet."""
     film, *_ = found(part((170, 170), (530, 530)))
     for at, true in zip(ends(film), (100, 600), strict=True):
         np.testing.assert_allclose(at, true, atol=4)
@@ -133,9 +133,9 @@ def refined(film: BackwardMap, expected_px=0.5) -> Refinement:
 def sheet_of(
     before: Refinement, monkeypatch, expected_px=0.5, margins=MARGINS, grid=None, beside=0.0, photo=PHOTO
 ) -> tuple[Refinement, list[BackwardMap], bool]:
-    """The sheet, all maps from which refinement began, which leaves them where they are, and whether the stage ran.
+    """The sheet, all maps from which refinement began (it leaves them unchanged), and whether the stage ran.
 
-    beside: how far from them the network sees the film, in parts of its size."""
+    beside: how far from these maps the network sees the film, as a fraction of the film's size."""
     begun: list[BackwardMap] = []
 
     def exactly(pyramid, phases, read, config, start):
@@ -171,7 +171,7 @@ def test_it_does_not_where_its_refinement_expects_a_large_error_or_none(monkeypa
 
 @pytest.mark.parametrize("before_px", [0.5, None])
 def test_nor_where_its_refinement_expects_a_larger_error_than_before(monkeypatch, before_px):
-    """As where the sheet becomes part of the film beside it; but where none was expected before any is less."""
+    """The error grows if the sheet takes in part of the film beside it; if none was expected before, any is less."""
     before = refined(part((100, 160)), before_px)
     for grown, counts in ((1.01, before_px is None), (0.99, True)):
         sheet, _, ran = sheet_of(before, monkeypatch, 0.5 * grown * MARGINS.most_growth)
@@ -180,7 +180,7 @@ def test_nor_where_its_refinement_expects_a_larger_error_than_before(monkeypatch
 
 
 def test_nor_where_its_grid_is_less_probable_than_before(monkeypatch):
-    """As where another film's panel is taken for its margin, which spoils the cells."""
+    """This happens if another film's panel is taken for a margin, which spoils the cells."""
     at = film_nodes((4, 4))
     before = replace(refined(part((100, 160))), grid=SliceGrid(3, 3, at, at, 0.9))
     for lost, counts in ((1.01, False), (0.99, True), (-0.5, True)):
@@ -188,11 +188,11 @@ def test_nor_where_its_grid_is_less_probable_than_before(monkeypatch):
         sheet, _, ran = sheet_of(before, monkeypatch, grid=grid)
         assert ran is counts
         assert (sheet is before) is not counts
-    assert sheet_of(before, monkeypatch)[0] is before  # of which there is no grid any more
+    assert sheet_of(before, monkeypatch)[0] is before  # the longer sheet has no grid any more
 
 
 def test_where_its_grid_is_more_probable_a_larger_error_does_not_count_against_it(monkeypatch):
-    """As where the network's map lacks a row of cells: what is left of the film fits well, too."""
+    """The network's map may lack a row of cells: the rest of the film fits well, too."""
     at = film_nodes((4, 4))
     before = replace(refined(part((100, 160))), grid=SliceGrid(3, 3, at, at, 0.7))
     for gained, counts in ((0.99, False), (1.01, True)):
@@ -215,8 +215,8 @@ def test_where_its_grid_is_more_probable_a_larger_error_does_not_count_against_i
 def test_margins_that_are_blank_and_alike_count_however_the_print_fits(
     monkeypatch, printed, lopsided, before_sure, sure, counts
 ):
-    """The sheet goes on bare, beyond edges that are not certain, or to such as are; print there, as of another film, is
-    none of its margins, nor is a sheet below it, on which it lies anywhere, and from which its own edges stand out."""
+    """Bare margins count beyond edges that are not certain, or up to edges that are. Print there, as of another film,
+    is no margin; nor is a sheet below, on which the film may lie anywhere and from which its own edges stand out."""
     photo, rng = PHOTO.copy(), np.random.default_rng(0)
     photo[printed:600, 100:600] += rng.integers(0, 60, (600 - printed, 500, 1), np.uint8)
     film, margins = part((100, 160)), replace(MARGINS, blank_sure=sure)
@@ -254,7 +254,7 @@ def test_detail_is_told_of_the_end_that_shows_most():
 
 
 def test_nor_where_its_print_is_far_from_the_middle(monkeypatch):
-    """The sheet goes on at one end by a seventh, and the grid ends where the map did."""
+    """The sheet goes on by a seventh at one end, and the grid ends where the map did."""
     before = refined(part((100, 160)))
     for low, counts in ((0.146, False), (0.03, True)):
         vertices = np.array([0.0, low]) + np.array([1.0, 1.0 - low]) * film_nodes((4, 4))
@@ -281,7 +281,7 @@ def test_nor_where_the_network_sees_the_film_elsewhere(monkeypatch):
 
 
 def test_sides_that_the_photo_does_not_show_speak_neither_for_margins_nor_against_them():
-    """Of a film that leaves the photo on one side the other tells; of one that shows neither nothing does."""
+    """If a film leaves the photo on one side, the other side decides; if neither shows, nothing speaks for margins."""
     top, left, right = (next(side for side in SIDES if side.name == name) for name in ("top", "left", "right"))
     chances = np.full((4, 64), 0.9)
     read = EdgesRead(SHEET, (), 0.0, chances)
@@ -294,7 +294,7 @@ def test_sides_that_the_photo_does_not_show_speak_neither_for_margins_nor_agains
 
 
 def test_margins_of_both_axes_are_found_one_after_the_other(monkeypatch):
-    """A corner of the sheet: along each axis the other edge is read once the sheet is as wide as it is."""
+    """A corner of the sheet: along each axis, the other edge is read once the map is as wide as the sheet."""
     sheet, begun, _ = sheet_of(refined(part((100, 160), (600, 540))), monkeypatch)
     assert 1 <= len(begun) <= MOST_MARGINS
     np.testing.assert_allclose(ends(sheet.backward), ends(SHEET), atol=4)

@@ -40,7 +40,7 @@ class StandInConfig:
 
     @staticmethod
     def of(effort: Effort) -> StandInConfig:
-        """As ``RectifyConfig.of``: another number of rows."""
+        """Like ``RectifyConfig.of``, with a number of rows for each effort."""
         if effort not in ROWS:
             raise ConfigError(f"no effort {effort}")
         return StandInConfig(ROWS[effort])
@@ -48,9 +48,9 @@ class StandInConfig:
 
 @dataclass
 class StandIn:
-    """Finds a film that fills the photo, unless the photo is black: then none; or white: then it crashes.
+    """Finds a film that fills the photo. If the photo is black: it finds none. If it is white: it crashes.
 
-    It is not sure of dark ones.
+    It is unsure of dark photos.
     """
 
     config: StandInConfig = field(default_factory=StandInConfig)
@@ -161,7 +161,7 @@ def test_results_of_earlier_runs_are_no_photos(photo: Path, tmp_path: Path, caps
 def test_results_that_alone_are_named_are_photos(
     photo: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Nobody else can be meant; of a folder, or of ``*.jpg``, they are what an earlier run put beside the photos."""
+    """Named alone, they must be meant; in a folder or ``*.jpg``, they are what an earlier run put beside the photos."""
     assert cli.main(["rectify", str(photo), "-o", str(tmp_path)]) == 0
     result = tmp_path / "film_rectified.jpg"
     assert is_result(result)
@@ -195,7 +195,7 @@ def test_corners_are_of_one_photo_and_are_told(photo: Path, tmp_path: Path, caps
     assert cli.main(["rectify", str(photo), "-o", str(tmp_path / "out"), *at]) == 0
     told = json.loads((tmp_path / "out" / "film.json").read_text())["corners"]
     assert told == [[-3, 2], [80, 2.5], [85, 50], [1, 58]]
-    assert cli.main(["rectify", "-o", str(tmp_path / "out"), *at, str(photo)]) == 0  # eight numbers, and no more
+    assert cli.main(["rectify", "-o", str(tmp_path / "out"), *at, str(photo)]) == 0  # takes eight numbers and no more
     capsys.readouterr()
     assert cli.main(["rectify", str(photo), str(black_photo(tmp_path)), "-o", str(tmp_path / "out"), *at]) == 2
     assert "hybrid rectify: --corners: got 2 photos; allowed: one photo" in capsys.readouterr().err
@@ -283,7 +283,7 @@ def test_help_shows_what_most_need_and_help_all_every_option(capsys: pytest.Capt
 
 
 def test_a_film_is_turned_as_it_is_asked_for() -> None:
-    """A quarter turn clockwise of what is found, whatever it reads."""
+    """The film as found is turned a quarter clockwise, whatever is read on it."""
     photo = "hybrid/examples/film.jpg"
     found = hybrid.rectify(photo, effort="fast")
     config = hybrid.RectifyConfig.of("fast")
@@ -372,7 +372,7 @@ def test_an_effort_that_does_not_exist_is_refused(photo: Path, capsys: pytest.Ca
 
 @pytest.mark.usefixtures("_stand_in")
 def test_nothing_but_a_result_s_own_files_is_removed(photo: Path, tmp_path: Path) -> None:
-    """Whatever a JSON says that came from elsewhere."""
+    """This holds whatever a JSON from elsewhere says."""
     out = tmp_path / "out"
     assert cli.main(["rectify", str(photo), "-o", str(out), "--rows", "3"]) == 0
     foreign = [tmp_path / "precious.txt", out / "other.png"]
@@ -406,7 +406,7 @@ def test_photos_of_one_name_do_not_overwrite_each_other(photo: Path, tmp_path: P
     assert cli.main(["rectify", str(photo), str(other), "-o", str(out)]) == 0
     assert cv2.imread(str(out / "film_film.png"), cv2.IMREAD_UNCHANGED).shape == (60, 90)
     assert cv2.imread(str(out / "film_2_film.png"), cv2.IMREAD_UNCHANGED).shape == (50, 50)
-    assert cli.main(["rectify", str(other), "-o", str(out)]) == 0  # alone, in a later run: still its own name
+    assert cli.main(["rectify", str(other), "-o", str(out)]) == 0  # alone in a later run: it keeps its own name
     assert cv2.imread(str(out / "film_film.png"), cv2.IMREAD_UNCHANGED).shape == (60, 90)
     assert not (out / "film_3.json").exists()
 
@@ -424,7 +424,7 @@ def test_a_foreign_file_of_that_name_is_left_alone(name: str, photo: Path, tmp_p
 
 @pytest.mark.usefixtures("_stand_in")
 def test_a_photo_is_not_written_over(photo: Path, tmp_path: Path) -> None:
-    """Not even one that is called as a result would be, and is still to be read."""
+    """This includes a photo that is named like a result and still to be read."""
     out = folder(tmp_path / "out")
     photos = [out / "film.png", out / "film_rectified.jpg"]
     for number, path in enumerate(photos):
@@ -442,7 +442,7 @@ def write(photos: list[Path], out: Path, result: RectifyResult | None = None) ->
 
 
 def test_again_without_a_film_loses_nothing_and_says_so(photo: Path, tmp_path: Path) -> None:
-    """The earlier film stays, named as what it is, and goes when a later run makes one again."""
+    """The earlier film stays, listed as such, and goes when a later run makes a film again."""
     out = folder(tmp_path / "out")
     first = write([photo], out)
     for _ in range(2):
@@ -460,7 +460,7 @@ def test_a_result_that_is_cut_off_says_so_and_keeps_its_name(
     photo: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out = folder(tmp_path / "out")
-    for _ in range(2):  # the first one, and one over a complete result
+    for _ in range(2):  # the first run, and one over a complete result
         with monkeypatch.context() as patch:
             patch.setattr("hybrid.outputs.write_rgb", lambda *_: 1 / 0)
             with pytest.raises(ZeroDivisionError):
@@ -504,7 +504,7 @@ def test_fused_photos_are_others_if_one_of_them_is(photo: Path, tmp_path: Path) 
 
 
 def test_results_of_the_same_photos_are_replaced_whichever_are_left_out(photo: Path, tmp_path: Path) -> None:
-    """As another effort may find a film where one found none; earlier versions named all photos as the film's."""
+    """Another effort may find a film where one found none, and earlier versions named all photos as the film's."""
     out, both = folder(tmp_path / "out"), [black_photo(tmp_path), photo]
     found = replace(StandIn()(read_photo(photo)), photo=1, photos=2)
     for left_out in ((LeftOut(0, "no film was found in it"),), (), (LeftOut(0, "no film was found in it"),)):
@@ -620,7 +620,7 @@ def test_what_the_system_refuses_is_told_with_its_place_and_what_to_do(
     assert f"ERROR  {told}" in capsys.readouterr().out
 
     def full(*_: object) -> None:
-        raise OSError(28, "No space left on device")  # as of a write, which names no file
+        raise OSError(28, "No space left on device")  # as from a write, which names no file
 
     monkeypatch.setattr("hybrid.outputs.write_film", full)
     assert cli.main(["rectify", str(photo), "-o", str(out)]) == 1

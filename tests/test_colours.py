@@ -1,4 +1,4 @@
-"""What is done to colours in training: brightness falls, noise grows, geometry stays."""
+"""Colour changes in training: brightness falls, noise grows, geometry stays."""
 
 import cv2
 import numpy as np
@@ -17,7 +17,7 @@ def photo():
 
 
 def middle(image):
-    """Where the darkest thing of a picture lies, in pixels."""
+    """The position of the darkest thing in a picture, in pixels."""
     grey = cv2.GaussianBlur(image.astype(np.float32).mean(axis=-1), (0, 0), 3)
     weight = grey / cv2.GaussianBlur(grey, (0, 0), 25)
     rows, columns = np.nonzero(weight < np.percentile(weight, 2))
@@ -63,7 +63,7 @@ def test_most_photos_are_taken_as_they_are(photo):
 
 @pytest.mark.parametrize("change", [colours.taken_badly, colours.disturbed])
 def test_things_stay_where_they_are(photo, change):
-    """Also where all is done to a photo at once: motion blurs to both sides alike."""
+    """This holds even with all changes made at once: motion blurs to both sides alike."""
     rng = np.random.default_rng(4)
     before = middle(photo)
     for _ in range(40):
@@ -73,7 +73,7 @@ def test_things_stay_where_they_are(photo, change):
 @pytest.mark.parametrize("length", [2.0, 4.7, 7.0])
 @pytest.mark.parametrize("direction", [0.0, 0.6, np.pi / 2])
 def test_motion_keeps_light_and_place(length, direction):
-    """Its weights add up to 1, their middle is the pixel itself, and they reach as far as the motion."""
+    """The kernel's weights add up to 1, are centred on the pixel, and reach as far as the motion."""
     weights = colours._trace(length, direction)
     reach = len(weights) // 2
     y, x = np.mgrid[-reach : reach + 1, -reach : reach + 1]

@@ -1,4 +1,4 @@
-"""The shell of all commands: options are called as on the command line, however they are nested."""
+"""The shell of all commands: messages name options as on the command line, however they are nested."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def test_messages_call_options_by_their_flags() -> None:
     assert with_flags("Options.json_path and Inner.few_steps", Options) == "--json and --inner.few-steps"
     for other in ("Options.folder is no flag", "a.json", "Options.hidden", "np.float32", "Stranger.few_steps"):
         assert with_flags(other, Options) == other
-    assert with_flags("Inner.few_steps of two", Outer) == "Inner.few_steps of two"  # which of them is not known
+    assert with_flags("Inner.few_steps of two", Outer) == "Inner.few_steps of two"  # it is not known which of the two
 
 
 def test_errors_of_the_work_keep_their_kind_and_name_the_folder() -> None:

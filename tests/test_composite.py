@@ -1,4 +1,4 @@
-"""Film before a background: against brute force, at its edge, and energy in the reduced print."""
+"""Film before a background: comparison with brute force, the film's edge, and energy in the reduced print."""
 
 import numpy as np
 import pytest
@@ -38,7 +38,7 @@ def test_a_photo_is_the_mean_of_many_rays(shape):
 
 
 def test_the_rim_is_film_and_background_by_their_shares_and_nothing_else():
-    """A white film before black: whatever a pixel shows is its coverage, nowhere a darker or brighter seam."""
+    """A white film before black: each pixel shows its coverage, with no darker or brighter seam."""
     view = FilmCaster(film(SHAPES["waves"])).view(camera(roll=0.4))
     white = np.ones((64, 64), np.float32)
     photo = composite(view, white, flat_light((1, 1, 1), (0, 0, 0)), np.zeros((*SIZE, 3), np.float32))

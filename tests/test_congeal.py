@@ -1,4 +1,4 @@
-"""Cells registered to their template: shifts come back, what is covered does not count, anatomy counts little."""
+"""Cells registered to their template: shifts are recovered, covered cells do not count, anatomy counts little."""
 
 from dataclasses import replace
 
@@ -30,7 +30,7 @@ def moved(image: np.ndarray, xy: tuple[float, float]) -> np.ndarray:
 
 
 STEP = 0.07
-"""Pixels by which one linear step may miss a shift of half a pixel; the rounds repeat it."""
+"""Pixels by which one linear step may miss a shift of half a pixel; the rounds repeat the step."""
 
 
 def test_one_step_finds_the_shift_of_a_dim_cell():
@@ -47,7 +47,7 @@ def test_one_step_finds_the_shift_of_a_dim_cell():
 
 
 def print_of_cells(rng: np.random.Generator, spread: float) -> tuple[FilmView, np.ndarray]:
-    """A film of 4 x 4 cells that show the same letters, each beside its place; and by how much (x, y), in pixels."""
+    """A film of 4 x 4 cells that show the same letters, each shifted, and the shifts (x, y) in pixels."""
     letters = np.zeros((SIDE, SIDE), np.uint8)
     for row in range(3):
         cv2.putText(letters, "IMA 41 SE7", (4, 24 + 28 * row), cv2.FONT_HERSHEY_SIMPLEX, 0.5, 90, 1, cv2.LINE_AA)
@@ -59,7 +59,7 @@ def print_of_cells(rng: np.random.Generator, spread: float) -> tuple[FilmView, n
 
 
 def test_later_steps_find_what_the_first_template_blurs():
-    """Letters that lie two strokes apart."""
+    """The letters of different cells lie two strokes apart."""
     view, by = print_of_cells(np.random.default_rng(5), 1.6)
     columns, rows = Repeats(0, 0.0, 0.25, 4), Repeats(1, 0.0, 0.25, 4)
 
@@ -104,7 +104,7 @@ def test_a_blank_film_gives_no_sightings():
 
 
 def test_what_agrees_outweighs_what_does_not():
-    """Two things seen all over the film: one exact, the other (anatomy) scattered and biased, both stated alike."""
+    """Two things are seen all over the film: one exact, the other (anatomy) scattered and biased, with equal sigmas."""
     rng = np.random.default_rng(3)
     place = rng.uniform(0, 1, (400, 2))
     number = np.arange(400) % 2
@@ -132,13 +132,13 @@ QUARTERS = tuple(Repeats(axis, 0.0, 0.25, 4) for axis in (0, 1))
 
 
 def before_a_bright_ground(view: FilmView) -> FilmView:
-    """The film as a photo shows it on a bright ground, which shines into its outermost pixels."""
+    """The film as a photo shows it on a bright ground, which bleeds into its outermost pixels."""
     image = cv2.copyMakeBorder(view.image[..., 0], 8, 8, 8, 8, cv2.BORDER_CONSTANT, value=200.0)
     return replace(view, image=cv2.GaussianBlur(image, (0, 0), 0.8)[8:-8, 8:-8, None])
 
 
 def shift_of_the_first_column(view: FilmView) -> float:
-    """By how many pixels the texts nearest to the sheet's left edge seem to lie right of those of other cells."""
+    """Pixels by which the texts nearest to the sheet's left edge seem to lie right of those of other cells."""
     columns, rows = QUARTERS
     across, _ = register_cells(view, columns, rows, 1.0, CONFIG)
     first = np.abs(across.known % 0.25) < 24 / (4 * SIDE)
@@ -170,7 +170,7 @@ def test_only_the_rim_is_put_right_and_the_view_stays():
 
 @pytest.mark.parametrize("known", [False, True], ids=["seen", "known"])
 def test_half_a_rule_along_the_edge_stays(known: bool):
-    """A rule between the cells: seen, or so faint that it was found elsewhere only."""
+    """A rule between the cells: seen, or so faint that it was only found elsewhere."""
     view, _ = print_of_cells(np.random.default_rng(5), 0.0)
     combs: tuple[Comb | None, Comb | None] = (None, None)
     if known:

@@ -240,7 +240,7 @@ def test_conversions_stand_in_coords_only(what: str) -> None:
 
 
 def test_convention_bilinear_lookup_is_in_the_photo_frame_and_exact():
-    """Values of a linear function come back exactly between the outermost pixel centres, and its rim's beyond."""
+    """A linear function is sampled exactly between the outermost pixel centres, and takes its rim's values beyond."""
     rng = np.random.default_rng(0)
     centres = coords.pixel_centres((40, 50))
     image = np.stack([centres[..., 0], centres[..., 1], centres.sum(axis=-1)], axis=-1).astype(np.float32)

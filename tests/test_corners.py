@@ -1,4 +1,4 @@
-"""Corners of the sheet that a person points at: from them to the map, and through the whole way."""
+"""Corners of the sheet that a person points at: from them to the map, and through the whole pipeline."""
 
 from dataclasses import replace
 from itertools import permutations
@@ -76,7 +76,7 @@ def test_a_map_put_on_corners_has_them_and_keeps_its_bend():
     np.testing.assert_allclose(put_on_corners(bent, told).nodes, bent.nodes, atol=1e-9)
 
 
-# ---------------------------------------------------------------- the whole way
+# ---------------------------------------------------------------- the whole pipeline
 
 
 def test_a_film_is_flattened_from_rough_corners(rectifier: Rectifier):
@@ -113,7 +113,7 @@ def test_a_negative_with_given_corners_is_doubtful(rectifier: Rectifier):
 
 
 def test_one_of_two_films_is_chosen_by_its_corners(rectifier: Rectifier):
-    """Whichever of two films side by side the network prefers, that one is flattened whose corners are given."""
+    """Of two films side by side, the one whose corners are given is flattened, whichever the network prefers."""
     small = Shot(fill=0.45, roll=(0.2, 0.2))
     left = photographed(film_print(19), replace(small, at=(0.26, 0.5)))
     both = photographed(film_print(23), replace(small, at=(0.75, 0.5), background=left.photo.astype(np.float64)))

@@ -1,4 +1,4 @@
-"""What lies before the film is marked, tells nothing of the light, and gives way to a photo that shows the print."""
+"""What covers the film is marked, does not affect the light, and gives way to a photo that shows the print."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ ALL = np.ones(SIZE, bool)
 
 
 def told(inside: np.ndarray, bend: float = 0.6):
-    """What a network sees of a bent film before which something lies where ``inside`` says of film coordinates."""
+    """What a network sees of a bent film that is covered where ``inside`` says so for film coordinates."""
     film = BackwardMap.from_function(bent_sheet(bend))
     maps = maps_of(film)
     return replace(maps, covered=np.where(inside(maps.uv) & (maps.mask > 0.5), 0.97, 0.01)), film
@@ -81,14 +81,14 @@ def test_what_covers_the_film_does_not_change_its_light():
 
     known = without_light(photo, everywhere(), covered=covered)
     assert error(known.film) < 0.04
-    assert error(photo[..., 1] / 255) > 0.08  # what it was before
+    assert error(photo[..., 1] / 255) > 0.08  # the error before
     assert known.confidence[covered].max() == 0
     assert not known.glare[covered].any()
     assert known.film[covered].min() > 0, "what covers the film is shown, not blackened"
 
 
 def test_hands_and_clips_on_simulated_photos_are_marked():
-    """The packaged network, on photos that no training has seen."""
+    """The packaged network marks them on photos unseen in training."""
     config = SampleConfig(size=540, map_size=270, photos_per_film=4, scene=SceneConfig(thing_share=1.0))
     rectifier = hybrid.Rectifier(RectifyConfig.of("fast"))
     both = hidden = marked = seen = 0

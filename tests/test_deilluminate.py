@@ -42,7 +42,7 @@ def print_of_cells(rows: int = 5, cols: int = 4) -> np.ndarray:
 
 
 def light(gain: np.ndarray | float = 0.5, veil: np.ndarray | float = 0.0, cast: tuple = (1.0, 1.0, 1.0)) -> np.ndarray:
-    """(h, w, 3) uint8 photo of the print, flat, under gain and veil in linear light."""
+    """(h, w, 3) uint8 photo of the flat print under gain and veil in linear light."""
     linear = (print_of_cells() ** 1.6 * gain + veil)[..., None] * np.array(cast)
     return np.rint(255 * srgb_from_linear(linear)).astype(np.uint8)
 
@@ -87,7 +87,7 @@ def test_doubled_light_changes_nothing():
     once = without_light(light(0.5 * gain, 0.5 * veil), everywhere()).film
     twice = without_light(light(gain, veil), everywhere()).film
     assert np.abs(once - twice).mean() < 0.01
-    assert np.quantile(np.abs(once - twice), 0.99) < 0.05  # eight bits of the darker photo
+    assert np.quantile(np.abs(once - twice), 0.99) < 0.05  # rounding to eight bits in the darker photo
 
 
 def test_a_grey_ramp_comes_out_monotone():
@@ -137,7 +137,7 @@ def test_glare_of_known_extent_is_marked_and_not_trusted():
 
 
 def test_what_one_channel_still_shows_is_not_glare():
-    """One reflection, white and warm: red and green clip in both, in the latter blue keeps black and white apart."""
+    """The reflection is white or warm: red and green clip in both, but in the warm one blue tells black from white."""
     u, v = film_centres(SIZE).transpose(2, 0, 1)
     spot = (u - 0.5) ** 2 + (v - 0.4) ** 2 < 0.1**2
     linear = (0.5 * print_of_cells() ** 1.6)[..., None]
@@ -185,7 +185,7 @@ def test_inputs_are_not_modified():
 
 
 def test_linear_light_is_where_the_model_holds():
-    """The test films themselves: gain and veil act on linear light."""
+    """A check of the test films themselves: gain and veil act on linear light."""
     photo = light(0.5, 0.1)
     seen = linear_from_srgb(photo[..., 1] / 255.0)
     np.testing.assert_allclose(seen, 0.5 * print_of_cells() ** 1.6 + 0.1, atol=0.01)
@@ -213,7 +213,7 @@ def test_a_window_reflected_across_slices_is_removed_with_its_edges():
 
 
 def test_print_within_one_slice_is_no_reflection():
-    """A scout view where every other slice is black stays as bright against the rest as the print has it."""
+    """A scout view, bright where all other slices are black, keeps its printed brightness relative to the rest."""
     truth = print_of_cells()
     truth[20:100, 15:105] = 0.4
     linear = (truth**1.6 * 0.5)[..., None].repeat(3, axis=2)
@@ -223,7 +223,7 @@ def test_print_within_one_slice_is_no_reflection():
 
 
 def print_of_wedges() -> tuple[np.ndarray, np.ndarray]:
-    """Cells with a step wedge each: display grey (h, w), and the step's number (0: none); 10 of 255 levels apart."""
+    """Cells with a step wedge each: display grey (h, w) and step numbers (0: none), 10 of 255 levels apart."""
     film, step = np.full(SIZE, 0.05), np.zeros(SIZE, int)
     for i in range(5):
         for j in range(4):
@@ -238,7 +238,7 @@ def print_of_wedges() -> tuple[np.ndarray, np.ndarray]:
 
 
 def test_contrast_between_close_greys_is_the_same_over_the_sheet():
-    """Of steps 10 of 255 levels apart, within 20 % of what it is elsewhere on the sheet (median of each cell)."""
+    """Contrast of steps 10 of 255 levels apart (median of each cell) is within 20 % of that elsewhere on the sheet."""
     gain, veil = uneven()
     film, step = print_of_wedges()
     linear = (film**1.6 * gain + veil)[..., None].repeat(3, axis=2)
@@ -259,7 +259,7 @@ def test_contrast_between_close_greys_is_the_same_over_the_sheet():
         of_cell = np.diff(means, axis=1)
         contrasts[name] = np.median(of_cell / np.median(of_cell, axis=0), axis=1)
     assert np.abs(contrasts["film"] - 1).max() < 0.2
-    assert np.abs(contrasts["lit"] - 1).max() > 0.4  # what it was before
+    assert np.abs(contrasts["lit"] - 1).max() > 0.4  # before the light is removed
 
 
 def test_applied_twice_it_changes_nothing_but_the_tone_curve():

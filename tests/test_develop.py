@@ -1,4 +1,4 @@
-"""The camera's pipeline: noise of the stated strength, tone curves that rise, what clips, the same bytes for a seed."""
+"""The camera's pipeline: noise of the stated strength, rising tone curves, clipping, the same bytes for a seed."""
 
 from dataclasses import replace
 from io import BytesIO
@@ -61,7 +61,7 @@ def test_motion_of_any_length_blurs_by_its_length(length: float):
     x = np.arange(kernel.shape[1]) - kernel.shape[1] // 2
     mean, square = (kernel.sum(axis=0) * x).sum(), (kernel.sum(axis=0) * x**2).sum()
     assert mean == pytest.approx(0.0, abs=1e-5)
-    assert length**2 / 12 - 1e-3 <= square <= length**2 / 12 + 0.25  # and what bilinear pixels add
+    assert length**2 / 12 - 1e-3 <= square <= length**2 / 12 + 0.25  # plus what bilinear sampling adds
     np.testing.assert_allclose(_streak(length, np.pi / 2), kernel.T, atol=1e-6)
 
 

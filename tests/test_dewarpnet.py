@@ -1,4 +1,4 @@
-"""DewarpNet and the pair of table 2: published size, what the map means, inference as published and corrected."""
+"""DewarpNet and the pair in table 2: published size, what the map means, inference as published and corrected."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ FLOAT32 = 1e-5  # maps in units of the photo's sides, stored in float32
 
 
 def on_paper(config: DewarpNetConfig) -> DewarpNet:
-    """A network of shapes without values: full width costs nothing."""
+    """A network with shapes but no values: full width costs nothing."""
     with torch.device("meta"):
         return DewarpNet(config).eval().to("meta")
 
@@ -64,7 +64,7 @@ def test_the_published_size_and_work():
 
 
 def test_what_the_published_layers_read():
-    """The same work without the layers that are never read; reading them all is half as much work again."""
+    """Dropping the layers that are never read does not change the work; reading them all takes half as much again."""
     read, dense = (on_paper(DewarpNetConfig(layers=layers)) for layers in ("read", "dense"))
     published = on_paper(DewarpNetConfig())
     assert parameter_count(dense) == parameter_count(published)
@@ -121,7 +121,7 @@ def test_shapes_and_ranges():
 
 
 def test_the_backward_net_mixes_no_pixels():
-    """It reads every so many pixels of a larger code; what stands between them does not matter."""
+    """It subsamples a larger code; the pixels in between do not matter."""
     torch.manual_seed(0)
     network = BackwardNet(NARROW).eval()
     code = torch.rand(1, 3, 2 * NODES, 2 * NODES)
@@ -165,12 +165,12 @@ def test_corrected_inference_is_the_map_itself():
     photo = np.zeros((*SIZE, 3), dtype=np.uint8)
     uv = film_centres((20, 30))
     found = corrected(_Knowing(photo_from_film), photo).photo_from_film(uv)
-    side, beside = SIZE[1], (SIZE[1] - SIZE[0]) / 2  # of the square around the photo, of which the network sees all
+    side, beside = SIZE[1], (SIZE[1] - SIZE[0]) / 2  # the network sees the whole square around the photo
     np.testing.assert_allclose(found, photo_from_film(uv) * side - [0, beside], atol=0.01)
 
 
 def test_published_inference_is_right_but_for_the_corners_convention_inside():
-    """A linear map survives mean and resize away from the rim; what is left is at most half a pixel, by the lookup."""
+    """Away from the rim, mean and resize preserve a linear map; the lookup leaves an error of at most half a pixel."""
     found = published_points(BackwardMap(photo_from_film(film_nodes((NODES, NODES)))), SIZE)
     true = photo_from_film(film_centres(SIZE)) * [SIZE[1], SIZE[0]]
     error = (found - true)[6:-6, 6:-6]

@@ -1,4 +1,4 @@
-"""DICOM: orientation, order, units and refusals, on files written here and on real ones where they are at hand."""
+"""DICOM: orientation, order, units and refusals, on files written here and on real ones where available."""
 
 import os
 import zipfile
@@ -20,7 +20,7 @@ SHAPE = (24, 20)
 
 
 def anatomy(z: int) -> np.ndarray:
-    """HU that tell every corner and slice apart: right front bright, the rest from the position, from air upwards."""
+    """HU that tell all corners and slices apart: the right front is bright, the rest rises from air with position."""
     rows, cols = np.indices(SHAPE)
     hu = 10 * rows + cols + 100 * z - 1000
     hu[:3, :3] = 1000
@@ -155,7 +155,7 @@ def test_series_are_kept_apart_and_scouts_left_out(tmp_path: Path):
 
 
 def test_uneven_distances_are_resampled_and_said(tmp_path: Path):
-    """A missing slice of a linear ramp is given back exactly."""
+    """A missing slice of a linear ramp is restored exactly."""
     write_stack(tmp_path, [0, 1, 2, 4, 5])
     reading = read_all(tmp_path)
     (volume,) = reading.volumes
@@ -173,7 +173,7 @@ def test_wide_gaps_cut_a_series(tmp_path: Path):
 
 
 def test_mixed_orientations_are_kept_apart(tmp_path: Path):
-    """A head scanned straight below and with a tilted gantry above is two volumes."""
+    """A head scanned straight below and with a tilted gantry above gives two volumes."""
     write_stack(tmp_path / "straight", [0, 1, 2])
     write_stack(tmp_path / "tilted", [3, 4], ImageOrientationPatient=[1.0, 0.0, 0.0, 0.0, 0.94, 0.3412])
     assert [len(v.hu) for v in read_all(tmp_path).volumes] == [3, 2]
@@ -310,7 +310,7 @@ def test_real_odd_files_are_read_or_refused():
 def test_every_encoding_of_a_ct_gives_the_same_units(
     kind: str, typical_hu: int, largest_hu: int, capfd: pytest.CaptureFixture[str]
 ):
-    """Lossless syntaxes exactly; lossy ones within what their own quantisation leaves. Decoders print nothing."""
+    """Lossless syntaxes agree exactly, lossy ones to within their own quantisation. Decoders print nothing."""
     single = Path(str(SHARED)) / "dicom" / "single"
     plain, other = (volumes_of(single / f"c3d_CT_{name}.dcm")[0].hu.astype(int) for name in ("implicit", kind))
     error = np.abs(other - plain)

@@ -1,4 +1,4 @@
-"""Pictures for people: lines lie where the map says, nothing given is changed, sheets hold every tile."""
+"""Pictures for people: lines lie where the map says, inputs are not changed, contact sheets hold every tile."""
 
 from __future__ import annotations
 

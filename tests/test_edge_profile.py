@@ -1,4 +1,4 @@
-"""Where the sheet ends across its edge: steps stay where they are under blur, rules are told from halos and shadows."""
+"""Where the sheet ends across its edge: blur does not move steps, rules are told from halos and shadows."""
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ def linear(level):
 
 
 def strip_of(behind, film, rule=None, rule_px=1.0, blur_px=0.6, profiles=24):
-    """Grey levels of a strip across an edge that runs aslant by a pixel; each level a grey or RGB."""
+    """Grey levels of a strip across an edge that slants by a pixel; each level is a grey or RGB."""
     edge = EDGE + np.linspace(-0.5, 0.5, profiles)
     inside, past = (norm.cdf((DEPTH[:, None] - edge - far) / blur_px)[..., None] for far in (0.0, rule_px))
     rule = film if rule is None else rule
@@ -53,7 +53,7 @@ def test_rules_in_a_narrow_dark_margin_do_not_move_the_edge():
     grey = np.where(DEPTH < 0, 27.0, 8.0)
     grey[(DEPTH >= 7) & (DEPTH < 10)] = 200.0
     image = np.repeat(np.repeat(grey[:, None, None], 20, axis=1), 3, axis=2)
-    for path in (27, 28, 30):  # a gap between the compared windows lets it lie there
+    for path in (27, 28, 30):  # a gap between the compared windows lets the path lie there
         assert np.abs(found_end(image, path).rows - 29.5).max() < 0.5
 
 
@@ -61,7 +61,7 @@ def test_rules_in_a_narrow_dark_margin_do_not_move_the_edge():
 @pytest.mark.parametrize("path", [29, 31])
 @pytest.mark.parametrize("rule_px", [0.7, 1.0, 2.0])
 def test_a_rule_along_the_edge_belongs_to_the_sheet(behind, path, rule_px):
-    """Its inner flank is the steeper step; the sheet ends at the outer one, if the rule is of the likely width."""
+    """The rule's inner flank is steeper; the sheet ends at the outer one, if the rule has the likely width."""
     distance, has_rule = off(*strip_of(behind, 25.0, rule=225.0, rule_px=rule_px), path=path)
     assert has_rule
     assert distance.max() < 0.15 + 0.5 * abs(rule_px - RULES_PX[0])
@@ -87,7 +87,7 @@ def test_a_rule_hardly_brighter_than_what_lies_behind_is_seen_where_one_is_expec
 @pytest.mark.parametrize("at_inner_flank", [False, True])
 @pytest.mark.parametrize("width_px", [4.0, 4.5, 5.5, 6.5])
 def test_a_frame_along_the_edge_belongs_to_the_sheet(behind, at_inner_flank, width_px):
-    """The path may follow its inner flank, which is the steeper; the sheet ends at the outer one."""
+    """The path may follow the frame's inner flank, which is steeper; the sheet ends at the outer one."""
     image, edge = strip_of(behind, 25.0, rule=225.0, rule_px=width_px, blur_px=0.7)
     path = 30 + round(width_px if at_inner_flank else 0)
     assert profiles_along(image, np.full(image.shape[1], path)).may_have_frame
@@ -112,7 +112,7 @@ def test_an_edge_alone_has_no_frame(behind, film):
 
 
 def test_a_penumbra_is_no_frame():
-    """Beside a sheet that stands off its ground lies a band darker than the ground and brighter than the film."""
+    """A sheet that stands off the ground has a band beside it, darker than the ground and brighter than the film."""
     image, _ = strip_of(200.0, 20.0, rule=90.0, rule_px=4.0)
     assert not profiles_along(image, np.full(image.shape[1], 30)).may_have_frame
     assert not found_end(image, expected=True, frames=True).has_frame

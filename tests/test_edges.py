@@ -1,4 +1,4 @@
-"""The sheet's edges as EdgeNet reads them: strips, paths through what was read, and maps put onto them."""
+"""The sheet's edges as EdgeNet reads them: strips, paths through its readings, and maps put onto the edges."""
 
 from dataclasses import replace
 from functools import partial
@@ -30,7 +30,7 @@ COLUMNS = STRIP.columns // 2
 
 
 def moved_edges(film: BackwardMap, outwards: float) -> BackwardMap:
-    """The map of a film with its edges so far outside of the true ones, in parts of the film."""
+    """The map of a film with its edges moved outwards from the true ones by a fraction of the film."""
     return BackwardMap(film.photo_from_film((film_nodes((17, 17)) - 0.5) * (1 + 2 * outwards) + 0.5))
 
 
@@ -42,7 +42,7 @@ def sheet_photo(size: int = 700, black: int = 20, ground: int = 170) -> tuple[np
 
 
 def step_reader(images: np.ndarray, inside: np.ndarray) -> np.ndarray:
-    """Log-probabilities by the steepest fall from bright to dark, for the sheet above."""
+    """Log-probabilities from how steeply grey falls from bright to dark, for the sheet above."""
     grey = images.astype(float).mean(axis=3).reshape(*images.shape[:2], -1, 2).mean(axis=3)
     fall = np.zeros_like(grey)
     fall[:, 1:-1] = grey[:, :-2] - grey[:, 2:]
@@ -186,7 +186,7 @@ def test_edges_far_beside_are_read_once_more_from_where_they_were_found():
     for outwards, again in ((0.03, True), (0.005, False)):
         start = moved_edges(film, outwards)
         read = read_edges(Pyramid(photo), start, STEPS, CONFIG)
-        assert (read.off > CONFIG.far) is again  # how far they were beside at first
+        assert (read.off > CONFIG.far) is again  # how far off the edges were at first
         assert (read.through is not start) is again
         moved = put_on_edges(read.through, read, CONFIG)
         off = np.linalg.norm(moved.photo_from_film(film_nodes((9, 9))) - film.nodes, axis=2)
@@ -209,7 +209,7 @@ def test_a_refinement_with_a_wrong_edge_starts_once_more_from_where_edges_are_re
 
 
 def test_an_edge_that_the_photo_does_not_show_is_no_doubt():
-    """The sheet leaves the photo on one side: of that edge nothing is read, so nothing speaks against it."""
+    """The sheet leaves the photo on one side: nothing is read of that edge, so nothing speaks against it."""
     photo, film = sheet_photo()
     cut = round(float(film.nodes[:, -1, 0].min())) - 40
     support = support_of(Pyramid(photo[:, :cut].copy()), film)
@@ -217,7 +217,7 @@ def test_an_edge_that_the_photo_does_not_show_is_no_doubt():
 
 
 def test_a_second_refinement_counts_only_if_its_edges_are_surer():
-    """An edge is read in two places, and refined to neither: what was there first stays."""
+    """Two more refinements are tried and edges are surer in neither: the first refinement stays."""
     photo, film = sheet_photo()
     first = Refinement(moved_edges(film, -0.02), None, (), expected_px=1.0)
     never = replace(RectifyConfig().edges, surer=1.0)

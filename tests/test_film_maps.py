@@ -1,4 +1,4 @@
-"""FilmNet's maps of a data set: near the truth, turned as the film is seen, and across their edges strips are cut."""
+"""FilmNet's maps of a data set: near the truth, turned as the film is seen, with strips cut across their edges."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -21,7 +21,7 @@ FOUND = EdgeAugment(found_share=1.0, found_error=(1e-6, 2e-6), far_share=0.0, co
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A data set of a film, of the same one upside down, and of noise, with FilmNet's maps beside it."""
+    """A data set of a film, the same film upside down, and noise, with FilmNet's maps beside it."""
     pairs, out = tmp_path_factory.mktemp("pairs"), tmp_path_factory.mktemp("made")
     rng = np.random.default_rng(0)
     photo, film = make_photo(FilmDrawing(), rng, size=480)
@@ -48,12 +48,12 @@ def test_a_map_that_is_not_of_the_film_is_not_known(made: Path) -> None:
 
 
 def test_strips_are_cut_across_the_edges_that_filmnet_found(made: Path) -> None:
-    """Where its map has them: the true edge lies where the map is off by as much."""
+    """FilmNet's map places them: a true edge is as far from its strip's middle as the map is off."""
     sample, strip = open_edges([made])[0], StripConfig()
     rows = edge_view(sample, strip, np.random.default_rng(1), FOUND)[2]
     again = edge_view(sample, strip, np.random.default_rng(1), FOUND)[2]
     assert np.array_equal(rows, again, equal_nan=True)
-    for seed in range(3):  # however it is turned, it is the same map and the same edges
+    for seed in range(3):  # however it is turned, the map and the edges are the same
         turned = edge_view(sample, strip, np.random.default_rng(seed), FOUND)[2]
         off = np.sort(np.nanmean(np.abs(turned - (strip.rows - 1) / 2), axis=1))
         assert np.allclose(off, np.sort(np.nanmean(np.abs(rows - (strip.rows - 1) / 2), axis=1)), atol=0.5)

@@ -1,4 +1,4 @@
-"""The sheet: its slice-grid corners are vertices at every level, and the smooth surface is the sheet's."""
+"""The sheet: its slice-grid corners are vertices at every level, and the smooth surface is that of the sheet."""
 
 import numpy as np
 import pytest
@@ -55,7 +55,7 @@ def test_a_flat_sheet_has_no_angles():
 
 
 def test_a_folded_sheet_has_no_gaussian_curvature():
-    """Folded along the diagonals of its cells, which are the edges x + y = constant of its triangles."""
+    """The fold runs along diagonals of the cells, which are the triangle edges with x + y = constant."""
     mesh = film_mesh((100.0, 100.0), np.linspace(0, 1, 3), np.linspace(0, 1, 3), 1)
     beyond = np.maximum(mesh.vertices[..., 0] + mesh.vertices[..., 1], 0)[..., None] / np.sqrt(2)
     flat, turned = np.array([1, 1, 0]) / np.sqrt(2), np.array([np.cos(0.5), np.cos(0.5), np.sqrt(2) * np.sin(0.5)])

@@ -11,8 +11,8 @@ from hybrid.film_view import MOST_SIDE, view_film
 @pytest.mark.parametrize("wide", [False, True])
 @pytest.mark.parametrize("at", [0, MOST_SIDE, 2 * MOST_SIDE - 64])
 def test_photos_that_opencv_does_not_read_are_seen_all_the_same(at: int, wide: bool):
-    """A film of 64 pixels in a photo of more a side than OpenCV reads: as in that part of it, but that its place there
-    (float32) is known to a hundredth of a pixel only."""
+    """A film of 64 pixels in a photo with a longer side than OpenCV reads: it looks as in a crop of it, except that its
+    place (float32) is known only to a hundredth of a pixel."""
     rng = np.random.default_rng(0)
     part = rng.integers(1, 255, (64, 64), np.uint8)
     photo = np.zeros((64, 2 * MOST_SIDE), np.uint8)

@@ -18,7 +18,7 @@ NARROW = 0.05  # 8 channels at the finest levels, 48 at the coarsest
 
 
 def on_paper(config: FiReNetConfig) -> FiReNet:
-    """A network of shapes without values: full width costs nothing."""
+    """A network with shapes but no values: full width costs nothing."""
     with torch.device("meta"):
         return FiReNet(config)
 
@@ -28,7 +28,7 @@ def test_the_published_number_of_parameters():
 
 
 def test_the_published_amount_of_work():
-    """106 GFLOP, of which the released code spends 2.1 on a convolution in each decoder that nothing reads."""
+    """106 GFLOP, of which the released code spends 2.1 on convolutions that nothing reads, one in each decoder."""
     with FlopCounterMode(display=False) as counter:
         on_paper(FiReNetConfig())(torch.empty(1, 3, 256, 256, device="meta"))
     unread = 7 * 2 * 16 * 16 * 9 * 256**2
@@ -38,7 +38,7 @@ def test_the_published_amount_of_work():
 def test_a_step_of_table_3_is_a_matter_of_whole_decoders():
     decoder = parameter_count(on_paper(FiReNetConfig()).background)
     full, multi, uv_only = (parameter_count(on_paper(c)) for c in (FiReNetConfig(), MULTI_MAP, UV_ONLY))
-    assert full - multi == pytest.approx(decoder, rel=1e-5)  # but for the last layer's channels
+    assert full - multi == pytest.approx(decoder, rel=1e-5)  # except for the last layer's channels
     assert multi - uv_only == pytest.approx(2 * decoder, rel=1e-3)  # and the second encoder's first layer
 
 

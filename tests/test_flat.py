@@ -1,4 +1,4 @@
-"""A photo that is the flat film itself: told by its cells, wherever the network sees its ends."""
+"""A photo that is the flat film itself: its cells tell, wherever the network sees the film's ends."""
 
 from __future__ import annotations
 
@@ -38,12 +38,12 @@ def with_grid(film: BackwardMap) -> Refinement:
 
 
 def unmoved(start: BackwardMap) -> Refinement:
-    """What refinement makes of a true map: nothing else."""
+    """Refinement of a true map: the map does not change."""
     return with_grid(start)
 
 
 def inside(size: tuple[int, ...]) -> BackwardMap:
-    """A map well inside of the frame of a picture of a size (h, w)."""
+    """A map well inside the frame of a picture of size (h, w)."""
     return BackwardMap(frame_of((size[0], size[1])).nodes * 0.8 + 0.1 * np.array([size[1], size[0]]))
 
 
@@ -67,7 +67,7 @@ def test_only_a_film_that_fills_the_photo_can_be_flat_already() -> None:
 def test_a_sheet_is_seen_inside_the_photo_by_all_edges_or_by_some_if_all_lie_there(
     right: float, edges: int, flat: bool
 ) -> None:
-    """Of a scan no side shows beyond the frame: there nothing speaks against an edge, nor for one."""
+    """A scan shows nothing beyond the frame: there nothing speaks for or against an edge."""
     shown = picture()
     size = shown.shape[:2]
     left_top, right_bottom = np.array([0.04, 0.04]), np.array([right, 0.96])
@@ -101,7 +101,7 @@ def test_what_has_no_cells_that_are_alike_is_no_film() -> None:
 
 
 def test_a_film_that_goes_on_beyond_the_photo_is_not_flat() -> None:
-    """Cut through its cells: through the photo's own frame they are less alike than through the sheet's map."""
+    """The photo cuts through cells: they are less alike through the photo's own frame than through the sheet's map."""
     shown = picture()
     height, width = shown.shape[:2]
     kept = round(0.8 * width)

@@ -1,4 +1,4 @@
-"""What the network tells of the cells shows how the map mistakes the sheet's foreshortening."""
+"""What the network predicts in the cells shows how the map gets the sheet's foreshortening wrong."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def test_edges_stay_where_the_map_has_them():
 
 
 def test_edges_that_lie_beside_the_maps_are_left_where_they_are():
-    """They are seen through the bent map, and have to be told as through the straightened one."""
+    """They are seen through the bent map and must be carried over to the straightened one."""
     coarse = bent_along(FLAT, (0.3, 0.0), (0.0, 0.0))
     beside = BackwardMap(coarse.photo_from_film(0.98 * film_nodes((33, 33)) + 0.01))
     told = told_of(FLAT, even_grid(5, 4), np.random.default_rng(1))

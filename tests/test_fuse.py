@@ -44,7 +44,7 @@ def printed(seed: int = 0) -> np.ndarray:
 def seen(
     spot: tuple[float, float], seed: int = 0, error_px: float = 2.0, film: int = 0, way: int = 0
 ) -> tuple[np.ndarray, RectifyResult]:
-    """A photo of the flat print with clipped glare around ``spot``, and what a map with a smooth error makes of it."""
+    """A photo of the flat print with clipped glare around ``spot``, and the result by a map with a smooth error."""
     rng = np.random.default_rng(100 + seed)
     u, v = film_centres(SIZE).transpose(2, 0, 1)
     glare = 2.0 * np.exp(-((((u - spot[0]) ** 2 + (v - spot[1]) ** 2) / 0.012) ** 2))
@@ -80,7 +80,7 @@ def fused(*shown: tuple[np.ndarray, RectifyResult]) -> RectifyResult:
 
 
 def psnr(film: np.ndarray | None, backward: BackwardMap | None) -> float:
-    """Of a film against the print, both as the film's own map has them."""
+    """PSNR of a film against the print, both seen through the film's own map."""
     assert film is not None
     assert backward is not None
     truth = sample_bilinear(printed(), backward.dense(film.shape) - np.float32(MARGIN))
@@ -117,7 +117,7 @@ def test_glare_that_stays_in_place_stays_marked():
 
 
 def test_what_hides_the_film_in_one_photo_only_is_not_hidden_in_the_fused_film():
-    """A hand in two photos, at different ends: what the other shows is the print, what both hide stays marked."""
+    """Hands cover two photos at different ends: what one hides comes from the other, what both hide stays marked."""
     (a, first), (b, second) = seen(SPOTS[0], 0), seen(SPOTS[0], 1)
     u, v = film_centres(SIZE).transpose(2, 0, 1)
     left, right, both = v > 0.75, v < 0.25, (np.abs(u - 0.8) < 0.1) & (np.abs(v - 0.5) < 0.1)
@@ -144,7 +144,7 @@ def test_registration_finds_the_true_map():
 
 
 def map_error_px(result: RectifyResult) -> float:
-    """Mean distance of a film's map from the true one, in pixels of the photo, off the outermost cells."""
+    """Mean distance of a film's map from the true one, in pixels of the photo, without the outermost cells."""
     assert result.backward is not None
     uv = film_nodes((9, 9))[1:-1, 1:-1]
     return float(
@@ -179,7 +179,7 @@ def test_an_unsure_map_does_not_move_a_sure_one():
         assert result.expected_error_px == pytest.approx(0.5, rel=0.02)  # in pixels of the first photo
         assert "itself unsure" in result.stages[-1].reason
         assert shown[result.photo] is sure
-        assert result.signs == sure[1].signs  # what speaks for the status that is given
+        assert result.signs == sure[1].signs  # the evidence for the status that is given
     result = fused(other, unsure(sure))
     assert result.status.code is StatusCode.UNSURE
     assert result.expected_error_px == pytest.approx(9.0, rel=0.02)
@@ -193,7 +193,7 @@ def test_the_grid_is_that_of_the_surest_photo_that_counts():
     assert result.grid is not None
     assert (result.grid.rows, result.grid.cols) == (DRAWING.rows, DRAWING.cols)
     lines = MARGIN + pixel_from_film(film_nodes((DRAWING.rows + 1, DRAWING.cols + 1)), SIZE)
-    assert np.linalg.norm(result.grid.vertices_photo - lines, axis=-1)[1:-1, 1:-1].mean() < 1.5  # of 8 px
+    assert np.linalg.norm(result.grid.vertices_photo - lines, axis=-1)[1:-1, 1:-1].mean() < 1.5  # instead of 8 px
     np.testing.assert_allclose(result.backward.photo_from_film(result.grid.vertices), result.grid.vertices_photo)
 
 
@@ -230,7 +230,7 @@ def test_the_fused_film_is_as_large_as_the_largest(larger: int):
 
 @pytest.mark.parametrize("width", [1016, 1018, 1019])
 def test_a_wide_blur_of_any_size_stays_in_place(width: int):
-    """It is made at a quarter of the size, of which not every width has a whole number of pixels."""
+    """It is computed at a quarter of the size, which is not a whole number of pixels for every width."""
     step = np.zeros((200, width), np.float32)
     step[:, width - 100 :] = 1
     exact = cv2.GaussianBlur(step, (0, 0), 12.0)
@@ -257,7 +257,7 @@ def test_a_film_that_was_read_another_way_round_is_turned(way: int):
 
 
 def test_photos_of_one_film_are_given_one_tone():
-    """However differently the network takes their tones: else what one lends to the other would be of another grey."""
+    """However differently the network reads their tones: otherwise what one lends to the other would differ in grey."""
     photos, results = zip(*(seen(spot, k) for k, spot in enumerate(SPOTS[:2])), strict=True)
     shares: list[float] = []
 
@@ -325,7 +325,7 @@ def test_one_film_merged_with_itself_is_itself():
 
 
 def test_veiled_photos_do_not_outvote_a_clear_one():
-    """Two of three, hardly trusted, agree on what only light left behind."""
+    """Two of three photos, hardly trusted, agree only because light was left on both."""
     film = printed()
     none = np.zeros(film.shape, bool)
     sure, unsure = np.full(film.shape, 0.9, np.float32), np.full(film.shape, 0.3, np.float32)
@@ -342,7 +342,7 @@ def test_a_broad_remains_of_light_in_one_of_three_is_left_out():
     less = np.full(SIZE, 0.8, np.float32)
     result = merge([veiled, film, film], [nothing] * 3, [trust, less, less], MergeConfig())
     assert np.abs(result.film - film).mean() < 0.005
-    np.testing.assert_allclose(result.confidence[u > 0.7], 0.8, atol=1e-3)  # not of the photo that is left out there
+    np.testing.assert_allclose(result.confidence[u > 0.7], 0.8, atol=1e-3)  # not that of the photo left out there
     np.testing.assert_allclose(result.confidence[u < 0.5], 1.0, atol=1e-3)
 
 

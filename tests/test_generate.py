@@ -1,4 +1,4 @@
-"""Generating: the same bytes from any workers, after any kill; clear ends; parts that are held out."""
+"""Generating: the same bytes from any workers and after any kill; clear ends; held-out parts."""
 
 import errno
 import hashlib
@@ -46,7 +46,7 @@ def hashes(folder):
 
 @pytest.fixture
 def simple(monkeypatch):
-    """Samples in no time, and no card, which needs real ones."""
+    """Instant samples, and no card, because a card needs real samples."""
     monkeypatch.setattr(data_gen.work, "film_samples", simple_film)
     monkeypatch.setattr(data_gen.generate, "write_card", lambda folder: None)
 
@@ -107,7 +107,7 @@ def test_a_set_does_not_depend_on_what_was_there(simple, tmp_path):
 
 
 def test_killed_at_any_moment_it_goes_on_to_the_same_bytes(tmp_path):
-    """SIGKILL while nothing expects it, again and again on one folder."""
+    """SIGKILL at random moments, again and again, on one folder."""
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(["data_gen.generate"])  # imported once, not by each process
     rng = np.random.default_rng(0)
@@ -135,7 +135,7 @@ def test_killed_at_any_moment_it_goes_on_to_the_same_bytes(tmp_path):
 
 @pytest.mark.parametrize("lost", ["entry", "manifest"])
 def test_a_shard_that_the_manifest_lacks_is_added(simple, tmp_path, lost):
-    """As after a kill between the two."""
+    """As after a kill between writing the shard and the manifest."""
     generate(simple_config(tmp_path))
     before, path = hashes(tmp_path), tmp_path / "manifest.json"
     if lost == "manifest":
@@ -215,7 +215,7 @@ def test_a_data_set_made_otherwise_is_not_mixed_in(simple, tmp_path):
 
 @pytest.mark.parametrize("before", ["other sources", None])
 def test_a_data_set_of_other_sources_is_read_and_not_gone_on_with(simple, tmp_path, before):
-    """None: begun when no digest was kept."""
+    """None: the data set was begun before digests were kept."""
     generate(simple_config(tmp_path, count=2))
     path = tmp_path / "dataset.json"
     described = json.loads(path.read_text())
@@ -287,14 +287,14 @@ def test_a_cluster_that_is_not_there_is_said(monkeypatch):
 @pytest.mark.parametrize("address", ["foo", "", "tcp://host", "http://host:8787", "tcp://host:port"])
 def test_what_is_no_address_is_refused_at_once(monkeypatch, address):
     distributed = pytest.importorskip("distributed")
-    monkeypatch.setattr(distributed, "Client", None)  # one that is refused an address is ended after 40 s only
+    monkeypatch.setattr(distributed, "Client", None)  # a Client with a refused address ends only after 40 s
     with pytest.raises(ConfigError, match=r"--scheduler.*tcp://host:8786"), workers(0, address):
         pass
 
 
 @pytest.fixture
 def interruptible():
-    """Processes started meanwhile obey SIGINT, even if these tests run in the background, where shells ignore it."""
+    """Processes started meanwhile obey SIGINT, even if these tests run in the background, where it is ignored."""
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     yield
     signal.signal(signal.SIGINT, before)
@@ -338,7 +338,7 @@ def ended(monkeypatch, module, *words):
 
 @pytest.mark.parametrize("module", COMMANDS)
 def test_every_command_ends_in_one_line(module, tmp_path, monkeypatch, capsys):
-    """Whether it is stopped or the system refuses something."""
+    """It does so whether it is stopped or the system refuses something."""
 
     def stopped(config):
         raise KeyboardInterrupt
@@ -393,7 +393,7 @@ def drawn(config):
 
 @pytest.fixture
 def scan_and_stub(tmp_path):
-    """A folder with a scan, and with one of two slices, of which no film is printed."""
+    """A folder with a scan and with a stub of two slices, too few to print a film."""
     for name, slices in (("scan", 24), ("stub", 2)):
         hu = np.zeros((slices, 8, 8), np.int16)
         hu[:, 2:6, 2:6] = 1000
@@ -428,7 +428,7 @@ def test_what_is_held_out_is_what_the_others_are_not_made_from(sources):
 
 
 def test_a_name_that_nothing_has_is_refused(sources):
-    """A slip of the pen must not let a test scan into the training data."""
+    """A typing error must not let a test scan into the training data."""
     with pytest.raises(ConfigError, match=r"scan_7.*allowed: scan_0, scan_1, scan_2, hall, park"):
         loaded(replace(sources, leave_out=("scan_7",)))
 

@@ -1,4 +1,4 @@
-"""The grid of slices: right where it is printed or repeats, none where there is none."""
+"""The grid of slices: right where rules are printed or cells repeat, none where there is none."""
 
 import numpy as np
 import pytest
@@ -46,12 +46,12 @@ def test_followed_rules_are_straight_to_a_third_of_a_pixel():
     assert sightings is not None
     truth = np.linspace(0.03, 0.97, 5)
     error_px = np.abs(sightings.seen[:, 1, None] - truth).min(axis=1) * 600
-    assert np.median(error_px) < 0.7  # the drawing's lines are on whole pixels of twice the size
+    assert np.median(error_px) < 0.7  # the drawing's lines lie on whole pixels at twice the size
     assert np.std(sightings.offsets()) * 600 < 1.0
 
 
 def test_frames_around_each_cell_are_lines_whose_first_and_last_lie_elsewhere():
-    """Between cells with frames of their own a line is two rules, and the first and last are one."""
+    """If each cell has its own frame, a line between cells is two rules; the first and the last line are one."""
     image = np.full((600, 480), 40, np.float32)
     for i in range(4):
         for j in range(3):
@@ -118,14 +118,14 @@ def test_matches_see_a_moved_cell_and_agreement_falls():
     ],
 )
 def test_a_grid_fills_the_film_unless_its_ends_lie_inside_or_both_to_one_side(first: float, last: float, fills: bool):
-    """Lines left of every cell, as frames have, would else move the whole film by as much."""
+    """Otherwise lines left of every cell, as frames have, would shift the whole film by as much."""
     comb = Comb(0, first, (last - first) / 4, 4, np.arange(5), 2, 1, 1.0, np.zeros((5, 1)))
     assert comb.fills_film(GRID) == fills
 
 
 @pytest.mark.parametrize(("place", "between"), [(0.0, True), (0.92, False)])
 def test_lines_count_where_the_cells_were_read_to_meet(place: float, between: bool):
-    """Tables under the slices are straight, too, and repeat as cells do."""
+    """Lines of tables under the slices are also straight and repeat as cells do."""
     view = flat_view(FilmDrawing(6, 3, rules=False), 7)
     image = view.image[..., 0].copy()
     for row in range(1 - round(place), 6):
@@ -144,7 +144,7 @@ def test_a_view_shows_what_the_map_says():
     u, v = np.linspace(-0.1, 1.1, 13), np.linspace(-0.1, 1.1, 11)
     uu, vv = np.meshgrid(u, v)
     expected = true.photo_from_film(np.stack([uu, vv], axis=-1))
-    on_one = (np.abs(uu - 0.5) <= 0.5) | (np.abs(vv - 0.5) <= 0.5)  # from corners BackwardMap goes on in another order
+    on_one = (np.abs(uu - 0.5) <= 0.5) | (np.abs(vv - 0.5) <= 0.5)  # beyond corners BackwardMap uses another order
     assert np.abs(np.stack(_lattice_xy(true.nodes, u, v), axis=-1) - expected)[on_one].max() < 0.05  # float32
     assert np.abs(spline_weights(9, u).sum(axis=1) - 1.0).max() < 1e-9
     assert view_film(photo, true, u, v).image.shape == (11, 13, 3)

@@ -1,4 +1,4 @@
-"""The grid edited by hand (failure 28): what is moved goes where it is put; what is taken back is as it was."""
+"""The grid edited by hand (failure 28): a moved corner goes where it is put; undoing restores what was there."""
 
 import json
 from dataclasses import replace
@@ -54,7 +54,7 @@ def test_a_corner_goes_where_it_is_put_and_the_others_stay(edit: GridEdit):
 
 
 def test_corners_of_many_cells_too(result: RectifyResult):
-    """Of ten by ten cells, whose corners lie three nodes of the map apart, one far, another to where that pulls it."""
+    """Corners of ten by ten cells lie three nodes of the map apart; one is moved far, its neighbour to where it was."""
     edit = GridEdit.of(result, (10, 10))
     edit = edit.moved(2, 2, place(edit, 2, 2) + np.array([15, 0])).moved(3, 2, place(edit, 3, 2))
     vertices = edit.backward.photo_from_film(edit.grid.vertices)
@@ -70,7 +70,7 @@ def test_corners_of_as_many_cells_as_may_be_too(result: RectifyResult):
 
 
 def test_a_film_that_was_moved_as_a_whole_is_moved_back(result: RectifyResult):
-    """All corners put where they belong, from a map that is off: it is right again, inside the grid and around it."""
+    """All corners are put where they belong in a map that is off: it is right again, inside the grid and around it."""
     assert result.backward is not None
     assert result.grid is not None
     apart = np.array([8.0, -6.0])
@@ -86,7 +86,7 @@ def test_a_film_that_was_moved_as_a_whole_is_moved_back(result: RectifyResult):
 @settings(max_examples=30, deadline=None)
 @given(steps=st.lists(st.sampled_from(["move", "undo", "redo", "reset"]), max_size=12), data=st.data())
 def test_whatever_is_undone_is_as_it_was(edit: GridEdit, steps: list[str], data: st.DataObject):
-    """Against the plainest history there is: a list of states and a place in it."""
+    """Compared with the plainest history there is: a list of states and a position in it."""
     states, at = [edit], 0
     now = edit
     for step in steps:
@@ -130,7 +130,7 @@ def test_what_cannot_be_edited_is_refused(result: RectifyResult):
         GridEdit.of(replace(result, grid=None))
 
 
-# ---------------------------------------------------------------- the film of it
+# ---------------------------------------------------------------- the film of an edit
 
 
 def test_the_film_of_an_edit_is_made_anew(rectifier: Rectifier, result: RectifyResult, edit: GridEdit):
@@ -175,7 +175,7 @@ def test_another_photo_is_refused(rectifier: Rectifier, edit: GridEdit):
 
 
 def test_what_hides_the_film_does_so_after_an_edit_too(rectifier: Rectifier, result: RectifyResult, edit: GridEdit):
-    """What was found to lie before it stays marked, and is not trusted."""
+    """What was found to lie in front of the film stays marked and is not trusted."""
     covered = np.zeros_like(result.covered)
     covered[: covered.shape[0] // 4] = True
     hidden = replace(edit, result=replace(result, covered=covered))

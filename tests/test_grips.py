@@ -1,4 +1,4 @@
-"""What hands and clips hold of a film can be tilted, however coarse the lattice is."""
+"""The part of a film that hands and clips hold can be tilted, however coarse the lattice is."""
 
 import numpy as np
 import pytest
@@ -21,7 +21,7 @@ def network(request) -> MassSpring:
 
 
 def spread(points: np.ndarray) -> float:
-    """How far points lie from their nearest line: the lesser of their two spreads."""
+    """How far points lie from their best-fitting line: the smaller of their two spreads."""
     return float(np.linalg.svd(points[:, :2] - points[:, :2].mean(axis=0))[1][1])
 
 

@@ -1,4 +1,4 @@
-"""DICOM's display function: against the standard's table, and films printed by it."""
+"""DICOM's display function: compared with the standard's table, and films printed with it."""
 
 from dataclasses import replace
 
@@ -38,8 +38,8 @@ def test_such_films_are_darker_in_their_middle_greys() -> None:
 
 
 def test_the_greatest_root_share_reaches_them() -> None:
-    """Straight line and square root, as films are recovered with, turn their light back into grey; a print with a
-    display's greys needs less of the root."""
+    """A mix of straight line and square root, as used to recover films, turns their light back into grey; a print with
+    a display's greys needs less of the root."""
     grey = np.linspace(0.02, 1, 200)
     shares = {}
     for name, light in (("film", light_through(grey, 3.0)), ("display", linear_from_srgb(grey))):

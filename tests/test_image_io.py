@@ -1,4 +1,4 @@
-"""Photos in: every format that a phone or a scanner makes, and a clear refusal of what is no photo. Pictures out."""
+"""Photos in: every format of phones and scanners is read, and other files are clearly refused. Pictures out."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from hybrid.errors import PhotoError
 from hybrid.image_io import MAX_PIXELS, as_photo, jpeg_extent, read_photo, write_film, write_rgb
 
 LOSSLESS = 0.0
-JPEG_GREY_LEVELS = 2.0  # mean error of a smooth picture at quality 95, and of another decoder's rounding
+JPEG_GREY_LEVELS = 2.0  # mean error of a smooth picture at quality 95, with another decoder's rounding
 
 
 @pytest.fixture
@@ -62,7 +62,7 @@ def test_heic(tmp_path: Path, picture: np.ndarray) -> None:
         Image.fromarray(picture).save(tmp_path / "a.heic", quality=95)
     except (KeyError, OSError, RuntimeError) as error:
         pytest.skip(f"this build of libheif cannot write HEIC: {error}")
-    assert mean_difference(read_photo(tmp_path / "a.heic"), picture) <= 3 * JPEG_GREY_LEVELS  # colour is halved
+    assert mean_difference(read_photo(tmp_path / "a.heic"), picture) <= 3 * JPEG_GREY_LEVELS  # chroma is subsampled
 
 
 @pytest.mark.parametrize("exif", [b"Exif\x00\x00garbage", b"Exif\x00\x00MM\x00*"])
@@ -76,7 +76,7 @@ def test_damaged_exif_costs_no_picture(tmp_path: Path, picture: np.ndarray, suff
 @pytest.mark.parametrize("suffix", ["jpg", "png", "tif", "webp"])
 @pytest.mark.parametrize("orientation", range(1, 9))
 def test_exif_orientation_is_undone(tmp_path: Path, picture: np.ndarray, suffix: str, orientation: int) -> None:
-    # The stored picture is the upright one put through the inverse of what the tag asks for (EXIF 2.3, table 4.6.4).
+    # The stored picture is the upright one after the inverse of the tag's transform (EXIF 2.3, table 4.6.4).
     stored = {
         1: picture,
         2: np.fliplr(picture),
@@ -111,7 +111,7 @@ def test_16_bit_grey_is_scaled(tmp_path: Path, picture: np.ndarray, suffix: str)
 
 @pytest.mark.parametrize("mode", ["L", "I;16", "RGB", "RGBA", "CMYK", "P"])
 def test_an_uncompressed_tiff_on_its_side_is_turned(tmp_path: Path, mode: str) -> None:
-    """Not a square one, which may be read askew without that showing."""
+    """The picture is not square, since in a square one a skewed reading would not show."""
     grey = np.add.outer(3 * np.arange(40), 2 * np.arange(30)).astype(np.uint8)
     levels = Image.fromarray(grey.astype(np.uint16) * 257) if mode == "I;16" else Image.fromarray(grey).convert(mode)
     for orientation, turned in ((6, np.rot90(grey, -1)), (8, np.rot90(grey))):
@@ -133,14 +133,14 @@ def test_a_tiff_of_densities_is_no_negative(tmp_path: Path, bits: int) -> None:
 
 
 def test_12_bits_of_grey_are_scaled(tmp_path: Path) -> None:
-    """As digitisers write them, two levels in three bytes, which Pillow reads as they are."""
+    """Digitisers pack two levels into three bytes; Pillow reads the levels without scaling them."""
     grey = np.add.outer(3 * np.arange(40), 2 * np.arange(30)).astype(np.uint16)
     levels = np.rint(grey * (4095 / 255)).astype(np.uint32).reshape(-1, 2)
     pairs = levels[:, 0] << 12 | levels[:, 1]
     packed = np.stack([pairs >> 16, pairs >> 8, pairs], axis=-1).astype(np.uint8).tobytes()
     write_strip(tmp_path / "a.tif", packed, grey.shape, 12, photometric=1)
     assert np.array_equal(read_photo(tmp_path / "a.tif")[..., 0], grey)
-    write_strip(tmp_path / "b.tif", packed, grey.shape, 12, photometric=0)  # white is zero: Pillow does not read these
+    write_strip(tmp_path / "b.tif", packed, grey.shape, 12, photometric=0)  # white is zero: Pillow cannot read these
     with pytest.raises(PhotoError, match=r"b\.tif"):
         read_photo(tmp_path / "b.tif")
 
@@ -160,7 +160,7 @@ def write_strip(path: Path, strip: bytes, size: tuple[int, ...], bits: int, phot
 
 
 def planar_tiff(picture: np.ndarray) -> bytes:
-    """An uncompressed TIFF of 16 bits with its colours in planes."""
+    """An uncompressed TIFF of 16 bits with one plane per colour."""
     height, width = picture.shape[:2]
     planes = (picture.astype("<u2") * 257).transpose(2, 0, 1)
     first = 8 + 2 + 9 * 12 + 4
@@ -178,7 +178,7 @@ def planar_tiff(picture: np.ndarray) -> bytes:
 def test_planes_of_16_bits_are_refused_and_not_misread(tmp_path: Path, picture: np.ndarray) -> None:
     path = tmp_path / "a.tif"
     path.write_bytes(planar_tiff(picture))
-    with Image.open(path) as image:  # as Pillow reads it
+    with Image.open(path) as image:  # Pillow misreads it
         assert mean_difference(np.asarray(image), picture) > 20
     with pytest.raises(PhotoError, match="plane for each colour"):
         read_photo(path)
@@ -293,7 +293,7 @@ def test_truncated_file(tmp_path: Path, name: str, share: float) -> None:
 @pytest.mark.parametrize("quality", [75, 98])
 @pytest.mark.parametrize("share", [0.9, 0.8, 0.5])
 def test_a_jpeg_whose_end_was_never_written_is_refused(tmp_path: Path, share: float, quality: int) -> None:
-    """As a copy leaves it that was cut off in a file of full length: a decoder takes zeros for pixels."""
+    """An interrupted copy can leave a file of full length: its end is zeros, which a decoder takes for pixels."""
     smooth = np.add.outer(np.arange(300), np.arange(400))[..., None] * np.array([0.2, 0.3, 0.35])
     noise = np.random.default_rng(1).normal(0, 6, (300, 400, 3))
     Image.fromarray(np.clip(smooth + noise, 0, 255).astype(np.uint8)).save(tmp_path / "a.jpg", quality=quality)

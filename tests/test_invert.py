@@ -1,4 +1,4 @@
-"""Laws of the fit from uv maps to backward maps."""
+"""Properties of the fit of backward maps to uv maps."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from hybrid.coords import film_nodes
 from hybrid.rectify import bspline
 from hybrid.rectify.invert import Inversion, InvertConfig, NotInverted, apply_homography, fit_backward, fit_homography
 
-CLEAN_PX = 0.5  # mean error without noise: what the spline's knots and the penalty cost on a sheet rolled by 50 degrees
+CLEAN_PX = 0.5  # mean error without noise: cost of the spline's knots and the penalty on a sheet rolled by 50 degrees
 SHEETS = [(0.0, 0.0), (0.5, 0.3), (0.9, 0.4), (-0.9, -0.4)]
 
 
@@ -60,7 +60,7 @@ def test_a_fifth_of_the_pixels_may_be_wrong():
     bad = rng.uniform(size=(64, 64)) < 0.2
     uv = np.where(bad[..., None], rng.uniform(size=(64, 64, 2)), maps.uv)
     mask = maps.mask.copy()
-    mask[:5, :8] = 1.0  # an island of false film besides
+    mask[:5, :8] = 1.0  # and an island of false film
     result = inverted(replace(maps, uv=uv, mask=mask))
     assert end_point_error(result.backward, true.nodes).mean() < 3.0
     assert 0.7 < result.inlier_share < 0.95

@@ -1,4 +1,4 @@
-"""Lamps: irradiance against closed forms, highlights where the mirror says and of the right amount, colour."""
+"""Lamps: irradiance against closed forms, place and strength of highlights, colour."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,7 @@ import pytest
 from data_gen.gloss import fresnel, gloss, smith
 from data_gen.lamps import Lamp, highlight, lamp_seen, planckian, surface_irradiance, vector_irradiance
 
-FLOAT32 = 2e-4  # relative: sums of edges that nearly cancel
+FLOAT32 = 2e-4  # relative: sums over edges nearly cancel
 UP = np.array([[0.0, 0.0, 1.0]], np.float32)
 ORIGIN = np.zeros((1, 3), np.float32)
 
@@ -21,12 +21,12 @@ def irradiance(one: Lamp, points: np.ndarray, normals: np.ndarray) -> np.ndarray
 
 @pytest.mark.parametrize(("a", "b", "h"), [(100.0, 60.0, 500.0), (800.0, 300.0, 200.0), (5.0, 5.0, 1000.0)])
 def test_irradiance_of_a_rectangle_overhead_is_the_closed_form(a: float, b: float, h: float):
-    # Form factor of a rectangle seen from below its corner (Howell, A catalog of radiation factors, B-3), four times.
+    # Four times the form factor of a rectangle seen from below a corner (Howell, A catalog of radiation factors, B-3).
     x, y = a / h, b / h
     u, v = np.sqrt(1 + x**2), np.sqrt(1 + y**2)
     corner = (x / u * np.arctan(y / u) + y / v * np.arctan(x / v)) / (2 * np.pi)
     got = irradiance(lamp(centre=(0.0, 0.0, h), half=(a, b)), ORIGIN, UP)
-    assert got == pytest.approx(np.pi * 4 * corner, rel=5e-3 if x > 1 else FLOAT32)  # wide ones: the sphere's horizon
+    assert got == pytest.approx(np.pi * 4 * corner, rel=5e-3 if x > 1 else FLOAT32)  # wide ones: replaced by spheres
 
 
 def test_irradiance_of_a_disc_and_a_bulb_overhead():
@@ -128,7 +128,7 @@ def test_bulb_and_disc_of_one_solid_angle_shine_alike(roughness: float):
 @pytest.mark.parametrize("kind", ["sphere", "disc", "rectangle"])
 @pytest.mark.parametrize("roughness", [0.1, 0.5])
 def test_a_lamp_below_the_horizon_leaves_no_highlight(kind: str, roughness: float):
-    """Light that comes from behind the film is mirrored by nothing on the side that is seen."""
+    """The visible side of a film mirrors no light from behind the film."""
     surface, view = gloss(roughness, 1.5), np.array([[0.2, 0.0, np.sqrt(0.96)]], np.float32)
     for x in (0.0, -150.0, 400.0):
         below = lamp(kind, (x, 0.0, -700.0), (70.0, 70.0), (0.0, 0.0, 1.0))
@@ -159,7 +159,7 @@ def test_colour_of_lamps_runs_from_orange_through_white_to_blue():
     colours = np.array([planckian(k) for k in (2700.0, 4000.0, 5500.0, 6504.0, 8000.0, 10200.0)])
     assert np.allclose(colours @ [0.2126, 0.7152, 0.0722], 1.0)
     assert np.all(np.diff(colours[:, 2] / colours[:, 0]) > 0)
-    assert np.allclose(planckian(6504.0), 1.0, atol=0.06)  # daylight lies a little beside the black body's curve
+    assert np.allclose(planckian(6504.0), 1.0, atol=0.06)  # daylight lies slightly off the black body's curve
 
 
 def test_a_flash_moves_with_the_camera():

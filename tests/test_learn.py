@@ -90,7 +90,7 @@ def random_case(seed=0, b=2, n=8):
 
 
 def targets_of(mask, uv, xyz, albedo, normal) -> Targets:
-    """Targets of upright films of 4 x 3 cells that weigh alike."""
+    """Targets of upright films of 4 x 3 cells, all of the same weight."""
     b = len(mask)
     grid = torch.tensor([[0.05, 0.3, 3.0], [0.1, 0.2, 4.0]]).expand(b, 2, 3)
     covered = torch.zeros_like(mask)
@@ -108,7 +108,7 @@ def test_maps_are_a_quarter_of_the_input(px):
 
 
 def seen_before_and_ready(images: int, precision: torch.dtype) -> tuple[FilmNetOutput, FilmNetOutput]:
-    """What a network says of some images, and what it says once it is made ready."""
+    """A network's output for some images, before and after it is made ready."""
     torch.manual_seed(0)
     network = FilmNet(TINY).train()
     for _ in range(3):
@@ -136,7 +136,7 @@ def test_in_bfloat16_a_network_says_nearly_the_same_in_single_precision():
     off = (after.uv - before.uv).abs()
     assert 0 < off.mean() < 0.002
     assert off.max() < 0.01
-    assert len(torch.unique(after.mask_logit)) > 0.9 * after.mask_logit.numel()  # none is rounded to a 256th
+    assert len(torch.unique(after.mask_logit)) > 0.9 * after.mask_logit.numel()  # not rounded to bfloat16
 
 
 @HALF
@@ -208,7 +208,7 @@ def test_losses_by_hand():
 
 
 def test_an_error_costs_most_where_least_is_expected():
-    """Laplace: an error of the size that was expected is cheapest; ten times as much, or a tenth, costs more."""
+    """Laplace: it costs least to expect the true error; expecting a tenth of it or ten times as much costs more."""
     _, targets = random_case()
     output, _ = random_case(seed=1)
     error = (output.uv - targets.uv).abs().mean(dim=1)
@@ -317,7 +317,7 @@ def test_the_cells_of_a_view_lie_where_its_film_has_them(dataset):
 
 
 def test_the_orientation_of_a_view_undoes_its_turns(dataset):
-    """The label and the sample's own truth: film uv of the view's middle pixels, by both ways."""
+    """A view's label agrees with the sample's own truth: turned back by it, uv map to the photo points of the view."""
     place = open_places([dataset])[1]
     film = film_of(place)
     for seed in range(6):
@@ -382,7 +382,7 @@ def test_another_film_is_another(dataset):
 def test_something_is_put_behind_some_films_and_nothing_where_colours_stay(dataset, monkeypatch):
     records = [(place, place[0].record(place[1])) for place in open_places([dataset])]
     milky = [place for place, one in records if not one["things"] and behind.clear_share(one) <= behind.CLEAR]
-    place = milky[0]  # behind others nothing is put, or shadows alone
+    place = milky[0]  # behind others only shadows are put, or nothing
     photo, film = photo_of(place), film_of(place)
     put = [behind.behind_some(place, photo, film, np.random.default_rng(seed)) is not photo for seed in range(100)]
     assert abs(np.mean(put) - behind.SHARE) < 0.15
@@ -395,7 +395,7 @@ def test_something_is_put_behind_some_films_and_nothing_where_colours_stay(datas
     assert len(asked) == 1
 
 
-# ---------------------------------------------------------------- the paper's networks' data
+# ---------------------------------------------------------------- data for the paper's networks
 
 
 def test_windows_for_the_papers_networks_agree_with_their_own_backward_map(dataset):
@@ -415,7 +415,7 @@ def test_windows_for_the_papers_networks_agree_with_their_own_backward_map(datas
 
 @pytest.mark.parametrize("behind", [False, True])
 def test_normals_point_to_the_side_that_is_seen(behind, tmp_path):
-    """A network sees a film from behind as any other sheet, and cannot know that its normal lies on the other side."""
+    """Normals point to the visible side, as to a network a film seen from behind looks like any other sheet."""
     view = ViewConfig(behind_share=float(behind))
     sample = SampleConfig(photos_per_film=2, scene=SceneConfig(view=view))
     generate(GenerateConfig(count=2, out=tmp_path, seed=3, size=64, map_size=32, workers=0, sample=sample))
@@ -443,7 +443,7 @@ def test_looks_together_are_looks_one_by_one():
 
 
 def test_a_look_from_another_side_names_the_same_film_points():
-    """A network that only repeats where each pixel is in its view says the same of all sides, once turned back."""
+    """If a network only outputs each pixel's place in its view, its maps from all sides agree once turned back."""
     network = FilmNet(TINY)
     for parameter in network.head.parameters():
         torch.nn.init.zeros_(parameter)
@@ -456,7 +456,7 @@ def test_a_look_from_another_side_names_the_same_film_points():
 
 
 def test_phases_from_another_side_are_those_of_the_same_cells():
-    """What a perfect network says of a film of 2 x 3 cells that it sees turned, once turned back."""
+    """A perfect network's phases for a turned film of 2 x 3 cells, turned back, are those of the film itself."""
     view = square_view((40.0, 40.0), 60.0)
     grid = np.array([[0.1, 0.3, 2], [0.04, 0.3, 3]])
     corners = np.stack(np.meshgrid(*(first + pitch * np.arange(n + 1) for first, pitch, n in grid)), axis=-1)
@@ -503,7 +503,7 @@ def test_weights_come_back_and_are_strict(tmp_path):
 
 @pytest.mark.parametrize("name", [name for name, chosen in PRESETS.items() if name != "borders"])
 def test_weights_of_every_kind_come_back_without_pytorchs_defaults_or_random_numbers(name, tmp_path):
-    """What is no weight, as DewarpNet's positions, is there as well."""
+    """Buffers that are not weights, such as DewarpNet's positions, come back too."""
     chosen = PRESETS[name].at_width(0.03) if hasattr(PRESETS[name].config, "width") else PRESETS[name]
     network, path = chosen.network(), tmp_path / "w.safetensors"
     save_weights(path, network, chosen.config, {})
@@ -545,7 +545,7 @@ def test_rectifying_neither_hears_of_pytorchs_defaults_nor_takes_its_random_numb
 
 @pytest.fixture
 def tiny(monkeypatch):
-    """The preset of FilmNet, of a size for tests."""
+    """The FilmNet preset, reduced to a size for tests."""
     monkeypatch.setitem(PRESETS, "filmnet", replace(PRESETS["filmnet"], config=TINY, batch=4))
 
 
@@ -564,7 +564,7 @@ def quick_run(dataset, out, passes, **options) -> TrainConfig:
 
 @pytest.mark.usefixtures("tiny")
 def test_training_resumes_exactly(dataset, tmp_path, monkeypatch):
-    """Ctrl-C comes amid the fifth step, where the network has seen its images and has not learnt of them."""
+    """Ctrl-C comes in the middle of the fifth step, after the forward pass and before the update."""
     train(quick_run(dataset, tmp_path / "whole", 32))
     original, calls = train_module.weighted_sum, []
 

@@ -1,4 +1,4 @@
-"""LightNet: what it is taught, in units and on truth that hold, and what it says of light that is known."""
+"""LightNet: its losses, the units and truth of its training data, and what it reads in known light."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -55,12 +55,12 @@ def places(tmp_path_factory: pytest.TempPathFactory) -> list[LitPlace]:
 
 
 def output_of(black: torch.Tensor, gain: torch.Tensor, root_share: float = 1.0) -> LightNetOutput:
-    """An output with these levels; a root share of 1 makes of light what ``targets`` made of the print."""
+    """An output with these levels; a root share of 1 turns light back into the print of ``targets``."""
     return LightNetOutput(black, gain, torch.full((len(black),), root_share))
 
 
 def targets(px: int = PX) -> LightTargets:
-    """A film in even light, of random grey, seen as it is."""
+    """A film of random grey in even light, seen without disturbances."""
     flat = torch.rand(1, px, px, generator=torch.Generator().manual_seed(0))
     black, white = (torch.full((1, px // 2, px // 2), level) for level in (0.1, 0.5))
     contrast = torch.full_like(black, float(np.diff(srgb_from_linear(np.array([0.1, 0.5])))[0]))
@@ -91,7 +91,7 @@ def test_losses_by_hand() -> None:
 
 
 def test_glare_that_is_not_read_costs_what_it_is_off_by() -> None:
-    """Print and glare half and half: read rightly, and with contrast of 20 levels read where none is."""
+    """Print and glare, half and half: the loss of a correct reading, and of one with 20 levels of contrast in glare."""
     truth = targets()
     lost = torch.zeros_like(truth.contrast).bool()
     lost[..., : lost.shape[-1] // 2] = True
@@ -137,7 +137,7 @@ def test_pixels_that_do_not_count_do_not_count() -> None:
 
 
 def test_the_levels_of_a_film_explain_its_photos(places: list[LitPlace]) -> None:
-    """Photo = black + (white - black) * print in linear light, but for tone curve, blur, noise and coding; one of these
+    """Photo = black + (white - black) * print in linear light, up to tone curve, blur, noise and coding. One of the
     films has a display's greys, the other is printed by DICOM's display function."""
     counted = 0
     for place in places:
@@ -148,7 +148,7 @@ def test_the_levels_of_a_film_explain_its_photos(places: list[LitPlace]) -> None
         light = linear_from_srgb(view.flat) if densest is None else light_through(view.flat, densest)
         told = view.black + (view.white - view.black) * light
         free = view.white < 0.9
-        if free.any():  # a photo may be clipped all over
+        if free.any():  # a photo may be clipped everywhere
             counted += 1
             assert np.abs(srgb_from_linear(grey) - srgb_from_linear(told))[free].mean() < 0.04
     assert counted >= 2
@@ -225,7 +225,7 @@ def test_a_seed_gives_the_same_films_and_patterns() -> None:
 
 @pytest.mark.parametrize("local", [0.0, 0.6])
 def test_levels_are_what_the_camera_shows_of_print_white(local: float) -> None:
-    """Also of one whose phone makes dark parts brighter: a white print is as bright as its level says everywhere."""
+    """Also where a phone makes dark parts brighter: a white print is everywhere as bright as its level says."""
     v = np.linspace(0.2, 1.0, 64, dtype=np.float32)[:, None, None]
     light = FilmLight(np.broadcast_to(v, (64, 64, 3)).copy(), np.full((64, 64, 3), 0.05, np.float32))
     lens = Lens(0.5, 0.0, 0.0, "srgb", 0.0, 0.0, local, 0.1, 0.0, 0.0, 0.0, 1e-4, 96)
@@ -238,7 +238,7 @@ def test_levels_are_what_the_camera_shows_of_print_white(local: float) -> None:
 
 
 def test_prints_that_are_held_out_are_in_no_view_that_is_trained_on(places: list[LitPlace]) -> None:
-    """Of a film all photos are held out, however few were asked for."""
+    """All photos of a held-out film are held out, even if fewer were asked for."""
     held_out, trained_on = split_films(places, 1)
     assert [place.number for place in held_out] == [0, 1]
     assert len(trained_on) == 2
@@ -248,7 +248,7 @@ def test_prints_that_are_held_out_are_in_no_view_that_is_trained_on(places: list
 
 
 def test_a_cast_of_the_light_changes_no_grey(places: list[LitPlace]) -> None:
-    """The levels are told in linear grey: a cast that changed it would make them wrong."""
+    """The levels are in linear grey: a cast that changed it would make them wrong."""
     views = [light_view(places[0], PX, np.random.default_rng(3), replace(UNDISTURBED, cast=x)) for x in (0.0, 0.3)]
     plain, cast = (grey_table()[view.image, np.arange(3)].sum(axis=-1) for view in views)
     assert np.abs(views[1].image.astype(int) - views[0].image).max() > 10
@@ -288,12 +288,12 @@ def test_attention_changes_nothing_before_it_has_learnt() -> None:
 
 
 def test_attention_finds_what_is_alike_wherever_it_lies() -> None:
-    """Each place is given the mean of what looks like it: of two kinds of places in any order, its own kind's."""
+    """Each place gets the mean of what looks like it: with two kinds in any arrangement, that of its own kind."""
     layer = Attention(2, 1)
     with torch.no_grad():
         layer.asked.weight.zero_()
         layer.asked.bias.zero_()
-        for part, gain in ((0, 20.0), (1, 20.0), (2, 1.0)):  # asked for, asked, and given
+        for part, gain in ((0, 20.0), (1, 20.0), (2, 1.0)):  # query, key and value
             layer.asked.weight[2 * part : 2 * part + 2, :2, 0, 0] = gain * torch.eye(2)
         layer.said.weight[:, :, 0, 0] = torch.eye(2)
         kind = torch.rand(1, 1, 6, 6) > 0.5
@@ -307,9 +307,9 @@ def test_the_tone_that_is_told_is_a_tone_curve() -> None:
     with torch.inference_mode():
         assert network(films).root_share.tolist() == pytest.approx([USUAL_ROOT_SHARE] * 2)
         network.tone.bias.fill_(100.0)
-        assert network(films).root_share.max() <= 2.0  # beyond, the curve would fall before white
+        assert network(films).root_share.max() <= 2.0  # above this, the curve would fall near white
         network.tone.bias.fill_(-100.0)
-        assert network(films).root_share.min() >= 0.0  # below, it would fall after black
+        assert network(films).root_share.min() >= 0.0  # below this, it would fall near black
 
 
 def test_light_is_read_in_units_of_the_film(places: list[LitPlace]) -> None:
@@ -320,13 +320,13 @@ def test_light_is_read_in_units_of_the_film(places: list[LitPlace]) -> None:
     dim[:, :3] = torch.from_numpy(srgb_from_linear(0.5 * linear_from_srgb_tensor(film[:, :3]).numpy()))
     with torch.inference_mode():
         bright, dark = network(film), network(dim)
-    if float(film[:, :3].max()) < 0.98:  # what clips is marked, and no longer clips in half the light
+    if float(film[:, :3].max()) < 0.98:  # clipped pixels are marked, and do not clip in half the light
         torch.testing.assert_close(dark.black, 0.5 * bright.black, rtol=1e-3, atol=1e-5)
         torch.testing.assert_close(dark.gain, 0.5 * bright.gain, rtol=1e-3, atol=1e-5)
 
 
 def test_levels_that_are_known_are_read() -> None:
-    """Test patterns in even light: their black, and white to a half, which not all of them show."""
+    """Test patterns in even light: black is read, and white to within a half, since not all of them show it."""
     for seed in range(3):
         rng = np.random.default_rng(40 + seed)
         flat = linear_from_srgb(drawn_pattern(PX, rng) / 255)

@@ -1,4 +1,4 @@
-"""Rooms about films that lie: what is seen lies face up in it, whichever side that is."""
+"""Rooms around films that lie: the visible side faces up, whichever side that is."""
 
 from dataclasses import replace
 
@@ -66,7 +66,7 @@ def test_no_table_is_photographed_from_below():
 
 
 def test_no_lamp_stands_in_the_photo_before_the_film():
-    """It would hide the film, and is not drawn; none that is drawn beyond the film is lost."""
+    """Such a lamp would hide the film; lamps seen beyond the film must remain."""
     lamps, beyond = 0, 0
     for seed in range(150):
         drawn = sample_scene(FILM, (96, 96), np.random.default_rng(seed), SceneConfig(light_box_share=0.0))

@@ -1,4 +1,4 @@
-"""Metrics: perfect is perfect, inputs stay as they are, known cases come out as the definitions say."""
+"""Metrics: a perfect prediction scores perfect, inputs are not modified, known cases follow the definitions."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ from hybrid.metrics import (
 )
 
 STORED_SSIM, STORED_MS_SSIM = 0.837399, 0.771388
-"""Of two pictures in closed form, see the end of this file."""
+"""Scores of two pictures in closed form; see the end of this file."""
 
-FLOAT32_SCORE = 2e-5  # the independent implementation below runs in float32 convolutions over values up to 255^2
+FLOAT32_SCORE = 2e-5  # the implementation to compare with computes its window in float32, for values up to 255^2
 
 
 @pytest.fixture
@@ -95,7 +95,7 @@ def test_ssim_of_two_constant_images_is_the_luminance_term() -> None:
 
 
 def torch_ms_ssim(a: np.ndarray, b: np.ndarray) -> tuple[float, float]:
-    """(SSIM, MS-SSIM) written out once more with convolutions and pooling, after pytorch_msssim's definition."""
+    """(SSIM, MS-SSIM) written out again with convolutions and pooling, after pytorch_msssim's definition."""
     window = torch.exp(-((torch.arange(11.0) - 5) ** 2) / (2 * 1.5**2))
     window = (window / window.sum()).double()
     channels = a.shape[2]
@@ -152,7 +152,7 @@ def test_the_true_map_scores_perfect_in_everything(photo: np.ndarray) -> None:
 def test_deshift_takes_a_pure_shift_away_and_nothing_else(photo: np.ndarray) -> None:
     scores = paper_protocol(photo, curved_map(shift=(6.0, -3.0)), curved_map())
     assert scores.shift_px == pytest.approx((6.0 * 256 / 540, -3.0 * 256 / 540), abs=1e-4)  # float32 maps
-    assert scores.deshifted.psnr > 60  # what float32 coordinates leave
+    assert scores.deshifted.psnr > 60  # limited by float32 coordinates
     assert scores.raw.psnr < 30
     bent = curved_map()
     wrong = BackwardMap(bent.nodes + 5 * np.sin(12 * film_nodes((33, 33))))
@@ -208,7 +208,7 @@ def waves(shift: float) -> np.ndarray:
 
 
 def test_ms_ssim_of_stated_images_is_the_stored_value() -> None:
-    """Stored: what the written-out definition above gives, so that neither can drift unseen."""
+    """Stored: what the written-out definition above gives, so that neither can drift unnoticed."""
     a, b = waves(0.0), 0.6 * waves(9.0) + 30
     expected_ssim, expected = torch_ms_ssim(a, b)
     assert (ssim(a, b), ms_ssim(a, b)) == pytest.approx((STORED_SSIM, STORED_MS_SSIM), abs=1e-6)

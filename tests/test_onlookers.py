@@ -1,4 +1,4 @@
-"""The phone and the person before a film, as its gloss mirrors them; bases of real films, local tones of phones."""
+"""The phone and the person before a film, mirrored in its gloss; bases of real films; local tone mapping of phones."""
 
 from dataclasses import replace
 
@@ -22,20 +22,20 @@ def mirrored(onlooker: Billboard, x: float, y: float, alpha: float = 0.0) -> flo
     """What a flat mirror 400 mm away, parallel to the phone, shows at (x, y) in a room of light 1."""
     point = np.array([[[x, y, 400.0]]], np.float32)
     view = -point / np.linalg.norm(point)
-    mirror = view * [-1, -1, 1]  # the mirror turns over the way along its normal
+    mirror = view * [-1, -1, 1]  # a mirror flips a ray's component along its normal
     around, mean = np.ones((1, 1, 3), np.float32), np.ones(3)
     return float(mirrored_onlookers((onlooker,), CAMERA, point, mirror.astype(np.float32), alpha, around, mean).mean())
 
 
 def test_a_flat_mirror_shows_the_phone_at_half_its_size():
     assert mirrored(PHONE, 0.0, 0.0) == pytest.approx(0.1)
-    assert mirrored(PHONE, 17.0, 37.0) == pytest.approx(0.1)  # seen at (34, 74) of the phone's plane
+    assert mirrored(PHONE, 17.0, 37.0) == pytest.approx(0.1)  # seen at (34, 74) in the phone's plane
     assert mirrored(PHONE, 23.0, 0.0) == pytest.approx(1.0)
     assert mirrored(PHONE, 0.0, 43.0) == pytest.approx(1.0)
 
 
 def test_lamps_behind_somebody_are_not_mirrored_and_those_before_are():
-    """The middle of a flat mirror 400 mm away shows the phone; what lies 40 mm beside it what is beside the phone."""
+    """The middle of a flat mirror 400 mm away shows the phone; 40 mm beside it, it shows what is beside the phone."""
     points = np.array([[[0.0, 0.0, 400.0], [40.0, 0.0, 400.0]]], np.float32)
     view = -points / np.linalg.norm(points, axis=-1, keepdims=True)
     mirror = (view * [-1, -1, 1]).astype(np.float32)
@@ -47,7 +47,7 @@ def test_lamps_behind_somebody_are_not_mirrored_and_those_before_are():
 
 @pytest.mark.parametrize("depth", [-12.0, -1e-6, 12.0])
 def test_a_phone_does_not_hide_its_own_flash(depth):
-    """The film shows it where a mirror shows the phone; a bulb an arm's length behind the phone is hidden there."""
+    """Where the film mirrors the phone, it shows the flash but not a bulb an arm's length behind the phone."""
     points = np.array([[[0.0, 0.0, 400.0]]], np.float32)
     mirror = np.array([[[0.0, 0.0, -1.0]]], np.float32)
     flash, bulb = np.array([9.0, 14.0, depth]), np.array([9.0, 14.0, depth - 500.0])
@@ -57,7 +57,7 @@ def test_a_phone_does_not_hide_its_own_flash(depth):
 
 def test_what_is_farther_away_looks_smaller_and_a_rough_film_blurs_it():
     behind = replace(PHONE, centre_mm=(0.0, 0.0, -400.0))
-    assert mirrored(behind, 12.0, 0.0) == pytest.approx(0.1)  # three lengths of 400 mm for one: at 36 mm
+    assert mirrored(behind, 12.0, 0.0) == pytest.approx(0.1)  # three lengths of 400 mm to the mirror's one: at 36 mm
     assert mirrored(behind, 16.0, 0.0) == pytest.approx(1.0)
     assert 0.3 < mirrored(PHONE, 20.0, 0.0, alpha=0.05) < 0.8
     assert 0.1 < mirrored(PHONE, 18.0, 0.0, alpha=0.05) < mirrored(PHONE, 22.0, 0.0, alpha=0.05) < 1.0

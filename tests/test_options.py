@@ -1,4 +1,4 @@
-"""Options that cannot be are refused when they are given, by name, before any photo is touched."""
+"""Impossible options are refused by name when they are given, before any photo is touched."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ def test_what_is_not_a_number_is_refused_wherever_it_stands(options: dict, name:
 
 
 def every_number(config: Any, before: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
-    """The names and the value of each option that is a number or a tuple of them, in a record and in those within."""
+    """Names and value of each option that is a number or a tuple of numbers, in a record and in those nested in it."""
     for one in fields(config):
         value = getattr(config, one.name)
         if is_dataclass(value):
@@ -109,7 +109,7 @@ def with_option(config: Any, names: tuple[str, ...], value: Any) -> Any:
 
 
 def test_no_size_count_or_share_is_below_zero() -> None:
-    """Whichever option of whichever stage it is; weights of a sum, and what is usually below zero, may be."""
+    """Only weights of a sum, and options that are usually below zero, may be negative."""
     signed = 0
     for names, value in every_number(RectifyConfig()):
         less = tuple(-type(each)(5) for each in value) if isinstance(value, tuple) else -type(value)(5)
@@ -146,7 +146,7 @@ DIVIDES = """
     CoverConfig.side_px DeilluminateConfig.work_px DeilluminateConfig.gain_blur UprightConfig.min_slice_px
     FuseConfig.patch_px FuseConfig.intervals MergeConfig.outlier
 """
-"""Options that are divided by, or of which there must be some: none may be 0, nor one of several."""
+"""Options that are divided by, or of which there must be some: they may not be 0, nor may any value of a tuple."""
 
 SHARES = """
     RectifyConfig.hopeless SurveyConfig.min_mask_share SurveyConfig.min_inlier_share SurveyConfig.min_coverage
@@ -162,18 +162,18 @@ SHARES = """
     TrustConfig.least_chance TrustConfig.min_support TrustConfig.least_support TrustConfig.min_overlap
     TrustConfig.min_in_step TrustConfig.min_alike
 """
-"""Shares, probabilities and correlations, of which none is above 1. Further ones may be, as that says never: the
-benchmark leaves stages out with PathConfig.min_mass and RepeatConfig.min_correlation, and tests try it of
-ClearMarginsConfig.sure and least_support."""
+"""Shares, probabilities and correlations that may not be above 1. Others may, which means never: the benchmark leaves
+stages out with PathConfig.min_mass and RepeatConfig.min_correlation, and tests try it with ClearMarginsConfig.sure and
+least_support."""
 
 
 def named(names: tuple[str, ...]) -> str:
-    """The option as messages call it."""
+    """The name of the option in messages."""
     return f"{type(reduce(getattr, names[:-1], RectifyConfig())).__name__}.{names[-1]}"
 
 
 def zeros(value: Any) -> list[Any]:
-    """The option at 0: of several, with each of them so in turn."""
+    """The option set to 0; of a tuple, each value in turn."""
     if not isinstance(value, tuple):
         return [type(value)(0)]
     return [(*value[:k], type(each)(0), *value[k + 1 :]) for k, each in enumerate(value)]
@@ -216,7 +216,7 @@ def test_what_is_more_than_there_is_is_refused(config: Callable[[], Any]) -> Non
 
 @dataclass(frozen=True)
 class Anything:
-    """As the options of a stage, whose own types are checked in tests before they can look themselves."""
+    """Like a stage's options, but typed as Any, since type checks in tests come before the options' own checks."""
 
     count: Any = 1
     share: Any = 0.5
@@ -251,7 +251,7 @@ def test_something_else_than_such_a_number_is_refused(options: dict, allowed: st
 
 @dataclass(frozen=True)
 class Nested:
-    """As RectifyConfig, whose own types are checked in tests before it can look itself."""
+    """Like RectifyConfig, but typed as Any, since type checks in tests come before its own checks."""
 
     trust: Any = field(default_factory=TrustConfig)
 

@@ -16,13 +16,13 @@ from hybrid.strips import SIDES
 
 CONFIG = OutlineConfig(band=0.03)
 RULE_PX = 2.0
-"""The same where a rule on the edge is as bright as what lies behind: the step is then the inner side of the rule."""
+"""Median distance if a rule on the edge is as bright as what lies behind: the step is then the rule's inner side."""
 EDGE_PX = 0.5
 """Median distance of edge points from the true edge: noise and blur."""
 
 
 def distance_from_edge(seen_through: BackwardMap, true: BackwardMap, sightings) -> np.ndarray:
-    """Photo pixels between the places seen and the true edge."""
+    """Distances of the sightings from the true edge, in photo pixels."""
     xy = seen_through.photo_from_film(sightings.seen)
     t = np.linspace(0, 1, 4000)
     edge = np.full((4000, 2), sightings.known[0])
@@ -32,7 +32,7 @@ def distance_from_edge(seen_through: BackwardMap, true: BackwardMap, sightings) 
 
 
 def test_edges_beside_a_clipped_background_lie_further_out_and_may_shift():
-    """What is blurred of a bright background covers the film's rim, by as much as it is brighter than can be shown."""
+    """The blur of a background too bright to be shown covers the film's rim, the wider the brighter it is."""
     rng = np.random.default_rng(5)
     photo, true = make_photo(FilmDrawing(rules=False), rng, 255)
     as_seen, outline = (find_outline(photo, true, c) for c in (replace(CONFIG, clipped_share=1.0), CONFIG))
@@ -84,7 +84,7 @@ def test_a_shadow_beside_the_sheet_is_not_its_edge_where_that_was_read():
 
 
 def test_an_edge_may_be_held_to_where_it_was_read():
-    """What lies near the edge that was read, and shows far better, is taken for it, unless the edge is held."""
+    """A far clearer line near the edge that was read is taken for the edge, unless the edge is held."""
     photo = np.full((1100, 1100, 3), 60, np.uint8)
     photo[50:-50, 50:-50], photo[58:-58, 58:-58] = 30, 250
     photo, true = cv2.GaussianBlur(photo, (0, 0), 0.7), BackwardMap(50.0 + 1000 * film_nodes((9, 9)))
@@ -98,7 +98,7 @@ def test_an_edge_may_be_held_to_where_it_was_read():
 
 
 def with_frame(photo, true, depth, sides=SIDES):
-    """The photo with a bright band along some of the film's edges, so many film units wide."""
+    """The photo with a bright band along some of the film's edges; depth is its width in film units."""
     photo, t = photo.copy(), np.linspace(0, 1, 200)
     for side in sides:
         outer, inner = (side.film_points(t, np.full(200, d)) for d in (0.0, depth))
@@ -108,7 +108,7 @@ def with_frame(photo, true, depth, sides=SIDES):
 
 
 def read_at(true, coarse, depth, side):
-    """An edge as read so far inside the true one, seen through a coarse map."""
+    """An edge as read at a depth inside the true one, seen through a coarse map."""
     at = side.film_points(film_centres_1d(64), np.full(64, depth))
     seen = coarse.film_near(true.photo_from_film(at), at)
     inside = side.inward * (seen[:, side.axis] - side.edge)
@@ -119,7 +119,7 @@ def read_at(true, coarse, depth, side):
     ("framed", "read_depth", "has_frame"), [(4, 0.002, True), (4, 0.009, False), (1, 0.002, False)]
 )
 def test_a_bright_band_at_the_edge_is_the_films_where_the_edge_was_read_so(framed, read_depth, has_frame):
-    """A bar beside the film looks like a frame of it: it counts on two sides, if read nearer to its outer flank."""
+    """A bar beside a film looks like a frame of it: a frame needs two sides and an edge read nearer its outer flank."""
     rng = np.random.default_rng(9)
     photo, true = make_photo(FilmDrawing(rules=False), rng, 90)
     frame = 4.5 / min(true.mean_film_pixels())

@@ -1,4 +1,4 @@
-"""Photos of one's own become samples: their maps are the lattice's, what is not known teaches nothing, errors help."""
+"""Photos of one's own become samples: their maps are the lattice's, unknown truth is ignored, error messages help."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from hybrid.learn.shards import open_dataset
 from hybrid.learn.train import TrainConfig, train
 
 SIZE = (150, 200)
-UV_STEP = 1 / 65535  # of stored uv, and float32 arithmetic on it
+UV_STEP = 1 / 65535  # rounding of stored uv, and float32 arithmetic on it
 
 
 def photo_from_film(uv: np.ndarray) -> np.ndarray:

@@ -136,7 +136,7 @@ def random_error(seed=1) -> tuple[torch.Tensor, torch.Tensor]:
 
 @pytest.mark.parametrize("loss", TERMS)
 def test_a_term_is_a_length(loss):
-    """Doubling the error doubles it, turning the sign round leaves it, no error costs nothing."""
+    """Doubling the error doubles the term, negating the error leaves it, and no error costs nothing."""
     error, mask = random_error()
     value = float(loss(error, mask))
     assert value > 0
@@ -191,7 +191,7 @@ def test_a_perfect_prediction_costs_nothing():
 
 
 def test_unwarping_sees_a_shift_of_the_map():
-    """Moved by a whole cell of the print, the unwarped print is another one; both terms of the loss say so."""
+    """A map moved by a whole cell of the print unwarps another print, and both terms of the loss show it."""
     _, targets = flat_case(32, 24)
     moved = backward_net_losses(BackwardOutput(targets.backward + 0.15), targets)
     assert float(moved["backward"]) == pytest.approx(2 * 0.15, abs=LAW)

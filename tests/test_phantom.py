@@ -1,4 +1,4 @@
-"""Phantoms: they vary, repeat for a seed, and look like anatomy in their numbers."""
+"""Phantoms: they vary, repeat for a seed, and resemble anatomy in their numbers."""
 
 import cv2
 import numpy as np
@@ -39,9 +39,9 @@ def test_in_other_planes_it_is_as_wide_as_before_and_shown_whole(phantom, plane,
     volume = phantom(np.random.default_rng(seed), size=128, slices=24)
     cut = reformatted(volume, plane)
     assert is_body(cut) == (phantom is body_phantom)
-    assert abs(tissue_width_mm(cut) - tissue_width_mm(volume)) < 4 * 4 * volume.spacing_mm[1]  # of the coarse voxels
+    assert abs(tissue_width_mm(cut) - tissue_width_mm(volume)) < 4 * 4 * volume.spacing_mm[1]  # four coarse voxels
     looks = [random_look(np.random.default_rng(k), cut, PrintConfig()) for k in range(40)]
-    assert not any(look.round_field for look in looks)  # that is a circle around the patient's axis
+    assert not any(look.round_field for look in looks)  # a round field is a circle around the patient's axis
     assert any(random_look(np.random.default_rng(k), volume, PrintConfig()).round_field for k in range(40))
 
 
@@ -89,7 +89,7 @@ SOLIDS = [
 @pytest.mark.parametrize("solid", SOLIDS)
 @pytest.mark.parametrize("seed", range(4))
 def test_nothing_of_a_solid_lies_outside_its_window(solid: Solid, seed: int):
-    """On tilted, warped slices too: painting where the solid is and leaving the rest alone changes nothing."""
+    """On tilted, warped slices too: painting only inside the window misses nothing of the solid."""
     rng = np.random.default_rng(seed)
     warp, axis = random_warp(rng, 4.0, 120.0, 0.15), (centres_1d(80) - 40) * 2.0
     for z_mm in (-14.0, 0.0, 11.0):
@@ -151,7 +151,7 @@ def test_paint_leaves_a_soft_rim_around_the_solid():
 
 @pytest.mark.parametrize("seed", range(3))
 def test_brain_shows_fluid_white_and_grey_matter(seed: int):
-    """Blurred over the grain, the middle slices hold all three, none of it a thin trace."""
+    """With the grain blurred away, the middle slices hold all three, none of them as a mere trace."""
     volume = head_phantom(np.random.default_rng(seed), size=128, slices=16)
     heights = np.arange(16) * volume.spacing_mm[0]
     soft = np.stack(

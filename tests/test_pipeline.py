@@ -1,4 +1,4 @@
-"""The whole way with the packaged network: what is promised of a result, and of photos that hold no film."""
+"""The whole pipeline with the packaged network: what a result promises, and what comes of photos without a film."""
 
 import copy
 import pickle
@@ -68,7 +68,7 @@ def test_the_example_is_flattened(result, photo):
 
 
 def test_the_corners_of_the_example_are_where_they_are_seen(result):
-    """As its maps have them, to a pixel or two of 1,400: a sheet that is bent too sharply there rounds them off."""
+    """They agree with its true maps to a pixel or two of 1,400; a sheet bent too sharply there would round them off."""
     true = np.array([[190.2, 532.3], [1174.5, 374.5], [279.9, 1199.9], [1289.3, 1052.6]])
     corners = result.backward.photo_from_film(np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]]))
     assert np.linalg.norm(corners - true, axis=1).max() < 2.0
@@ -82,7 +82,7 @@ def test_every_stage_reports(result):
 
 
 def test_the_shortcut_takes_corners_however_often_it_is_called(photo, result):
-    """From the second call on the package of that name answers."""
+    """From the second call on, the package of the same name answers."""
     corners = result.backward.nodes[[0, 0, -1, -1], [0, -1, -1, 0]]
     for _ in range(2):
         assert hybrid.rectify(photo, corners=corners).backward is not None
@@ -103,7 +103,7 @@ def test_efforts_differ_in_what_runs(photo, result):
 
 @pytest.fixture(scope="module")
 def doubted(rectifier, photo):
-    """What is seen of the example, and its refinement, called into question by a trust that asks for too much."""
+    """What is seen of the example, and its refinement, in doubt because the trust options ask for too much."""
     config, pyramid, clock = rectifier.config, Pyramid(photo), Clock()
     readers = rectifier._readers
     seen = see(readers.network, pyramid, config, clock)
@@ -116,7 +116,7 @@ def doubted(rectifier, photo):
 
 
 def judging(monkeypatch) -> list[Judged]:
-    """What is judged from now on."""
+    """Record whatever is judged from now on."""
     found: list[Judged] = []
 
     def noted(*given) -> Judged:
@@ -141,7 +141,7 @@ def test_what_is_in_doubt_is_refined_from_where_it_ended_and_from_other_sides(do
         assert found.signs.doubted
         assert found.chance >= first.doubted(config).chance
         apart = np.linalg.norm(found.refinement.backward.nodes - first.refinement.backward.nodes, axis=-1)
-        assert apart.mean() < 1.0  # of 1,400 px: each ends at the same film
+        assert apart.mean() < 1.0  # of 1,400 px: each try ends at the same film
 
 
 def test_the_first_refinement_that_leaves_no_doubt_ends_the_tries(doubted, rectifier, monkeypatch):
@@ -153,7 +153,7 @@ def test_the_first_refinement_that_leaves_no_doubt_ends_the_tries(doubted, recti
 
 
 def test_a_film_is_not_lost_by_being_refined_again(doubted, monkeypatch):
-    """What shows nothing of a film then does not count, however probable the rest makes it."""
+    """A refinement that shows nothing of a film does not count, however probable its other signs make it."""
     readers, pyramid, seen, first, config = doubted
     signs = replace(first.signs, grid=False, corrected=False, support=0.0, seen_beside=1e-4)
     monkeypatch.setattr("hybrid.geometry.judged", lambda *_: replace(first, signs=signs))
@@ -178,7 +178,7 @@ def test_a_film_is_refined_again_only_if_that_may_help(doubted):
 
 
 def test_the_stages_of_the_refinement_that_counts_are_reported():
-    """With the seconds of the first; the others' are those of the stage that called for them."""
+    """Their seconds are those of the first run; those of later runs belong to the stage that called for them."""
     clock = Clock()
     for name in ("outline", "grid", "verdict"):
         with clock.stage(name) as report:
@@ -233,7 +233,7 @@ def test_a_grey_photo_will_do(rectifier, photo):
 
 
 def test_a_synthetic_film_is_found_where_it_is(rectifier):
-    """Mean end-point error below 1 % of the photo's side on most photos of the generator's, by another seed."""
+    """The mean end-point error is below 1 % of the photo's side on most photos generated from another seed."""
     errors = []
     for number in range(3, 8):
         sample = next(film_samples(991, number, SampleConfig(size=480, map_size=64, photos_per_film=1)))
@@ -254,8 +254,8 @@ def test_twice_the_pixels_give_the_same_film_points(rectifier, photo, result):
 
 @pytest.mark.parametrize("way", [Orientation(1, False), Orientation(2, False), Orientation(3, False)])
 def test_a_turned_photo_gives_the_same_film(rectifier, photo, result, way):
-    """Turned photos are others to the network, so the films differ by pixels, but more than half is alike; held any
-    other way it would be less than 0.3."""
+    """A turned photo is a new one to the network, so the films differ by pixels, but their correlation exceeds a half;
+    in any other orientation it would be less than 0.3."""
     found = rectifier(np.ascontiguousarray(way.inverse.moved(photo)))
     assert found.orientation == way
     assert found.upright_probability > 0.98
@@ -267,7 +267,7 @@ def test_a_turned_photo_gives_the_same_film(rectifier, photo, result, way):
 
 
 def test_the_map_turns_with_the_film(rectifier, photo, result):
-    """The photo point of a film point moves with the photo: half round, (x, y) comes to (width - x, height - y)."""
+    """The photo point of a film point turns with the photo: half a turn takes (x, y) to (width - x, height - y)."""
     found = rectifier(np.ascontiguousarray(Orientation(2, False).moved(photo)))
     uv = np.array([[0.2, 0.3], [0.7, 0.6]])
     back = np.array(photo.shape[1::-1]) - found.backward.photo_from_film(uv)
@@ -343,7 +343,7 @@ def test_what_rectifies_can_be_sent_to_other_processes(rectifier, photo, result)
 
 
 class OwnRectifier(Rectifier):
-    """One that somebody has made of it."""
+    """A user's own subclass."""
 
 
 def test_copies_load_no_network_and_what_is_sent_stays_what_it_is(rectifier, monkeypatch):
@@ -356,7 +356,7 @@ def test_copies_load_no_network_and_what_is_sent_stays_what_it_is(rectifier, mon
 
 
 def test_threads_may_share_a_rectifier(rectifier, photo):
-    """Six calls in three threads are those of one, bit by bit, and leave the threads of all libraries as they were."""
+    """Six calls in three threads give bit for bit what one thread gives, and change no library's number of threads."""
     photos = [cv2.resize(photo, None, fx=x, fy=x, interpolation=cv2.INTER_AREA) for x in (0.5, 0.4)]
     alone = [rectifier(each) for each in photos]
     before = [(pool["filepath"], pool["num_threads"]) for pool in threadpool_info()], cv2.getNumThreads()
@@ -371,7 +371,7 @@ def test_threads_may_share_a_rectifier(rectifier, photo):
 
 
 def test_which_arrays_of_a_result_are_the_callers(photo):
-    """As docs/using.md says, also of a second result of the same rectifier."""
+    """As docs/using.md says, also for a second result of the same rectifier."""
     result = hybrid.rectify(cv2.resize(photo, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA))
     whose = (result.film, result.rectified, result.glare, result.covered, result.confidence)
     assert all(array.flags.writeable for array in (*whose, result.grid.vertices, result.grid.vertices_photo))
@@ -403,7 +403,7 @@ for call in (
 
 
 def test_something_else_than_what_is_asked_for_is_refused_by_name():
-    """In a process of its own: here types are checked before the package can look itself."""
+    """Run in a process of its own: here, types are checked before the package can check them itself."""
     run = subprocess.run([sys.executable, "-c", WRONG_TYPES], capture_output=True, text=True, check=True, cwd=ROOT)
     assert run.stdout.splitlines() == [
         "RectifyConfig.tries: got '2'; allowed: a whole number. Choose another.",
@@ -448,7 +448,7 @@ def test_a_film_that_the_first_looks_miss_is_found_from_a_wider_one(rectifier, p
     assert verdict.ok
     assert "wider look" in clock.reports[-1].reason
     assert isinstance(seen.inversion, Inversion)
-    cut = Pyramid(photo[:, : photo.shape[1] // 2].copy())  # of what leaves the photo the rest is not taken for all
+    cut = Pyramid(photo[:, : photo.shape[1] // 2].copy())  # the visible part of a cut film is not taken for all
     seen, verdict = checked(
         rectifier._readers.network,
         cut,

@@ -82,7 +82,7 @@ def test_where_the_map_is_far_from_a_plane_no_edge_is_looked_for():
 
 
 def test_edges_give_back_the_homography_that_they_were_seen_through():
-    """Through a plane that is off by 1 %, the edges are seen 1 % beside where they should be."""
+    """Through a plane that is off by 1 %, the edges appear 1 % beside where they should be."""
     true = plane_map()
     found, reason = plane_by_edges([edge_line(edge) for edge in edges(shift=0.01)], true, CONFIG)
     assert found is not None, reason
@@ -131,7 +131,7 @@ def test_a_glance_leaves_the_map_and_finds_the_grid():
 
 
 def test_a_glance_takes_no_couches_for_lines_between_cells():
-    """Each slice shows one at the same place, a little above where it ends."""
+    """Each slice shows a couch at the same place, a little above its lower end."""
     true, rows = plane_map(), 5
     printed = draw_print(FilmDrawing(rows, 4, rules=False), np.random.default_rng(0))
     for row in range(rows):

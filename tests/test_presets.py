@@ -1,4 +1,4 @@
-"""The registry of networks: what each needs is enough to train it; a shard's truth as a view sees it."""
+"""The registry of networks: the targets that each preset asks for suffice to train it, and weights name terms."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ PAPERS = [name for name in PRESETS if name not in ("filmnet", "upright", "slices
 
 
 def small(name: str):
-    """The preset at a width and input of a quick test."""
+    """The preset at a width and input size for quick tests."""
     narrow = PRESETS[name].at_width(0.03)
     changes = {"halvings": 5, "latent": 16} if name.startswith("dewarpnet") else {}
     return replace(narrow, config=replace(narrow.config, input_px=64, **changes))
@@ -27,7 +27,7 @@ def small(name: str):
 
 @pytest.mark.parametrize("name", PAPERS)
 def test_a_preset_trains_on_the_targets_that_its_feed_makes(name):
-    """Backward maps are made for those alone that say so; the others must not read them."""
+    """Backward maps are made only for presets that ask for them; the others must not read them."""
     torch.manual_seed(0)
     chosen = small(name)
     images, targets = flat_case(64, chosen.nodes(64) or 8)

@@ -90,7 +90,7 @@ def test_gutters_are_even_about_the_vertices(empty: CtVolume, seed: int):
 
 
 def test_cells_hold_their_slices_and_nothing_else_moves_between_them(empty: CtVolume):
-    """A bright block in the volume's middle appears once in every cell, at the same place of each."""
+    """A bright block in the volume's middle appears once in every cell, at the same place in each."""
     hu = empty.hu.copy()
     hu[:, 12:20, 12:20] = 1000
     volume = CtVolume(hu, empty.spacing_mm, "block")
@@ -196,7 +196,7 @@ def test_slices_follow_the_papers_rule():
         assert len(positions) == 20
         assert positions.min() >= 0.1 * 99 - 0.5
         assert positions.max() <= 0.9 * 99 + 0.5
-    few = choose_slices(np.random.default_rng(0), 3, 20)  # fewer slices than cells: mixed between neighbours
+    few = choose_slices(np.random.default_rng(0), 3, 20)  # fewer slices than cells: interpolated between neighbours
     assert few.min() >= 0
     assert few.max() <= 2
 
@@ -299,7 +299,7 @@ def test_text_is_seen_on_black_and_on_white(style: str):
         image = np.full((60, 120), ground, np.float32)
         stamp_text(image, sprite, (20, 20), 0.9, style)
         inked = image[20 : 20 + sprite.shape[0], 20 : 20 + sprite.shape[1]]
-        if (style, ground) != ("plain", 1.0):  # white on white: lost, on films too
+        if (style, ground) != ("plain", 1.0):  # white on white: lost, as on real films
             assert np.ptp(inked) > 0.5
 
 
@@ -316,11 +316,11 @@ MARKERS = {"DA": "19110919", "TM": "191109", "DT": "19110919191109", "AS": "091Y
 TEXT_KINDS = {"AE", "LO", "LT", "PN", "SH", "ST", "UC", "UR", "UT", *MARKERS}
 NEEDED = {"Modality", "ImageType", "SOPClassUID", "SOPInstanceUID", "PhotometricInterpretation", "RescaleType",
           "SpecificCharacterSet", "SeriesInstanceUID", "PixelPresentation", "FrameType"}  # fmt: skip
-"""What the reader goes by stays as it is."""
+"""Elements that the reader needs stay as they are."""
 
 
 def test_nothing_of_the_patient_is_printed_or_recorded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    """Every text-like element of the files that may hold it carries a marker; none of it comes out anywhere."""
+    """Every text-like element that may hold patient data carries a marker; no marker comes out anywhere."""
     pytest.importorskip("pydicom", reason="pydicom is not installed")
     from pydicom._dicom_dict import DicomDictionary
     from test_dicom import anatomy, write

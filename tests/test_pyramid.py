@@ -40,7 +40,7 @@ def test_the_photo_itself_is_no_copy_and_stays_as_it_is():
 
 @pytest.mark.parametrize("scale", [0.9, 0.7, 0.5, 0.37, 0.26, 0.11])
 def test_scaled_points_are_where_the_scale_says(scale: float):
-    """Sizes odd and even, so that rows are left out; and never more than 15 % larger than asked for."""
+    """Sizes are odd and even, so that rows are left out; copies are never more than 15 % larger than asked for."""
     copy, (x, y) = Pyramid(ramp((201, 250))).scaled(scale)
     assert 0.97 * scale <= min(x, y)
     assert max(x, y) <= 1.15 * scale + 1e-9

@@ -1,4 +1,4 @@
-"""Ray casting: few rays see what many see, slivers and folds included; facets as fine as the film needs."""
+"""Ray casting: few rays see what many see, slivers and folds included; facets are as fine as the film needs."""
 
 import numpy as np
 import pytest
@@ -34,7 +34,7 @@ def camera(size=SIZE, eye=(60.0, -40.0, -700.0), roll=0.1, distortion=(0.05, -0.
 
 
 def supersampled(caster, cam, n=8):
-    """Coverage, and mean of the uv seen, by brute force."""
+    """Coverage and mean of the uv seen in each pixel, by brute force."""
     h, w = cam.size
     mask, uv = caster.uv_map(cam.resized((n * h, n * w)))
     cells = np.where(mask[..., None], uv, 0).reshape(h, n, w, n, 2)
@@ -53,7 +53,7 @@ def test_a_view_is_what_many_rays_see(shape, roll, corners):
     mine = np.zeros(SIZE)
     mine[view.box] = view.coverage
     difference = mine - coverage
-    assert np.abs(difference).max() <= 1 / 4  # of eight rays against sixty-four
+    assert np.abs(difference).max() <= 1 / 4  # eight rays against sixty-four
     assert abs(difference.mean()) < 1e-4
     assert set(np.flatnonzero(((coverage > 0) & (coverage < 1))[view.box])) <= set(view.rim)
     assert np.count_nonzero(difference) <= len(view.rim)
@@ -66,7 +66,7 @@ def test_a_view_is_what_many_rays_see(shape, roll, corners):
     inside.flat[view.rim] = False
     assert not inside.any() or off[inside].max() < 0.3
     rim = off.reshape(-1, 2)[view.rim][(hits > 0) & (coverage[view.box].flat[view.rim] > 0)]
-    assert np.median(rim) < 1.0  # where it folds the few rays mix its layers a little otherwise than the many
+    assert np.median(rim) < 1.0  # at a fold, few rays mix the layers slightly differently from many
 
 
 @pytest.mark.parametrize("shape", SHAPES)
@@ -76,7 +76,7 @@ def test_a_view_from_known_maps_is_the_view_that_is_cast(shape):
     np.testing.assert_array_equal(known.rim_hit, cast.rim_hit)
     assert np.abs(known.coverage - cast.coverage).mean() < 1e-3
     both = (known.coverage > 0) & (cast.coverage > 0)
-    both.flat[cast.rim] = False  # their film points are those of the many rays
+    both.flat[cast.rim] = False  # rim pixels have the film points of their many rays
     assert np.abs(known.uv - cast.uv)[both].mean() * 430 < 0.05  # mm; a pixel is about 3 mm
     assert known.rays < cast.rays
 
@@ -89,7 +89,7 @@ def test_a_view_takes_far_fewer_rays_than_pixels_have():
 
 
 def test_a_sliver_between_the_rays_is_seen():
-    """A film rolled to less than a pixel's width: no ray of a 4 px grid need hit it."""
+    """A film seen edge on, less than a pixel in width: rays on a 4 px grid may all miss it."""
     caster, cam = FilmCaster(film(SHAPES["edge on"])), camera(eye=(0.0, 0.0, -1500.0))
     view = caster.view(cam)
     coverage, _ = supersampled(caster, cam)
@@ -130,7 +130,7 @@ def test_a_film_bent_one_way_is_cut_one_way():
 
 
 def test_each_pixel_has_the_value_of_its_own_ray():
-    """Against the smooth film: its point at the uv of a pixel projects to that pixel's centre, at the edge too."""
+    """Compared with the smooth film: its point at a pixel's uv projects to that pixel's centre, at the edge too."""
     bent, cam = film(SHAPES["waves"]), camera()
     maps = FilmCaster(bent).annotate(cam)
     centres = pixel_centres(SIZE)[maps.mask]

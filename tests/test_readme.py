@@ -37,14 +37,14 @@ def test_python_blocks_run(block: str, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_options_set_from_python_count(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The example of docs/using.md, as it stands there."""
+    """The example in docs/using.md, as it stands there."""
     (block,) = re.findall(r"```python\n(.*?)```", (ROOT / "docs/using.md").read_text(), flags=re.DOTALL)
     monkeypatch.chdir(ROOT)
     names: dict[str, Any] = {}
     exec(compile(block, "docs/using.md", "exec"), names)
     config, result = names["config"], names["result"]
     assert (config.tries, config.light.print_white, config.refine.sheet_rounds) == (1, 1.0, 2)
-    assert (config.refine.sheet.focal, config.refine.matched) == (1.0, False)  # named; as the effort has it
+    assert (config.refine.sheet.focal, config.refine.matched) == (1.0, False)  # set explicitly; set by the effort
     assert result.status.has_film
     assert (result.film == 0).mean() > 0.01
 
@@ -60,14 +60,14 @@ def test_commands_exist(page: str) -> None:
 
 
 COMMAND = re.compile(r"(?:^|[\s/])(?:python -m ((?:benchmarks|data_gen)\.\w+)|hybrid(?:\.cli)?(?= \w))(?: (.*))?$")
-"""A command of the project, by its module (none for ``hybrid``), and its words."""
+"""Matches a command of the project; the groups are its module (none for ``hybrid``) and its words."""
 
 WHOLE = re.compile(r"`(python -m [^`]* --[^`]*|(?:\.venv/bin/)?hybrid \w[^`]* (?:-o|--out) [^`]*)`")
-"""A command within a line that can be run as it stands there; others name an option only."""
+"""A command in running text that can be run as it stands; others only name an option."""
 
 
 def documented_commands(page: str) -> Iterator[tuple[str, str]]:
-    """Modules and words of the commands of a page: those of its code blocks, and whole ones within its lines."""
+    """Modules and words of the commands on a page: those in its code blocks, and whole ones in its running text."""
     text = (ROOT / page).read_text()
     blocks = re.findall(r"```bash\n(.*?)```", text, flags=re.DOTALL)
     lines = [line for block in blocks for line in looped(block.replace("\\\n", " ")).splitlines()]
@@ -80,7 +80,7 @@ def documented_commands(page: str) -> Iterator[tuple[str, str]]:
 
 
 def looped(block: str) -> str:
-    """Shell lines with each loop unrolled: names of networks have words of their own."""
+    """Shell lines with each loop unrolled: every network named in a loop gives a command of its own."""
 
     def unrolled(loop: re.Match[str]) -> str:
         return "\n".join(loop[3].replace(f"${loop[1]}", value) for value in loop[2].split())
@@ -89,11 +89,11 @@ def looped(block: str) -> str:
 
 
 class Parsed(BaseException):
-    """The words were understood."""
+    """Raised once the words have been understood."""
 
 
 def parsing_alone(cli: Callable[..., Any]) -> Callable[..., Any]:
-    """tyro's ``cli``, which ends the command once its words are understood."""
+    """tyro's ``cli``, made to end the command once its words are understood."""
 
     def parse(*arguments: Any, **named: Any) -> Any:
         raise Parsed(cli(*arguments, **named))
@@ -110,7 +110,7 @@ def test_there_are_documented_commands() -> None:
 
 @pytest.mark.parametrize(("module", "words"), DOCUMENTED)
 def test_documented_options_are_understood(module: str, words: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nothing is run, so files need not be there; ``N`` stands for a number, other capitals for paths."""
+    """Nothing is run, so files need not exist; ``N`` stands for a number, other capitals for paths."""
     given = ["1" if word == "N" else word for word in shlex.split(words, comments=True)]
     monkeypatch.setattr(sys, "argv", [module, *given])
     monkeypatch.setattr(tyro, "cli", parsing_alone(tyro.cli))
@@ -119,7 +119,7 @@ def test_documented_options_are_understood(module: str, words: str, monkeypatch:
 
 
 def anchors(page: Path) -> set[str]:
-    """What the headings of a page are called in links."""
+    """The anchors by which links name the headings of a page."""
     headings = re.findall(r"^#+ (.+)$", page.read_text(), flags=re.MULTILINE)
     return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
 

@@ -1,4 +1,4 @@
-"""Records between the stages: what they hold they check, and a result can be read by a person."""
+"""Records between the stages: they check what they hold, and a result can be read by a person."""
 
 from __future__ import annotations
 

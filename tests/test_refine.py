@@ -1,4 +1,4 @@
-"""Refinement: better where the photo tells, the same map where it does not, never worse."""
+"""Refinement: a better map where the photo shows how, the same map where it does not, never a worse one."""
 
 import os
 from dataclasses import replace
@@ -112,7 +112,7 @@ def test_nothing_seen_changes_nothing(level):
 
 @pytest.mark.parametrize("rules", [True, False])
 def test_a_right_map_stays_right(rules):
-    """To half a pixel: the drawn film stretches, which the sheet that is started from does not."""
+    """To half a pixel."""
     photo, true = make_photo(FilmDrawing(rules=rules, margin=0.03), np.random.default_rng(4))
     assert mean_error(refine(photo, true, None, CONFIG).backward, true) < 0.5
 
@@ -190,8 +190,8 @@ def test_a_sheet_that_hardly_moves_the_film_is_the_last(monkeypatch, settled_end
 
 
 def test_lifted_sightings_are_the_same_points_of_the_photo():
-    """Both coordinates go along with the displacement, as a sheet is fitted to points of the photo; where along an edge
-    or a line a thing lies is known as well as before."""
+    """Both coordinates follow the displacement, as a sheet is fitted to points of the photo; the place of a thing along
+    its edge or line is known as well as before."""
     rng = np.random.default_rng(4)
     lattice = no_displacement(SplineConfig()).lattice
     moved = Displacement(lattice, 0.01 * rng.normal(size=(len(lattice.nodes), 2)))
@@ -236,7 +236,7 @@ def test_both_views_of_a_photo_of_odd_size_show_the_same_film():
     photo = np.repeat((120 + 60 * np.sin(x / 30) * np.cos(y / 25)).astype(np.uint8)[..., None], 3, axis=2)
     scene = scene_of(photo, BackwardMap(film_nodes((9, 9)) * [307.0, 211.0] + [40.0, 30.0]))
     full, half = view_of(scene, scene.coarse).image[..., 0], half_view(scene, scene.coarse).image[..., 0]
-    assert full.shape == (216, 312)  # near the film's size, and whole when halved and divided by three and eight
+    assert full.shape == (216, 312)  # near the film's size, and divisible by two, three and eight
     assert np.abs(full.reshape(108, 2, 156, 2).mean(axis=(1, 3)) - half).max() < 1.5
     assert scene.aspect == pytest.approx(211 / 307)
 

@@ -1,4 +1,4 @@
-"""The failures that users of other systems report, by their numbers in the project's list.
+"""Failures that users of other systems report, by their numbers in the project's list.
 
 Numbers that other files test at length: 7 (test_deilluminate), 9 (test_pipeline), 13 (test_pipeline), 15 and 18
 (test_metrics), 16 (test_shards, test_views), 20 (test_deilluminate), 28 (test_grid_edit), 29 (test_secondary_captures),
@@ -31,9 +31,9 @@ from hybrid.rectify.film_size import FilmSizeConfig
 from hybrid.rectify.trust import TrustConfig
 
 OK_PX = 5.0
-"""Largest mean error of a film that is called flattened, in pixels of a photo of 1080."""
+"""Largest mean error of a film that is called flattened, in pixels of a 1080 px photo."""
 SHEET = 19
-"""The print of most photos: 4 x 5 slices with rules and legible texts, wider than high."""
+"""The print in most photos: 4 x 5 slices with rules and legible texts, wider than high."""
 
 
 @pytest.fixture(scope="module")
@@ -50,7 +50,7 @@ def shot(
 
 @pytest.fixture(scope="module")
 def plain(rectifier: Rectifier) -> tuple[Photographed, RectifyResult]:
-    """An easy photo of a film with rules, and what is made of it."""
+    """An easy photo of a film with rules, and its result."""
     return shot(), rectifier(shot().photo)
 
 
@@ -61,7 +61,7 @@ def flat_picture(sheet: FilmPrint, scale: float = 0.8) -> np.ndarray:
 
 
 def blob_on(it: Photographed, ellipse: tuple, soft_px: float) -> np.ndarray:
-    """1 inside a blob on the photo, 0 outside: (centre x, y), (half axes), degrees."""
+    """1 inside a blob on the photo, 0 outside: the ellipse is (centre x, y), (half axes), degrees."""
     blob = np.zeros(it.photo.shape[:2], np.float32)
     centre, axes, degrees = ellipse
     cv2.ellipse(blob, tuple(map(round, centre)), tuple(map(round, axes)), degrees, 0, 360, 1.0, -1)
@@ -69,7 +69,7 @@ def blob_on(it: Photographed, ellipse: tuple, soft_px: float) -> np.ndarray:
 
 
 def over(it: Photographed, ellipse: tuple, colour: tuple[int, int, int], soft_px: float = 1.5) -> Photographed:
-    """The photo with a blob of one colour over it: (centre x, y), (half axes), degrees."""
+    """The photo with a blob of one colour over it: the ellipse is (centre x, y), (half axes), degrees."""
     blob = blob_on(it, ellipse, soft_px)[..., None]
     mixed = it.photo * (1 - blob) + blob * np.array(colour, np.float32)
     return replace(it, photo=np.clip(np.rint(mixed), 0, 255).astype(np.uint8))
@@ -80,7 +80,7 @@ def at_film(it: Photographed, u: float, v: float) -> np.ndarray:
 
 
 def assert_truthful(it: Photographed, result: RectifyResult) -> float:
-    """A film is given, and called flattened only if it is; its error, px of 1080."""
+    """Asserts that a film is given and called flattened only if it is; returns its error in px of a 1080 px photo."""
     assert result.status.has_film, str(result.status)
     assert result.backward is not None
     error = it.error_px(result.backward)
@@ -91,7 +91,7 @@ def assert_truthful(it: Photographed, result: RectifyResult) -> float:
 # ---------------------------------------------------------------- geometry
 
 FLAT_PRINTS = [(1, RULES, 1.0), (2, RULES, 1.0), (1, GUTTERS, 1.0), (4, RULES, 1.0), (8, GUTTERS, 1.0), (7, RULES, 1.0)]
-"""Of the last three the network alone says that they are cut off, or sees their ends elsewhere."""
+"""By itself, the network would call the last three cut off, or see their ends elsewhere."""
 
 
 @pytest.mark.parametrize(("seed", "style", "text"), FLAT_PRINTS)
@@ -117,7 +117,7 @@ def test_01_a_flat_film_whose_cells_are_not_square_is_not_stretched(rectifier: R
 
 @pytest.mark.parametrize(("seed", "border"), [(2, 0.06), (8, 0.02), (11, 0.02), (11, 0.06)])
 def test_01_of_a_scan_with_a_white_border_the_border_is_no_film(rectifier: Rectifier, seed: int, border: float) -> None:
-    """Cells are as alike through its frame as through the sheet's map; the sheet's edges tell."""
+    """Cells are as alike through the picture's frame as through the sheet's map; only the sheet's edges decide."""
     picture = flat_picture(film_print(seed))
     wide = int(border * len(picture))
     found = rectifier(cv2.copyMakeBorder(picture, *(4 * [wide]), cv2.BORDER_CONSTANT, value=(255, 255, 255)))
@@ -228,7 +228,7 @@ def test_08_a_film_without_any_text(rectifier: Rectifier) -> None:
 
 
 def test_12_vertical_lines_come_out_vertical(plain) -> None:
-    """The affine map nearest to true film -> found film has neither shear nor unequal scale beyond half a percent."""
+    """The affine map nearest to true film -> found film has at most half a percent of shear or unequal scale."""
     it, found = plain
     seen, _ = read_alike(found.backward, it.truth)
     true_uv = film_nodes((15, 15))[1:-1, 1:-1].reshape(-1, 2)
@@ -249,7 +249,7 @@ def test_13_a_turned_photo_gives_an_upright_film(rectifier: Rectifier, turns: in
 
 
 def test_14_a_mirrored_film_is_detected(rectifier: Rectifier) -> None:
-    """Where texts can be read: seen from behind they look like others."""
+    """Only where texts can be read: without them, a film seen from behind looks like any other."""
     found = rectifier(np.ascontiguousarray(shot(SHEET).photo[:, ::-1]))
     assert found.orientation is not None
     assert (found.orientation.turns, found.orientation.mirrored) == (0, True)
@@ -300,7 +300,7 @@ def test_10_sizes_are_bounded_and_numbers_are_numbers(rectifier: Rectifier, size
         return
     most = FilmSizeConfig().max_side_px
     assert max(found.film.shape) <= most
-    assert max(found.film.shape) == most or size != (3000, 3000)  # of which the film takes more
+    assert max(found.film.shape) == most or size != (3000, 3000)  # whose film would be larger
     assert min(found.film.shape) >= 1
     for numbers in (found.film, found.confidence, found.backward.nodes, np.array(found.expected_error_px)):
         assert np.isfinite(numbers).all()
@@ -358,7 +358,7 @@ def test_20_coloured_light_leaves_no_trace_and_grey_stays_in_order(rectifier: Re
 
 @pytest.mark.parametrize(("soft_px", "most"), [(4.0, 0.7), (20.0, 0.55)])
 def test_22_a_cast_shadow_is_removed_in_part(rectifier: Rectifier, plain, soft_px: float, most: float) -> None:
-    """Of a hand that takes 60 % of the light, near (sharp) or far (soft): so much of its ghost stays at most."""
+    """A hand, near (sharp) or far (soft), takes 60 % of the light; at most the given share of its ghost may stay."""
     it, bright = plain
     shadow = blob_on(it, (at_film(it, 0.35, 0.6), (170, 110), 30), soft_px)
     dark = srgb_from_linear(linear_from_srgb(it.photo / 255.0) * (1 - 0.6 * shadow[..., None]))
@@ -371,7 +371,7 @@ def test_22_a_cast_shadow_is_removed_in_part(rectifier: Rectifier, plain, soft_p
     printed = film > 0.15
 
     def ghost(after: np.ndarray, before: np.ndarray) -> float:
-        """By how much darker the print is in the shadow than beside it, of what it is without one."""
+        """How much darker the print is in the shadow than beside it, relative to the print without a shadow."""
         inside, outside = (
             float(after[k].sum() / before[k].sum()) for k in (printed & (on_film > 0.9), printed & (on_film < 0.1))
         )
@@ -395,7 +395,7 @@ def document() -> np.ndarray:
 
 
 def room() -> np.ndarray:
-    """A window of the generator's own room."""
+    """A crop of the generator's own room."""
     radiance = procedural_room(np.random.default_rng(4)).radiance[60:190, 100:300]
     return np.clip(255 * (radiance / np.quantile(radiance, 0.97)) ** 0.45, 0, 255).astype(np.uint8)
 
@@ -409,7 +409,7 @@ def test_21_what_is_no_film_is_refused_with_a_reason(rectifier: Rectifier, make)
 
 
 def test_23_points_of_the_film_lead_back_to_the_photo(plain) -> None:
-    """Less than a pixel, for what the result says of itself; and rules of the print are where the photo shows them."""
+    """The result's own maps agree to less than a pixel, and rules of the print lie where the photo shows them."""
     it, found = plain
     inner = found.grid.vertices[1:-1, 1:-1]
     assert np.abs(found.backward.photo_from_film(inner) - found.grid.vertices_photo[1:-1, 1:-1]).max() < 1e-6
@@ -425,7 +425,7 @@ def test_23_points_of_the_film_lead_back_to_the_photo(plain) -> None:
 
 
 def test_24_many_films_in_flat_memory(rectifier: Rectifier) -> None:
-    """The thousand of the list are ``python -m benchmarks.soak``; thirty small ones show what keeps a result, too."""
+    """The list's thousand are run by ``python -m benchmarks.soak``; thirty small ones also show what keeps a result."""
     results = []
 
     def watched(photo: np.ndarray) -> RectifyResult:

@@ -1,4 +1,4 @@
-"""Laws of the one resampling of the photo."""
+"""Laws of the single resampling of the photo."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def test_pixels_come_from_where_the_map_says():
 
 @pytest.mark.parametrize("nodes", [5, 33, 200])
 def test_of_a_map_of_many_nodes_only_those_near_a_row_are_asked(nodes: int):
-    """And the film is the same, wherever its strips end."""
+    """The film is also the same wherever its strips end."""
     photo, sheet = pattern((400, 400), 40.0), bent_sheet()
     backward = BackwardMap.from_function(lambda uv: sheet(uv) * (400 / 1080), (nodes, nodes))
     image = rectify_photo(photo, backward, (300, 250), ResampleConfig(cubic_below=0.0)).image
@@ -123,7 +123,7 @@ def test_places_in_a_bent_grid_of_pixels_are_found():
     np.testing.assert_allclose(row, np.arange(3, 29, 2)[:, None].repeat(24, 1), atol=0.01)
     beyond = points[0, 0] - 3 * (points[0, 1] - points[0, 0])
     column, row = index_in_grid(points, beyond)
-    assert -5 < column < -2  # as the plane goes on, not the bend at the rim
+    assert -5 < column < -2  # extrapolated as a plane, without the bend at the rim
     assert row == pytest.approx(0, abs=0.5)
 
 
@@ -141,7 +141,7 @@ def test_places_in_a_plane_far_aslant_are_found(corners: list):
 
 
 def test_what_halving_leaves_over_of_a_photo_is_not_lost():
-    """A photo that is read from its copy of a quarter, of a width that four does not divide."""
+    """The photo is read from its quarter-size copy, and four does not divide its width."""
     photo = np.full((800, 1003, 3), 90, np.uint8)
     film = rectify_photo(photo, BackwardMap(film_nodes((5, 5)) * np.array([1003.0, 800.0])), (80, 100))
     assert film.valid.all()

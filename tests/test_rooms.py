@@ -51,7 +51,7 @@ def test_directions_are_unit_and_solid_angles_fill_the_sphere():
     assert np.isclose(solid_angles((32, 64)).sum() * 64, 4 * np.pi)
     assert rays[0, 0, 2] > 0.99  # row 0 looks up
     assert rays[16, 0, 0] > 0.99  # azimuth 0 is +x
-    assert rays[16, 16, 1] > 0.99  # a quarter on is +y
+    assert rays[16, 16, 1] > 0.99  # a quarter turn further is +y
 
 
 def test_lookup_at_pixel_centres_returns_the_pixels():
@@ -119,7 +119,7 @@ def test_turning_the_room_turns_the_blur():
 
 
 def test_a_rooms_lights_tell_the_sun_from_its_sky():
-    """A sun as strong as the sky around it is one light, in its place; what is below the plane is none."""
+    """A sun as strong as the sky around it is one light, in its place; what is below the plane is no light."""
     size, up = (64, 128), np.array([0.0, 0.0, 1.0])
     radiance = np.ones((*size, 3), np.float32)
     radiance[12, 40] += np.pi / (solid_angles(size)[12] * directions(size)[12, 40, 2])
@@ -178,7 +178,7 @@ def test_hdr_file_round_trip(tmp_path: Path):
 
 @pytest.mark.parametrize("lying", [False, True])
 def test_what_is_on_the_right_of_a_picture_is_seen_on_the_right(tmp_path: Path, lying: bool):
-    """A picture that grows to the right, looked at along its horizon with the room's upward direction up."""
+    """A picture that gets brighter to the right, viewed along its horizon with the room's upward direction up."""
     radiance = np.broadcast_to(np.linspace(0.1, 3.0, 128, dtype=np.float32)[None, :, None], (64, 128, 3))
     cv2.imwrite(str(tmp_path / "a.hdr"), np.ascontiguousarray(radiance))
     light = Light(front=1.0, turn_deg=140.0, lying=lying)

@@ -1,4 +1,4 @@
-"""Round corners: what the arcs cut off, in samples that are made with them and in such as get them for training."""
+"""Round corners: what the arcs cut off, in samples made with them and in samples that get them for training."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -32,7 +32,7 @@ def of_radius(radius_mm: float) -> RoundCorners:
 @pytest.mark.parametrize("radius", [3.0, 40.0, 175.0])
 def test_what_is_cut_is_further_than_the_radius_from_the_arcs_middle(radius: float) -> None:
     uv = np.random.default_rng(0).uniform(0, 1, (4000, 2)) ** np.array([2.0, 1.0])
-    inner = np.clip(uv * SIZE_MM, radius, SIZE_MM - radius)  # the nearest point of the sheet's middle
+    inner = np.clip(uv * SIZE_MM, radius, SIZE_MM - radius)  # nearest point of the sheet shrunk by the radius
     far = np.linalg.norm(uv * SIZE_MM - inner, axis=1)
     np.testing.assert_array_equal(of_radius(radius).cut(uv), far > radius)
 
@@ -88,7 +88,7 @@ def test_a_share_of_sheets_is_round_and_nothing_else_depends_on_it() -> None:
     np.testing.assert_array_equal(other.backward.nodes, sharp.backward.nodes)
 
 
-# ---------------------------------------------------------------- such as get them for training
+# ---------------------------------------------------------------- samples that get them for training
 
 
 def upright_film() -> tuple[np.ndarray, BackwardMap]:

@@ -77,7 +77,7 @@ def test_photos_are_pictures_of_the_right_size(samples):
 
 
 def carried(frames):
-    """The frames' films, as ``placed`` has them, far off, turned over and about."""
+    """The frames with their films as ``placed`` puts them, and with the same films moved far off and turned over."""
     turn = smallest_rotation(np.array([0.0, 0.0, 1.0]), np.array([0.6, 0.0, -0.8]))
     films = [placed(frame.mesh) for frame in frames]
     moved = [film.bent(film.vertices @ turn.T + [900.0, -400.0, 1500.0]) for film in films]
@@ -95,7 +95,7 @@ def lit() -> np.ndarray:
 
 @pytest.mark.parametrize(("module", "photos"), [("sample", taken), ("lit_films", lit)])
 def test_a_film_that_is_carried_off_is_photographed_as_one_that_is_not(module, photos, monkeypatch):
-    """Room, lamps, light box and table stand about it as they would."""
+    """Room, lamps, light box and table surround it as they otherwise would."""
     shown = []
     for k in range(2):
         monkeypatch.setattr(f"data_gen.{module}.bend", lambda *given, k=k: ("any", carried(bend(*given)[1])[k]))

@@ -55,7 +55,7 @@ def test_they_say_what_they_are_and_invent_nothing(result: RectifyResult):
         assert list(it.ImageType) == ["DERIVED", "SECONDARY"]
         assert (it.Modality, it.BurnedInAnnotation, it.LossyImageCompression) == ("OT", "YES", "01")
         assert float(it.LossyImageCompressionRatio) == pytest.approx(12.5)
-        assert it.PhotometricInterpretation == "MONOCHROME2"  # the larger the brighter
+        assert it.PhotometricInterpretation == "MONOCHROME2"  # larger values are brighter
         assert "photo" in it.ImageComments
         assert "Not for diagnosis" in it.ImageComments
         assert "3 of 4 edges seen" in it.DerivationDescription
@@ -160,12 +160,12 @@ def test_files_can_be_read_and_belong_to_the_result(result: RectifyResult, tmp_p
     assert it.file_meta.MediaStorageSOPInstanceUID == it.SOPInstanceUID
     np.testing.assert_array_equal(it.pixel_array, levels_16(result.film))
     assert is_result(tmp_path / "out" / names[1])
-    with pytest.raises(HybridError):  # no photo: they would tell other photos apart by what was made of one
+    with pytest.raises(HybridError):  # a DICOM file that was written as a result is not taken for a photo
         read_photo(tmp_path / "out" / names[0])
     before = (tmp_path / "out" / names[0]).read_bytes()
     save_result(photo, result, tmp_path / "out", dicom=True)
     assert (tmp_path / "out" / names[0]).read_bytes() == before
-    save_result(photo, result, tmp_path / "out")  # asks for none, and costs none
+    save_result(photo, result, tmp_path / "out")  # asks for no DICOM files, and removes none
     assert (tmp_path / "out" / names[0]).read_bytes() == before
     assert json.loads((tmp_path / "out" / "film.json").read_text())["earlier_files"] == names
     assert is_result(tmp_path / "out" / names[1])
@@ -174,7 +174,7 @@ def test_files_can_be_read_and_belong_to_the_result(result: RectifyResult, tmp_p
 
 
 def test_a_fused_film_belongs_to_the_photo_that_its_map_is_of(result: RectifyResult, tmp_path: Path):
-    """Its files tell the study by the second photo, a JPEG, not by the first, which shows no film."""
+    """Its files identify the study by that photo, be it the first or the second, a JPEG."""
     for name in ("first.png", "second.jpg"):
         write_rgb(tmp_path / name, result.rectified)
     both = [tmp_path / "first.png", tmp_path / "second.jpg"]
@@ -185,7 +185,7 @@ def test_a_fused_film_belongs_to_the_photo_that_its_map_is_of(result: RectifyRes
         digest = photo_digest(both[photo])
         assert of.StudyInstanceUID == captures(result, replace(FILE, digest=digest))[0].StudyInstanceUID
         studies.append(of)
-    for of in studies:  # pixels of both are in the film, whichever the map is of
+    for of in studies:  # the film has pixels of both, whichever photo the map is of
         assert of.LossyImageCompression == "01"
         bytes_of_pixels = result.rectified.nbytes
         assert float(of.LossyImageCompressionRatio) == pytest.approx(bytes_of_pixels / both[1].stat().st_size, abs=0.01)
@@ -196,7 +196,7 @@ def test_a_fused_film_belongs_to_the_photo_that_its_map_is_of(result: RectifyRes
 
 
 def test_photos_that_are_left_out_of_a_fused_film_are_no_part_of_it(result: RectifyResult, tmp_path: Path):
-    """A JPEG among them does not make it one that was compressed with loss."""
+    """A JPEG among them does not make the film lossily compressed."""
     paths = [tmp_path / name for name in ("blank.jpg", "small.png", "big.png")]
     for path in paths:
         write_rgb(path, result.rectified)
@@ -217,5 +217,5 @@ def test_a_tiff_that_is_larger_than_pillow_takes_says_how_it_was_compressed(
 ):
     picture = np.random.default_rng(0).integers(0, 255, (64, 64, 3), np.uint8)
     Image.fromarray(picture).save(tmp_path / "a.tif", compression="jpeg")
-    monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 100)  # of twice as many on Pillow refuses a picture
+    monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 100)  # from twice as many on, Pillow refuses a picture
     assert PhotoFile.of([tmp_path / "a.tif"], "0" * 64).method == JPEG

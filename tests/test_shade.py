@@ -1,4 +1,4 @@
-"""Shading: nothing is lost or won, light adds up, mirrors show what the law of reflection says, turning is free."""
+"""Shading: energy is conserved, light adds up, mirrors obey the law of reflection, turning all changes nothing."""
 
 from dataclasses import replace
 
@@ -30,7 +30,7 @@ from hybrid.coords import film_centres_1d
 from hybrid.mesh.camera import Camera, look_at
 from hybrid.mesh.film import FilmMesh, film_mesh
 
-FURNACE = 0.004  # what 256 half vectors leave of an integral, and interpolation between cosines
+FURNACE = 0.004  # error of an integral over 256 half vectors, and of interpolation between cosines
 LIGHT = Light(front=1.0, turn_deg=0.0, lying=False)
 EVEN = prefilter(Environment(np.ones((64, 128, 3), np.float32), "even"))
 
@@ -95,7 +95,7 @@ def test_shares_above_one_are_refused():
 @pytest.mark.parametrize("cosine", [0.25, 0.6, 1.0])
 def test_directional_albedo_is_the_integral_of_the_lobe(roughness: float, cosine: float):
     surface = gloss(roughness, 1.45)
-    # Slopes of GGX by inversion of its cumulated density, instead of half vectors by what the eye sees.
+    # GGX slopes drawn by inverting their cumulative density, instead of half vectors drawn by what the eye sees.
     share, turn = np.meshgrid((np.arange(800) * 2 + 1) / 1600, (np.arange(200) * 2 + 1) / 400 * 2 * np.pi)
     slope = surface.alpha * np.sqrt(share / (1 - share))
     h_z = 1 / np.sqrt(1 + slope**2)
@@ -109,7 +109,7 @@ def test_smooth_surfaces_reflect_as_fresnel_says():
     for ior in (1.3, 1.5, 1.6):
         assert fresnel(np.array(1.0), ior) == pytest.approx(((ior - 1) / (ior + 1)) ** 2)
         assert fresnel(np.array(0.0), ior) == pytest.approx(1.0)
-        brewster = np.cos(np.arctan(ior))  # there only light polarised across is reflected, half of it
+        brewster = np.cos(np.arctan(ior))  # only light polarised across, half of all, is reflected here
         across = (brewster - np.sqrt(ior**2 - 1 + brewster**2)) / (brewster + np.sqrt(ior**2 - 1 + brewster**2))
         assert fresnel(np.array(brewster), ior) == pytest.approx(across**2 / 2)
         albedo = gloss(0.05, ior).albedo
@@ -126,7 +126,7 @@ def test_entry_weights_keep_the_light():
 @pytest.mark.parametrize("roughness", [0.4, 0.6, 0.8])
 @pytest.mark.parametrize("n", [48, 160])
 def test_wide_reflections_lie_where_they_are(roughness: float, n: int):
-    """Few points of the film are summed; between them the room's reflection is that of the points in between."""
+    """The sum is taken at few points of the film; interpolated between them, it is the room's reflection there."""
     room = prefilter(procedural_room(np.random.default_rng(5), (64, 128)))
     seen, surface = seen_film(bent(), camera().centre_world, n), gloss(roughness, 1.5)
     some = slice(1, None, max(n // 24, 1))
@@ -165,7 +165,7 @@ def test_light_of_lamps_and_room_adds_up():
 
 
 def test_turning_film_lamp_and_camera_in_a_room_turned_alike_changes_nothing():
-    """A quarter turn about the room's vertical, which is the film's y, of all but the room, and of the room."""
+    """A quarter turn about the room's vertical, which is the film's y, of the room and of all that is in it."""
     room = procedural_room(np.random.default_rng(3), (64, 128)).radiance
     turn = np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]])
     film, view = bent(), camera()
@@ -174,7 +174,7 @@ def test_turning_film_lamp_and_camera_in_a_room_turned_alike_changes_nothing():
     lamp = replace(BULB, centre_mm=tuple((turn @ np.array(BULB.centre_mm)).tolist()))
     material = replace(LOBES["all"], roughness=0.25)
     straight = film_light(film, scene(material, replace(LIGHT, lamps=(BULB,)), view), prefilter(Environment(room, "a")))
-    # Film x is the room's x and film z its y: film z turns to x, the room's azimuth a quarter (32 columns) to 0.
+    # Film x is the room's x and film z its y: film z turns to x, so the azimuth falls from a quarter (32 columns) to 0.
     rolled = prefilter(Environment(np.roll(room, -32, axis=1), "b"))
     turned = scene(material, replace(LIGHT, lamps=(lamp,)), turned_view)
     result = film_light(film.bent(film.vertices @ turn.T), turned, rolled)
@@ -227,9 +227,9 @@ def test_a_mirrored_lamp_shows_at_its_point_and_lights_the_middle_as_before(uv: 
 
 @pytest.mark.parametrize("roughness", [0.08, 0.15])
 def test_a_sharp_highlight_fades_without_a_frame(roughness: float):
-    """On the coarse lattice that finds it, as on the fine one: what is left of a step shows less than a display level.
+    """On the coarse lattice that finds it, as on the fine one: any step that is left is smaller than a display level.
 
-    Of a bright lamp tails are seen far around its image.
+    A bright lamp's tails are seen far around its image.
     """
     surface, seen = gloss(roughness, 1.5), seen_film(flat(), camera().centre_world, 320)
     bulb = replace(BULB, centre_mm=(-100.0, 50.0, -700.0), radiance=(800.0, 800.0, 800.0))
@@ -255,7 +255,7 @@ def test_the_sun_shows_where_the_mirrored_ray_meets_it():
 
 
 def test_a_film_in_front_of_its_back_light_is_the_same_from_behind():
-    """The sheet has no sides: seen from behind in an even room it looks as from the front."""
+    """The sheet has two equal sides: seen from behind in an even room, it looks as it does from the front."""
     front = film_light(flat(), scene(LOBES["all"]), EVEN)
     behind = film_light(flat(), scene(LOBES["all"], view=camera((100.0, -50.0, 700.0))), EVEN)
     assert np.allclose(radiance(front), radiance(behind), rtol=1e-4)

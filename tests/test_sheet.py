@@ -1,4 +1,4 @@
-"""The unstretched sheet: its edges in the photo tell where its inside is, and it is refused where none fits."""
+"""The unstretched sheet: its edges in the photo tell where its inside is, and the fit is refused if no sheet fits."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -39,8 +39,8 @@ BENT_SHARE = 0.6
 
 
 def cylinder(radius: float, turn_deg: float, tilt_deg: float, focal: float = 1.3) -> BackwardMap:
-    """The photo of a sheet of 0.8 x 1 that is rolled to ``radius`` about an axis turned in its plane, then tilted; as
-    large in the photo with every focal length."""
+    """The map of a sheet of 0.8 x 1 that is rolled to ``radius`` about an axis turned in its plane, then tilted. It is
+    equally large in the photo for every focal length."""
 
     def photo_from_film(uv: np.ndarray) -> np.ndarray:
         turn, tilt = np.radians(turn_deg), np.radians(tilt_deg)
@@ -69,8 +69,8 @@ def edges_seen(true: BackwardMap, coarse: BackwardMap, rng: np.random.Generator,
 
 
 def lines_seen(true: BackwardMap, coarse: BackwardMap, lines: dict[int, list[float]]) -> list[Sightings]:
-    """Equally spaced lines (film coordinates by axis) as seen through the coarse map: where they begin, and how far
-    they are apart, is known to a tenth of the film only."""
+    """Equally spaced lines (film coordinates by axis) as seen through the coarse map: where they begin and how far
+    apart they are is known only to a tenth of the film."""
     found = []
     for axis, places in lines.items():
         place = np.empty((len(places) * 60, 2))
@@ -176,7 +176,7 @@ def test_a_cost_that_is_eased_has_the_slope_of_the_weighed_one(cost, firm):
 
 
 def bent_at_a_corner(width: float, focal: float = 1.3) -> BackwardMap:
-    """The photo of a sheet of 0.8 x 1 that lies flat but for a corner, which is bent up within ``width``."""
+    """The map of a sheet of 0.8 x 1 that lies flat except for a corner, which is bent up within ``width``."""
     length = np.linspace(-1.0, 1.0, 4001)
     slope = 0.9 / (1.0 + np.exp(-(length - 0.3) / width))
     run, rise = (np.concatenate([[0.0], np.cumsum(f(slope))[:-1]]) * (length[1] - length[0]) for f in (np.cos, np.sin))
@@ -217,7 +217,7 @@ def test_a_sheet_that_is_rolled_is_pulled_flat_by_less():
 
 
 def held_to_fill(true: BackwardMap, margin: float) -> list[Sightings]:
-    """Edges along which rules are expected, and lines across, of cells between such margins, that are taken to fill
+    """Edges along which rules are expected, and lines between cells that have the given margins but are taken to fill
     the film."""
     edges = edges_seen(true, true, np.random.default_rng(0), 0.1)
     expected = [expecting_rule(edge, 0.002) for edge in edges]
@@ -260,7 +260,7 @@ def test_a_mirrored_sheet_strains_no_more_and_mirrored_again_is_the_same():
 
 
 def strain_of(sheet: Sheet) -> tuple[np.ndarray, np.ndarray]:
-    """All residuals of the strain, and their derivatives by all unknowns."""
+    """All residuals of the strain, and their derivatives with respect to all unknowns."""
     block, n = strain(sheet, CONFIG, 0, True), len(sheet.control)
     rows = np.zeros((*block.residual.shape, 3 * n + CAMERA))
     for points, near in block.design.parts():
@@ -309,7 +309,7 @@ def test_a_longer_lens_farther_away_shows_nearly_the_same():
     longer = replace(sheet, log_focal=sheet.log_focal + 0.3)
     uv = film_nodes((9, 9)).reshape(-1, 2)
     one, other = (project(x, surface(x, uv)[0]).point for x in (sheet, longer))
-    assert np.abs(one - other).max() < 0.03  # of a photo's side; it would be 0.15 with the focal length alone
+    assert np.abs(one - other).max() < 0.03  # of a photo's side; changing the focal length alone would give 0.15
 
 
 def test_sightings_that_are_carried_to_another_map_show_the_same_points():
@@ -338,7 +338,7 @@ def test_the_edges_of_a_bent_sheet_lower_the_error_inside(radius, turn, tilt):
 
 @pytest.mark.parametrize(
     ("radius", "turn", "tilt", "share"),
-    [(1.2, 0, 10, 0.25), (1.5, 30, -12, 0.25), (1.0, 90, 8, 0.6)],  # the last is nearly a sheet that is tilted more
+    [(1.2, 0, 10, 0.25), (1.5, 30, -12, 0.25), (1.0, 90, 8, 0.6)],  # the last looks like a sheet that is tilted more
 )
 def test_lines_tell_what_the_edges_leave_open(radius, turn, tilt, share):
     true = cylinder(radius, turn, tilt)
@@ -382,7 +382,7 @@ def test_lines_lie_in_the_middle_where_what_is_seen_allows_it(off, expected):
 
 
 def costing(sheet: FittedSheet, times: float) -> FittedSheet:
-    """The same sheet, explaining what is seen so many times as badly."""
+    """The same sheet with its cost multiplied by a factor."""
     return replace(sheet, state=replace(sheet.state, cost=times * sheet.cost))
 
 
@@ -470,7 +470,7 @@ def placed_print(sheet: FittedSheet, seen: list[Sightings], source: Source) -> P
 
 
 def fitting(coarse: BackwardMap) -> Callable[[Sequence[Sightings], FittedSheet | None], FittedSheet | None]:
-    """Fits of sheets to what is seen through a map."""
+    """A function that fits sheets to what is seen through a map."""
     return lambda seen, before: fit_sheet(coarse, coarse, PHOTO, seen, CONFIG, before)
 
 
@@ -490,7 +490,7 @@ def test_edges_that_no_sheet_has_cost_much():
     coarse = larger(true)
     outline = edges_seen(true, coarse, np.random.default_rng(2), 0.1)
     right = fit_sheet(coarse, coarse, PHOTO, outline, CONFIG)
-    for k, side in enumerate(outline[:2]):  # top and bottom bulge, as no sheet's do: it would have to stretch
+    for k, side in enumerate(outline[:2]):  # top and bottom bulge, as no sheet's edges do: it would have to stretch
         side.seen[:, 1] += (1 - 2 * k) * 0.03 * np.cos(6 * np.pi * side.seen[:, 0])
     wrong = fit_sheet(coarse, coarse, PHOTO, outline, CONFIG)
     assert right is not None

@@ -1,4 +1,4 @@
-"""The order of a film's slices: which way it is read."""
+"""The order of a film's slices: which way the film reads."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ PX = 16
 
 
 def series(count: int, shape: tuple[int, int] = (ROWS, COLS)) -> np.ndarray:
-    """Cells in which a disc grows from each to the next, as a head does; those beyond ``count`` are empty."""
+    """Cells with a disc that grows from one to the next, as a head does; those beyond ``count`` are empty."""
     radius = np.linalg.norm(film_nodes((PX, PX)) - 0.5, axis=-1)
     sizes = np.linspace(0.1, 0.45, count)
     cells = [np.where(radius < size, 200, 20) for size in sizes] + [np.full((PX, PX), 20)] * (
@@ -56,7 +56,7 @@ def test_a_grid_of_very_many_cells_tells_a_finite_chance():
     chances = order_chances(film.astype(np.uint8), film_nodes((side + 1, side + 1)))
     assert np.isfinite(chances).all()
     assert chances.sum() == pytest.approx(1)
-    assert chances.min() < 1.01 * UNORDERED / 8  # of so many cells the order of most ways is out of the question
+    assert chances.min() < 1.01 * UNORDERED / 8  # with so many cells, most ways are out of the question
 
 
 def test_one_row_reads_alike_from_either_end_and_mirrored_upside_down():
@@ -65,7 +65,7 @@ def test_one_row_reads_alike_from_either_end_and_mirrored_upside_down():
 
 
 def test_a_print_and_what_is_no_series():
-    """No way is ever excluded; that of a print is told from its mirror image; shuffled cells tell less."""
+    """No way is ever excluded; a print's own way is told from its mirror image; shuffled cells tell less."""
     config = PrintConfig(longer_px=1000, scout_share=0.0, header_share=0.0, empty_share=0.0)
     printed = make_print(head_phantom(np.random.default_rng(3)), np.random.default_rng(2), config)
     grey = np.rint(255 * printed.image).astype(np.uint8)

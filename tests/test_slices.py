@@ -1,4 +1,4 @@
-"""Which way is up by what slices show: pictures of cells, votes, training views, and what the packaged network sees."""
+"""Which way is up, from what slices show: pictures of cells, votes, training views, what the packaged network sees."""
 
 import json
 from dataclasses import replace
@@ -34,7 +34,7 @@ PX = 48
 
 
 def arrow(px: int = 240) -> np.ndarray:
-    """Bright, upright, and its own mirror image."""
+    """A bright, upright arrow that is its own mirror image."""
     picture = np.full((px, px), 20, np.uint8)
     tip = np.array([[0.5, 0.15], [0.75, 0.5], [0.25, 0.5]]) * px
     cv2.fillPoly(picture, [np.rint(tip).astype(np.int32)], 220)
@@ -80,7 +80,7 @@ def test_empty_cells_are_left_out_and_no_more_are_taken_than_asked_for():
 
 @pytest.mark.parametrize("turns", range(4))
 def test_votes_turn_with_the_slices(turns: int):
-    """Slices that are turned clockwise need that much less: whatever the weights, no side is favoured."""
+    """Slices turned clockwise have to be turned by that much less: whatever the weights, no side is favoured."""
     torch.manual_seed(0)
     network = SliceNet(SliceNetConfig()).eval()
     pictures = np.random.default_rng(0).normal(size=(2, 3, PX, PX)).astype(np.float32)
@@ -92,7 +92,7 @@ def test_votes_turn_with_the_slices(turns: int):
 
 @pytest.mark.parametrize("way", WAYS)
 def test_turns_of_ways_put_slices_upright_whether_mirrored_or_not(way):
-    """What is its own mirror image lies right after the turn of a way, though the way mirrors it first."""
+    """A picture that is its own mirror image is upright after the turn of a way, even if the way mirrors it first."""
     seen = way.inverse.moved(arrow())
     np.testing.assert_array_equal(np.rot90(seen, -TURNS_OF_WAYS[way.index]), arrow())
 
@@ -149,8 +149,8 @@ SILENT = {"text_share": 0.0, "header_share": 0.0, "scout_share": 0.0, "clear_sha
 
 @pytest.mark.parametrize("phantom", [head_phantom, body_phantom])
 def test_a_film_without_writing_is_put_upright_by_its_slices(reader: OrientationReader, phantom):
-    """By quarters. Seen from behind it looks as it does from the front, so it is not mirrored; nor is it turned over,
-    as slices that are printed upside down are about as frequent as films that are held so."""
+    """By quarter turns. From behind it looks as it does from the front, so it is not mirrored; nor is it turned over,
+    as slices printed upside down are about as frequent as films held upside down."""
     volume, config = phantom(np.random.default_rng(7)), UprightConfig(min_film_px=10**6)
     seed = 2
     film_print = make_print(volume, np.random.default_rng(seed), PrintConfig(longer_px=1000, **SILENT))

@@ -1,4 +1,4 @@
-"""The mass-spring solver against what mechanics says."""
+"""The mass-spring solver, checked against mechanics."""
 
 from dataclasses import replace
 
@@ -54,7 +54,7 @@ def test_mass_and_bending_stiffness_are_the_films():
 
 @pytest.mark.parametrize("angle", [0.0, 0.3, np.pi / 4])
 def test_stretch_along_any_direction_has_the_sheets_stiffness(angle):
-    """Energy of a small stretch e in one direction, none across: C11 e^2 / 2 on each area, whatever the direction."""
+    """Energy of a small stretch e in one direction, with none across: C11 e^2 / 2 per unit area, in any direction."""
     film = lattice_sheet((300.0, 200.0), (6, 7))
     network = mass_spring(film, FilmMaterial())
     way = np.array([np.cos(angle), np.sin(angle), 0.0])
@@ -65,7 +65,7 @@ def test_stretch_along_any_direction_has_the_sheets_stiffness(angle):
 
 @pytest.mark.parametrize("angle", [0.0, 0.4, np.pi / 4, 1.3])
 def test_a_film_rolls_up_in_any_direction_unstrained(angle):
-    """No locking: on a cylinder about any axis a lattice, however coarse, is unstrained but for a tiny shear."""
+    """No locking: on a cylinder about any axis, even a coarse lattice is unstrained except for a tiny shear."""
     radius, film = 60.0, lattice_sheet((200.0, 200.0), (12, 12))
     network = mass_spring(film, FilmMaterial())
     way, across = np.array([np.cos(angle), np.sin(angle)]), np.array([-np.sin(angle), np.cos(angle)])
@@ -180,7 +180,7 @@ def test_same_in_another_place_and_orientation():
 
 @pytest.mark.parametrize("metres_per_unit", [1.0, 0.01])
 def test_units_do_not_matter(metres_per_unit):
-    """One scene in metres or centimetres has the shape that it has in millimetres."""
+    """A scene has the same shape in metres or centimetres as in millimetres."""
 
     def bent(unit: float) -> np.ndarray:
         per_mm = 1e-3 / unit
@@ -288,7 +288,7 @@ def test_recipes_bend_and_do_not_stretch_much(name):
 
 @pytest.mark.parametrize(("seed", "most_deg"), [(0, 75), (2, 48)])
 def test_what_is_lifted_off_a_table_is_tilted_with_the_film(seed, most_deg):
-    """Outer side up; tilted the other way the rim curls back down, by 105 and 67 degrees for these."""
+    """Outer side up; tilted the other way, the rim curls back down, by 105 and 67 degrees for these seeds."""
     network = mass_spring(sheet(), FilmMaterial())
     frames = simulate(RECIPES["on_table"][1](network, np.random.default_rng(seed)), BendConfig(frames=8))
     assert max_normal_angle(frames[-1].mesh) < np.deg2rad(most_deg)
@@ -301,7 +301,7 @@ def test_frames_are_within_the_angle():
 
 
 def test_a_sheet_that_bends_too_far_is_taken_from_before_it_does():
-    """Not as the flat sheet, which it was once."""
+    """The last frame before that is kept, not the flat sheet that it started as."""
     (_, early), (name, kept) = (
         bend(sheet(), np.random.default_rng(5), BendConfig(frames=4, keep_from=k)) for k in (0, 4)
     )

@@ -1,4 +1,4 @@
-"""A small part of the stress benchmark, with scenes that hypothesis looks for."""
+"""A small part of the stress benchmark, with scenes that hypothesis searches for."""
 
 import numpy as np
 from hypothesis import given, settings
@@ -11,7 +11,7 @@ from hybrid.errors import ConfigError
 @settings(max_examples=12, deadline=None, derandomize=True)
 @given(st.integers(0, 2**32 - 1))
 def test_no_scene_breaks_the_solver(seed):
-    """It ends in a shape or in a readable refusal, without NaN and without energy from nowhere."""
+    """Each scene ends in a shape or in a readable refusal, without NaN and without energy from nowhere."""
     result = run_scene(seed, largest=9)
     assert not result.failure, result
     assert len(result.message) > 30

@@ -72,7 +72,7 @@ def test_noise_is_never_a_film(correlation: float):
 
 
 def test_a_face_like_blob_is_not_a_film():
-    """Round mask, uv that grows from the middle out to a part of the range: what a network makes of a pale oval."""
+    """Round mask, uv that grows from the middle over only part of the range: what a network makes of a pale oval."""
     x, y = (pixel_centres((64, 64)) / 64.0 - 0.5).transpose(2, 0, 1)
     mask = ((x / 0.25) ** 2 + (y / 0.35) ** 2 < 1).astype(np.float64)
     uv = np.stack([0.5 + 0.5 * x, 0.5 + 0.5 * y], axis=-1)
@@ -116,24 +116,24 @@ def test_even_light_is_even():
 @pytest.mark.parametrize("aspect", [0.75, 1.0, 1.25, 1.5])
 @pytest.mark.parametrize("focal", [0.7, 1.1, 2.0])
 def test_the_ratio_of_a_flat_sheets_sides_comes_from_perspective_and_not_from_its_view(aspect: float, focal: float):
-    """Seen aslant from above and from one side, by whatever lens, in a photo of any size."""
+    """Seen obliquely from above and from one side, through any lens, in a photo of any size."""
     size = (768, 1024)
     flat = BackwardMap.from_function(flat_sheet_seen(aspect, focal, (0.6, 0.5, 0.2), size))
     down, across = flat.mean_film_pixels()
-    assert abs(down / across / aspect - 1) > 0.1  # its view tells another
+    assert abs(down / across / aspect - 1) > 0.1  # its view alone suggests another ratio
     assert known_by_plane(flat, size)[0] == pytest.approx(aspect, rel=0.01)
     larger = flat.cropped((0.0, 0.0), (3.0, 3.0))
     assert known_by_plane(larger, (3 * 768, 3 * 1024))[0] == pytest.approx(known_by_plane(flat, size)[0])
 
 
 def test_the_ratio_of_a_flat_sheets_sides_from_the_front_needs_no_focal_length():
-    """Where no perspective tells the lens, all of them say the same."""
+    """Without perspective the lens is unknown, but every lens gives the same ratio."""
     size = (1024, 768)
     for focal in (0.7, 3.0):
         flat = BackwardMap.from_function(flat_sheet_seen(1.37, focal, (0.0, 0.0, 0.4), size))
         assert known_by_plane(flat, size)[0] == pytest.approx(1.37, rel=1e-4)
         height, width = film_size(flat, size, None)
-        assert height / width == pytest.approx(1.37, rel=2e-3)  # it is flat: exact, and no format
+        assert height / width == pytest.approx(1.37, rel=2e-3)  # it is flat: exact, not snapped to a format
 
 
 def test_the_ratio_of_a_bent_sheets_sides_is_nearly_that_of_the_nearest_plane():

@@ -1,4 +1,4 @@
-"""Hands and clips: coverage is a share, nothing floats, what is free of them stays as it was, light in proportion."""
+"""Hands and clips: coverage is a share, nothing floats, pixels free of them are unchanged, radiance follows light."""
 
 import json
 
@@ -76,7 +76,7 @@ def test_arms_leave_the_photo(grip):
 
 @pytest.mark.parametrize("corner", range(4))
 def test_near_a_corner_holders_reach_towards_the_middle(corner):
-    """From both sides of each corner, seen from the front: nearly along the diagonal just beside it."""
+    """On both sides of each corner, seen from the front: just beside it, nearly along the diagonal."""
     view = camera((600, 750), 900.0)
     middle = view.photo_from_world(FILM.vertices.reshape(-1, 3).mean(axis=0)[None])[0]
     for edge in (corner - 0.02, corner + 0.02):
@@ -86,7 +86,7 @@ def test_near_a_corner_holders_reach_towards_the_middle(corner):
 
 
 def test_a_finger_is_as_wide_as_a_finger():
-    """14 to 21 mm across the last joint of a pointing finger, measured in the photo with the camera's scale."""
+    """13 to 23 mm at the median across the last joint of a pointing finger, by the scale of the camera."""
     view = camera((600, 750), 700.0)
     place = rim_place(FILM, view, 3.5)
     patch = patches_before((hand("point"),), FILM, view, *balls())[0]
@@ -197,7 +197,7 @@ def test_a_dome_has_the_normals_of_a_sphere():
 @pytest.mark.parametrize("grip", GRIPS)
 @pytest.mark.parametrize("variant", range(VARIANTS))
 def test_all_of_a_hand_is_before_the_film_or_behind_it(grip, variant):
-    """What is in neither picture would be missing, cut off along a joint: the thumb was."""
+    """What is in neither picture would be missing, cut off along a joint: the thumb once was."""
     model = hand_model(grip, variant)
     before, whole = model.skin[..., 0] > MIDDLE, model.shape[..., 3] > MIDDLE
     assert hand(grip).behind or (before == whole).mean() > 0.995
@@ -291,7 +291,7 @@ def test_two_shadows_take_light_one_after_the_other():
 def test_the_penumbra_widens_the_rim_and_keeps_the_middle():
     """Across an edge the factor is that of a blurred step: half the depth on the line, 16 % one sigma beyond it.
 
-    Within what one step of the lattice changes.
+    To within the change over one step of the lattice.
     """
     for penumbra in (20.0, 40.0):
         edge = Shadow("edge", (0.5, 0.5), 0.0, 1.0, penumbra, 0.8, 0)

@@ -1,4 +1,4 @@
-"""Linear algebra's threads are the caller's again once nobody works on a photo, however the calls overlap."""
+"""Linear algebra has the caller's threads back once no photo is being worked on, however the calls overlap."""
 
 from threading import Barrier, Thread
 

@@ -71,7 +71,7 @@ def test_a_film_of_air_shows_what_lies_on_the_light_box(room, monkeypatch):
 
 
 def test_a_light_box_seen_from_behind_the_film_is_as_from_the_front(room):
-    """Half a turn about the vertical: what hangs on it can be read, and it is as bright where it is seen to be."""
+    """Half a turn about the vertical: what hangs on it can still be read, and it is as bright where it is now seen."""
     taken = scene("panel", 2, Light(front=0.0, turn_deg=0.0, lying=False, box=BOX), blur=0.3, things=6)
     taken, turn = replace(taken, material=AIR), np.diag([-1.0, 1.0, -1.0])
     pose = look_at(turn @ taken.camera.centre_world, np.zeros(3), np.array([0, 1.0, 0]))
@@ -103,7 +103,7 @@ def test_a_bare_light_box_shines_through_as_one_that_is_masked(material, room):
 
 
 def test_a_scattering_film_on_an_even_table_is_lit_by_it_alone():
-    """Light of the room cannot come through the table."""
+    """Light from the room cannot come through the table."""
     taken = replace(scene("table", gap_mm=1.0), material=MILK)
     lit = lit_film(FILM, taken)
     picture = np.full((*SIZE, 3), 0.3, np.float32)
@@ -113,7 +113,7 @@ def test_a_scattering_film_on_an_even_table_is_lit_by_it_alone():
 
 
 def test_a_lamp_behind_the_film_is_seen_in_the_room_and_one_before_it_is_not():
-    """As large as it is bright: the pixels it fills follow from its angular size."""
+    """It is as large as it should be, and as bright: the pixels it fills follow from its angular size."""
     view, even = camera(tilt=0.3), prefilter(Environment(np.ones((256, 512, 3), np.float32), "even"))
     away = view.camera_from_world[2, :3]
     for depth, seen in ((1500.0, True), (-600.0, False)):

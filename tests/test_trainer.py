@@ -49,7 +49,7 @@ def dataset(tmp_path_factory):
 
 @pytest.fixture
 def tiny(monkeypatch):
-    """The preset of FilmNet, of a size for tests."""
+    """FilmNet's preset, small enough for tests."""
     monkeypatch.setitem(PRESETS, "filmnet", replace(PRESETS["filmnet"], config=TINY, batch=4))
 
 
@@ -105,7 +105,7 @@ def test_a_run_goes_on_only_with_the_options_that_it_began_with(dataset, tmp_pat
 
 @pytest.mark.usefixtures("tiny")
 def test_a_run_goes_on_only_with_the_data_that_it_began_with(dataset, tmp_path):
-    """Twelve samples each time, in another order or in other shards; wherever they lie."""
+    """Twelve samples each time, in another order or in other shards; where they lie does not matter."""
     first, second = (simple_dataset(tmp_path / name, 4 * k, 4 * k) for k, name in ((1, "a"), (2, "b")))
     run = tmp_path / "run"
     train(quick_run(dataset, run, data=(first, second)))
@@ -128,7 +128,7 @@ def test_a_run_goes_on_only_in_the_precision_that_it_began_with(dataset, tmp_pat
 @pytest.mark.parametrize("lacks", ["data", None])
 @pytest.mark.usefixtures("tiny")
 def test_checkpoints_of_earlier_versions_are_refused_in_a_line(dataset, tmp_path, lacks):
-    """None: they did not say at all how they began."""
+    """None: they did not record at all how they began."""
     train(quick_run(dataset, tmp_path))
     path = tmp_path / "checkpoint.pt"
     stored = torch.load(path, weights_only=True)
@@ -161,7 +161,7 @@ def test_damaged_checkpoints_are_told_with_what_to_do(dataset, tmp_path):
 
 
 def test_the_digest_of_data_tells_numbered_files_apart(tmp_path):
-    """As of flat prints and of lit films, which have no manifest."""
+    """Flat prints and lit films are such files, and have no manifest."""
     folders = [tmp_path / name for name in ("a", "b")]
     for k, folder in enumerate(folders):
         folder.mkdir()
@@ -263,7 +263,7 @@ def test_curves_of_a_run_that_ended_before_its_first_checkpoint_are_begun_anew(d
     assert (tmp_path / "curves.csv").read_text() == curves
 
 
-# ---------------------------------------------------------------- what a step is done with
+# ---------------------------------------------------------------- learning rate and input size of a step
 
 
 def test_the_learning_rate_warms_up_and_falls_by_half_a_cosine(tmp_path):
@@ -390,11 +390,11 @@ STEPS = 2000
 
 @pytest.mark.slow
 def test_one_sample_can_be_learnt_by_heart(tmp_path, monkeypatch):
-    """FilmNet at its own widths, on one view of 128 px: the mean distance of predicted from true film points.
+    """FilmNet at its own widths, on one view of 128 px: the mean distance between predicted and true film points.
 
-    In film units, times the film's mean side in the view, scaled from 128 to 1080: below 0.3 px of a 1080 px photo.
-    Normalised by the view's own statistics, as in training: of the 16 pixels at 1/32 of the view, the running variance
-    (divided by 15) is 7 % larger than the one that was trained with (divided by 16).
+    In film units, times the film's mean side in the view, scaled from 128 to 1080: it falls below 0.3 px of a 1080 px
+    photo. Normalised by the view's own statistics, as in training: over the 16 pixels at 1/32 of the view, the running
+    variance (divided by 15) is 7 % larger than the one used in training (divided by 16).
     """
     px, one_view = 128, None
 

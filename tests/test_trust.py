@@ -1,4 +1,4 @@
-"""When a film is called flattened: never on a contradiction, never without the musts, and never for a better reason."""
+"""When a film is called flattened: never on a contradiction, never without the musts, never because a sign is worse."""
 
 from __future__ import annotations
 
@@ -36,13 +36,13 @@ SURE = Signs(
 
 
 def test_what_was_in_doubt_at_first_is_trusted_less() -> None:
-    """What is the surest of several refinements is sure by selection, too."""
+    """The surest of several refinements is so partly by selection."""
     assert chance_right(replace(SURE, doubted=True)) < chance_right(SURE)
     assert expected_error_px(replace(SURE, doubted=True)) == expected_error_px(SURE)
 
 
 def test_without_a_grid_what_shows_in_a_nearer_look_alone_is_no_film() -> None:
-    """Of parts of rooms and of papers some look like a sheet once the rest is left out."""
+    """Some parts of rooms and of papers look like a sheet once the rest is left out."""
     bare = replace(SURE, grid=False, in_step=0.0, alike=0.0)
     assert film_verdict(bare).code is StatusCode.UNSURE
     assert film_verdict(replace(bare, near=True)).code is StatusCode.NO_FILM
@@ -59,7 +59,7 @@ def test_the_side_with_the_least_support_is_named(k: int) -> None:
 
 
 def test_sides_outside_the_photo_are_named() -> None:
-    """A corner may lie outside, and a film may end where the photo does, or be read a pixel beyond that."""
+    """A corner may lie outside, and a film may end where the photo does or be read as ending a pixel beyond that."""
     frame = frame_of((600, 400))
     assert sides_outside(frame, (600, 400)) == ()
     assert sides_outside(frame.cropped((1.0, 1.0), (1.0, 1.0)), (598, 398)) == ()
@@ -148,7 +148,7 @@ def test_the_expected_error_scales_with_the_photo_and_the_verdict_does_not_chang
 
 
 def test_in_a_tiny_photo_one_pixel_is_allowed() -> None:
-    """Five pixels of 1080 would be half a pixel there."""
+    """Five pixels of a 1080 px photo would be half a pixel there."""
     tiny, larger = (replace(SURE, film_px=70.0, photo_px=px) for px in (108, 216))
     assert chance_right(tiny) == chance_right(larger)
     assert film_verdict(tiny).code is film_verdict(larger).code

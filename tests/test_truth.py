@@ -1,4 +1,4 @@
-"""Truth of a sample at the points of a view: what lies before the film is told from what is beside it."""
+"""Truth of a sample at the points of a view: what lies in front of the film is told from what lies beside it."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from hybrid.learn.shards import Shard
 
 
 class OneSample(Shard):
-    """A shard of one sample without maps but the film's: a flat film in a photo of 160 px, maps of 80 px."""
+    """A shard of one sample whose only maps are the film's: a flat film in a photo of 160 px, maps of 80 px."""
 
     def __init__(self, hole: tuple[slice, slice] | None) -> None:
         self.nodes = 24.0 + 112.0 * film_nodes((5, 5))
@@ -34,7 +34,7 @@ class OneSample(Shard):
 
 
 def test_a_normal_is_known_wherever_film_is_seen(tmp_path):
-    """Also where the nearest pixel shows none, and film is seen by the three around it."""
+    """Also where the nearest pixel shows no film but the three others around the point do."""
     place = open_places([simple_dataset(tmp_path, count=2, shard_size=2)])[0]
     truth = truth_at(place, pixel_centres((48, 48)) + 0.37, (48, 48))
     np.testing.assert_allclose(np.linalg.norm(truth.normal[truth.mask], axis=-1), 1.0, atol=1e-5)

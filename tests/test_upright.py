@@ -1,4 +1,4 @@
-"""Which way is up: where films are written on, what the patches say together, and what the packaged network reads."""
+"""Which way is up: where films carry writing, what the patches say together, and what the packaged network reads."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -82,7 +82,7 @@ def test_fewer_letters_give_fewer_patches():
 
 @pytest.mark.parametrize("way", WAYS)
 def test_votes_turn_with_the_patches(way):
-    """A patch that is moved as ``way.inverse`` says needs ``way`` more: whatever the weights, no way is favoured."""
+    """A patch moved by ``way.inverse`` needs ``way`` once more: whatever the weights, no way is favoured."""
     torch.manual_seed(0)
     network = UprightNet(UprightNetConfig()).eval()
     patches = np.random.default_rng(0).normal(size=(2, 3, 48, 48)).astype(np.float32)
@@ -131,7 +131,7 @@ def test_a_contact_sheet_is_no_print(tmp_path: Path):
 
 
 def test_a_view_shows_the_prints_letters_upright():
-    """A print of one sign again and again: its patches look like the sign as it reads."""
+    """A print of one sign again and again: its patches show the sign upright."""
     sign = np.zeros((70, 70), np.uint8)
     cv2.putText(sign, "F", (22, 46), cv2.FONT_HERSHEY_SIMPLEX, 0.9, 230, 2, cv2.LINE_AA)
     clean = PrintAugment(
@@ -176,7 +176,7 @@ def test_what_cannot_be_read_is_left_as_it_lies(reader):
 
 
 def test_no_more_is_read_than_is_needed(reader):
-    """A film of clear writing ends the reading early; where nothing is ever sure enough, all of it is read."""
+    """Clear writing ends the reading early; where nothing is ever sure enough, all of it is read."""
     looked = []
     hook = reader.register_forward_hook(lambda _, patches, __: looked.append(patches[0].shape[1]))
     try:
@@ -197,7 +197,7 @@ def test_without_evidence_most_films_lie_right():
 
 
 def chances_of(**ways: float) -> np.ndarray:
-    """Of the ways named w0 to w7; the others share what is left."""
+    """Chances of the ways named w0 to w7; the others share what is left."""
     chances = np.full(8, (1 - sum(ways.values())) / (8 - len(ways)), np.float32)
     for name, chance in ways.items():
         chances[int(name[1:])] = chance
@@ -213,5 +213,5 @@ def test_weak_evidence_moves_no_film():
 
 
 def test_a_film_that_surely_lies_wrong_is_moved_as_it_most_likely_reads():
-    """As one on its side, of which only the slices can be read: it may be mirrored or not."""
+    """Such as one on its side of which only the slices can be read: it may be mirrored or not."""
     assert upright_way(chances_of(w0=0.001, w1=0.7, w7=0.29), UprightConfig())[0] == TURNED

@@ -125,7 +125,7 @@ def test_from_photo_to_backward_map_and_film():
     photo = np.zeros((200, 300, 3), dtype=np.uint8)
     recovery = recover(_Knowing(), photo)
     uv = film_centres((9, 7))
-    # Of the square of 300 pixels around the photo 50 lie above it and 50 below.
+    # The square around the photo has sides of 300 pixels, of which 50 lie above the photo and 50 below.
     np.testing.assert_allclose(recovery.backward.photo_from_film(uv), photo_from_film(uv) * 300 - [0, 50], atol=0.01)
     # The print has 4 x 4 even cells: their centres in the film are what the albedo map shows at their photo points.
     _, targets = flat_case(PX, PX, batch=1)

@@ -43,7 +43,7 @@ def test_views_show_the_film(depth):
 
 @pytest.mark.parametrize("depth", [40.0, 120.0])
 def test_films_leave_the_frame_only_where_they_may(depth):
-    """Turning the phone moves the picture, and what nears a corner grows: that may not put a film out of the frame."""
+    """Turning the phone moves the picture, and what nears a corner grows: neither may push a film out of the frame."""
     film, size = bent(depth), np.array(SIZE[::-1])
     points = film.surface(T, T).reshape(-1, 3)
 

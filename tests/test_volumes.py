@@ -43,7 +43,7 @@ def save(path: Path, **arrays: object) -> Path:
 
 
 def test_other_planes_have_the_head_at_the_top():
-    """One voxel, told by its values along the axes: caudal to cranial, front to back, right to left."""
+    """One voxel, identified by its place along the axes: caudal to cranial, front to back, right to left."""
     hu = np.full((3, 5, 7), -1000, np.int16)
     hu[2, 1, 6] = 500  # cranial, near the front, at the left
     volume = CtVolume(hu, (3.0, 2.0, 1.0), "one")
@@ -89,7 +89,7 @@ def test_npz_round_trip(tmp_path: Path):
 
 
 def test_the_name_of_a_file_reaches_no_data_set(tmp_path: Path):
-    """It may be a patient's."""
+    """The name may be a patient's."""
     volume = cylinder(200.0)
     path = save(tmp_path / "Jane Doe.npz", hu=volume.hu, spacing_mm=np.array(volume.spacing_mm))
     read = read_npz(path)
@@ -138,7 +138,7 @@ AXES = {"R": (0, 1), "L": (0, -1), "A": (1, 1), "P": (1, -1), "S": (2, 1), "I": 
 
 
 def scan() -> CtVolume:
-    """A volume that tells every corner apart."""
+    """A volume whose corners can be told apart."""
     hu = np.random.default_rng(0).integers(-1000, 1000, (3, 6, 5)).astype(np.int16)
     return CtVolume(hu, (5.0, 0.8, 0.7), "scan")
 
@@ -207,7 +207,7 @@ def test_nifti_that_is_no_ct_is_refused_with_a_reason(tmp_path: Path):
 
 
 def folder_with_odd_files(folder: Path, odd: int) -> Path:
-    """A scan, one of two slices, and so many files that are none."""
+    """A folder of a scan, a scan of two slices, and this many files that are no scans."""
     volume = cylinder(200.0)
     for name, hu in (("scan", volume.hu), ("short", volume.hu[:2])):
         save(folder / f"{name}.npz", hu=hu, spacing_mm=np.array(volume.spacing_mm))

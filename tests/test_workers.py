@@ -17,7 +17,7 @@ from hybrid.workers import shared_out
 
 
 class Tool:
-    """Tells in which process it works."""
+    """Records in which process it works."""
 
     def __init__(self) -> None:
         self.process = os.getpid()
@@ -27,7 +27,7 @@ class Tool:
 
 
 def work(tool: Tool, task: int) -> tuple[int, int]:
-    """Dies at negative tasks; takes long enough for others to be under way."""
+    """Dies on negative tasks; takes long enough for others to be under way."""
     if task < 0:
         os._exit(1)
     time.sleep(0.05)
@@ -62,7 +62,7 @@ def test_a_worker_that_dies_is_told_and_ends_nothing_else():
 
 
 def test_workers_leave_with_a_parent_that_is_killed(tmp_path: Path):
-    """Else they would wait for tasks for ever, with all that they have loaded."""
+    """Otherwise they would wait for tasks for ever, holding all that they have loaded."""
     code = (
         "import sys; sys.path.insert(0, sys.argv[1])\n"
         "from test_workers import Tool, work\n"
@@ -85,7 +85,7 @@ def test_workers_leave_with_a_parent_that_is_killed(tmp_path: Path):
 
 
 def is_running(process: int) -> bool:
-    """Not one that has ended and that nobody asks for."""
+    """Whether a process runs; one that has ended but was not waited for does not."""
     try:
         return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
     except (FileNotFoundError, ProcessLookupError):
