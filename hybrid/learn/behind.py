@@ -1,9 +1,9 @@
 """What lies behind a film and may be taken for part of it, put into training photos: shadows, sheets, films, patterns.
 
-The data's rooms, tables and lamps are simulated (data_gen), but not all that a film may lie on. Of 69 photos with truth
-that were given a hard shadow of the film, 14 were read with film and shadow as one sheet by a network that had not seen
-any; of 50 laid on a dark sheet it saw 17 to 10 px of 1080 (45 as they were), on a white one 33, beside another film 33,
-on stripes 26.
+The data simulate rooms, tables and lamps (data_gen), but not everything that a film may lie on. A network that had not
+seen such grounds took film and shadow for one sheet in 14 of 69 photos with truth that were given a hard shadow of the
+film. Of 50 photos it was right to 10 px of 1080 in 45 as they were, in 17 with the film laid on a dark sheet, in 33 on
+a white one, in 33 beside another film, and in 26 on stripes.
 """
 
 from __future__ import annotations
@@ -28,17 +28,18 @@ Nodes = Float[np.ndarray, "n m 2"]
 Outline = Float[np.ndarray, "n 2"]
 
 SHARE = 0.45
-"""Of the photos that may get something behind their film, those that do."""
+"""Share of the photos that may get something behind their film in which something is put there."""
 
 KINDS = {"shadow": 0.2, "sheet": 0.25, "films": 0.4, "pattern": 0.15}
-"""Of these the shares of what it is."""
+"""Shares of what that is."""
 
 IN_ROW, APART = 0.65, (0.96, 1.13)
-"""Of the photos with further films, those on which they hang in a row with this one; and how far, in its sides, the
-middles are then: as light boxes have them, a gap between parallel edges, across which one film looks like the other."""
+"""Share of the photos with further films in which these hang in a row with the film; and the distance of their middles
+then, in its sides. On light boxes films hang so, with a gap between parallel edges and one film looking like the other.
+"""
 
 MORE_SHARE = 0.25
-"""Of these, those with two such things, one upon the other."""
+"""Share with two such things, one upon the other."""
 
 LENS_PX = 0.8
 """Sigma of the blur at a film's rim in the data's photos where the lens is in focus."""
@@ -47,10 +48,10 @@ REFERENCE_SIDE = 1000.0
 """Longer side of a photo, in pixels, to which the blur in its record refers."""
 
 MOVED_PX = 2.0
-"""Photos that moved by more than this are left as they are: their blur is not the same along all of the rim."""
+"""Photos blurred by more motion than this are left as they are: the blur differs along the film's rim."""
 
 CLEAR = 0.3
-"""Share of a film's light that passes straight through, from which on what lies behind would be seen through it."""
+"""Least share of light passing straight through a film at which what lies behind would be seen through it."""
 
 FILM_PX = 192
 """Side of another film's picture."""
@@ -63,10 +64,10 @@ _SRGB = np.rint(255 * srgb_from_linear(np.arange(_MOST + 1) / _MOST)).astype(np.
 
 
 def behind_some(place: Place, photo: Picture, film: BackwardMap, rng: np.random.Generator) -> Picture:
-    """The photo of a sample, of some with something behind the film; the film itself stays as it was.
+    """A sample's photo, at times with something put behind the film; the film itself stays as it was.
 
-    So does a photo with things over the film, which would be cut off where it ends. Behind a clear film, which would
-    show the rest, only shadows are put.
+    Photos with things over the film stay as they are, as these would be cut off where the film ends. Behind a clear
+    film, which would show the rest, only shadows are put.
     """
     if rng.random() >= SHARE:
         return photo
@@ -92,8 +93,10 @@ def behind_some(place: Place, photo: Picture, film: BackwardMap, rng: np.random.
 
 
 def ground_around(place: Place, photo: Picture, film: BackwardMap) -> tuple[Outline, Grey] | None:
-    """The film's outline in the photo of a sample, and the share, of 255, of the ground in each pixel; None of photos
-    that things lie before, or that moved."""
+    """The film's outline in a sample's photo, and the share, of 255, of the ground in each pixel.
+
+    None for photos with things over the film, and for those blurred by motion.
+    """
     shard, index = place
     record, scale = shard.record(index), max(photo.shape) / REFERENCE_SIDE
     lens = record.get("lens", {"defocus_px": 0.0, "motion_px": 0.0})
@@ -104,7 +107,7 @@ def ground_around(place: Place, photo: Picture, film: BackwardMap) -> tuple[Outl
 
 
 def clear_share(record: dict[str, Any]) -> float:
-    """Of the light that a sample's film sends on, what passes straight through it; 0 where that is not known."""
+    """Share of the light that a sample's film sends on which passes straight through it; 0 where it is not known."""
     if "material" not in record:
         return 0.0
     clear, *scattered = (record["material"][name] for name in ("clear", "transmission", "diffuse"))
@@ -117,7 +120,7 @@ def _few(rng: np.random.Generator) -> int:
 
 
 def with_shadow(photo: Picture, outline: Outline, free: Grey, rng: np.random.Generator) -> Picture:
-    """A hard shadow of the film's shape, as a point source throws it of a film that stands off what is behind it.
+    """A hard shadow of the film's shape, as a point source throws it where the film stands off the ground.
 
     outline: of the film, in the photo. free: share, of 255, of the ground in each pixel.
     """
@@ -172,7 +175,7 @@ def with_sheet(photo: Picture, nodes: Nodes, free: Grey, rng: np.random.Generato
 def with_films(
     photo: Picture, nodes: Nodes, free: Grey, pictures: Sequence[Square], rng: np.random.Generator
 ) -> Picture:
-    """Further films, flat: in a row with this one, as on a light box, or anyhow and partly below it.
+    """Further films, flat: in a row with this one, as on a light box, or at any angle and partly below it.
 
     pictures: of these films.
     """
@@ -204,7 +207,7 @@ def another_film(place: Place, rng: np.random.Generator) -> Square:
 def ground_of(outline: Outline, size: tuple[int, ...], lens_px: float = LENS_PX) -> Grey:
     """Share, of 255, of the ground in each pixel of a photo of ``size`` (h, w), around a film of an outline there.
 
-    All of the film's rim counts as ground, for there the lens mixes both: left as it was it would tell film from rest.
+    All of the film's rim counts as ground, as the lens mixes both there: left as it was, it would give the film away.
     lens_px: sigma of that blur.
     """
     soft = cv2.GaussianBlur(filled(outline, size), (0, 0), lens_px)
@@ -212,7 +215,7 @@ def ground_of(outline: Outline, size: tuple[int, ...], lens_px: float = LENS_PX)
 
 
 def _darkened(photo: Picture, share: Grey, rng: np.random.Generator) -> Picture:
-    """The photo with some of its light taken, by ``share`` of 255, and a little of its colour: other light is left."""
+    """The photo with a part of its light taken, by ``share`` of 255, and the colour of the rest changed a little."""
     taken = np.clip(rng.uniform(0.15, 0.9) + 0.08 * rng.normal(0, 1) * np.array([1.0, 0.0, -1.0]), 0, 0.95)
     left = (_MOST * (1 - np.arange(256)[:, None] / 255 * taken)).astype(np.float32)
     light = cv2.multiply(cv2.LUT(photo, _LINEAR[None]), cv2.LUT(cv2.merge([share] * 3), left[None]))

@@ -1,9 +1,10 @@
 """Training views of EdgeNet: strips across the edges that a map predicts, and where the edges really are.
 
-Predicted are they by the true map, disturbed, or by what FilmNet made of the photo (data_gen/film_maps.py). Only that
-errs as it does in use: where a shadow or a frame looks like the sheet's edge FilmNet is drawn to it first. Of shadows
-that are put into photos here FilmNet has seen nothing; there the true map is moved out to them (near_edges.py). And
-where margins are sought (rectify/clear_margins.py) maps end where nothing is to be seen: so do some of them all.
+The predicting map is the true one, disturbed, or the one that FilmNet made of the photo (data_gen/film_maps.py). Only
+FilmNet's errs as it does in use: where a shadow or a frame looks like the sheet's edge, FilmNet has already been drawn
+to it. It has not seen the shadows that are put into photos here, so for these the true map is moved out to them
+(near_edges.py). In the search for margins (rectify/clear_margins.py) a map may end where there is nothing to see, and
+so do some of the maps here.
 """
 
 from __future__ import annotations
@@ -40,12 +41,13 @@ JUST_INSIDE = 0.02
 class EdgeAugment:
     """How the predicting map errs.
 
-    drawn_share: maps that take a shadow beside the film for part of it, where there is one. found_share: of the others
-    those that FilmNet made, where these are known. found_error: range of one sigma of what the corners of both are
-    disturbed by, in parts of the film. plane_share: of the others those that are the plane nearest to the true one.
-    plane_error, bend_error: range of one sigma of their corners' error and of a smooth bent one. far_share: of all
-    maps those of which a side or two are moved; far: range of how far, which may be further than strips reach.
-    outwards_share: of these sides those that are moved outwards. colours: whether colours are disturbed.
+    drawn_share: share of the photos with a shadow right beside the film in which the map reaches out to it.
+    found_share: of the rest, the share that use FilmNet's map, where there is one. found_error: range of the standard
+    deviation of the disturbance of the corners of both, in parts of the film. plane_share: of the rest, the share that
+    use the plane nearest to the true map. plane_error, bend_error: range of the standard deviation of the error of
+    their corners, and of a smooth bent one. far_share: share of all maps of which a side or two are moved; far: range
+    of how far, which may be further than strips reach. outwards_share: of these sides, the share that is moved
+    outwards. colours: whether colours are disturbed.
     """
 
     drawn_share: float = 0.65
@@ -62,14 +64,14 @@ class EdgeAugment:
 
 @dataclass(frozen=True, eq=False)
 class EdgePlace:
-    """A sample, and the nodes of FilmNet's map of it, turned as the film is seen; None where that is not known."""
+    """A sample, and the nodes of FilmNet's map of it, turned as the film is seen; None where there is no such map."""
 
     place: Place
     found: Float[np.ndarray, "n m 2"] | None
 
 
 def open_edges(folders: Sequence[Path]) -> list[EdgePlace]:
-    """All samples of some data sets, with FilmNet's maps where they lie beside them.
+    """All samples of some data sets, with FilmNet's maps where these are stored beside them.
 
     Raises:
         DataError: a data set or maps that cannot be read, or maps that are not as many as its samples.
@@ -99,7 +101,7 @@ def _read_maps(path: Path) -> Float[np.ndarray, "k n m 2"]:
 def edge_view(
     sample: EdgePlace, strip: StripConfig, rng: np.random.Generator, augment: EdgeAugment
 ) -> tuple[UInt8[np.ndarray, "4 r c 3"], Bool[np.ndarray, "4 r c"], Float[np.ndarray, "4 c2"]]:
-    """Strips of a sample, where the photo covers them, and the true rows in each pair of columns (NaN: not shown)."""
+    """Strips of a sample, where the photo covers them, and the true row for each pair of columns (NaN: not shown)."""
     place, way = sample.place, Orientation(int(rng.integers(4)), bool(rng.random() < 0.5))
     photo, film, corners = photo_of(place), film_of(place), round_corners_of(place)
     drawn: BackwardMap | None = None
@@ -135,7 +137,7 @@ def edge_view(
 
 
 def sides_far(film: BackwardMap, augment: EdgeAugment, rng: np.random.Generator) -> BackwardMap:
-    """The map with one side, or two, far outside or inside of where it has them, a little turned."""
+    """The map with one or two sides moved far outside or inside, and turned a little."""
     by = np.zeros((2, 2, 2))
     for side in one_side_or_two(rng):
         outwards = rng.random() < augment.outwards_share
@@ -153,9 +155,10 @@ def true_rows(
     strip: StripConfig,
     corners: RoundCorners | None = None,
 ) -> Float[np.ndarray, "4 c2"]:
-    """Rows of the strips of ``guess`` at which the edges of ``true`` cross the middles of pairs of columns; NaN where a
-    hand or another thing hides the edge, too: what hides it has an edge of its own, which must not count. NaN as well
-    where corners are rounded: there the sheet ends, but not at the edge that is sought.
+    """Rows of the strips of ``guess`` at which the edges of ``true`` cross the middles of pairs of columns.
+
+    NaN where a hand or another thing hides the edge: its own edge must not count. NaN also where a corner is rounded:
+    there the sheet ends, but not at the edge that is sought.
 
     size: (height, width) of the photo. mask: where it shows film, at any resolution.
     """
@@ -179,10 +182,11 @@ def row_of_line(
     size: tuple[int, int],
     strip: StripConfig,
 ) -> Float[np.ndarray, " c2"]:
-    """Rows of the strip of ``guess`` across a side at which a line crosses the middles of pairs of columns; NaN where
-    less than half of it is visible, it lies outside of the photo or of the strip, or has ended.
+    """Rows of the strip of ``guess`` across a side at which a line crosses the middles of pairs of columns.
 
-    uv: points along the line, by ``true``. visible: how far each is seen, in [0, 1]. size: (height, width) of the
+    NaN where less than half of the line is visible, and where it lies outside of the photo or the strip or has ended.
+
+    uv: points along the line, by ``true``. visible: how much of each is seen, in [0, 1]. size: (height, width) of the
     photo.
     """
     points = true.photo_from_film(uv)
@@ -197,13 +201,13 @@ def row_of_line(
 
 
 def disturbed_alike(images: UInt8[np.ndarray, "k r c 3"], rng: np.random.Generator) -> UInt8[np.ndarray, "k r c 3"]:
-    """Strips of one photo with their colours disturbed in the same way: side by side, as one picture."""
+    """Strips of one photo with their colours disturbed alike, as if they were one picture."""
     return np.stack(np.split(disturbed(np.concatenate(images, axis=1), rng), len(images), axis=1))
 
 
 def film_shown(
     mask: Bool[np.ndarray, "h w"], points: Float[np.ndarray, "n 2"], size: tuple[int, int]
 ) -> Float[np.ndarray, " n"]:
-    """Share of film around photo points, each among the mask's four nearest pixels."""
+    """Share of film at photo points, interpolated between the mask's four nearest pixels."""
     at = rescale_points(points, size, (mask.shape[0], mask.shape[1]))
     return sample_bilinear(mask.astype(np.float32), at[None])[0].astype(float)

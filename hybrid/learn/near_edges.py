@@ -1,10 +1,10 @@
 """What looks like the sheet's edge beside it, put into EdgeNet's training photos: shadows, bands and margins of prints.
 
-A film that stands off the table by a few millimetres throws a shadow of its own shape, which sticks out by 0.5 to 5 %
-of the film on one or two sides and is as dark as a rim of clear film. FilmNet takes it for part of the sheet. Then an
-edge lies just where the map says, and EdgeNet, which had met such edges only where the map was right, believed it. Once
-it has met shadows, a black band below a patient's couch looks like one, and so does a margin that is a little darker or
-brighter than the cells: so bands and margins are put into prints, too.
+A film that stands a few millimetres off the table throws a shadow of its own shape, which sticks out by 0.5 to 5 % of
+the film on one or two sides and is as dark as a rim of clear film. FilmNet takes it for part of the sheet. The false
+edge then lies just where the map says, and EdgeNet believed it while it had met such edges only through maps that were
+right. But once it has met shadows, it takes the black band below a patient's couch for one, and a margin that is a
+little darker or brighter than the cells as well; so bands and margins are put into prints, too.
 """
 
 from __future__ import annotations
@@ -22,34 +22,35 @@ from hybrid.learn.samples import Place
 from hybrid.strips import SIDES, Side
 
 SHADOW_SHARE, BAND_SHARE, MARGIN_SHARE = 0.08, 0.15, 0.15
-"""Of the photos over whose film nothing lies, those that get a shadow, a band in the print, and margins in it."""
+"""Shares of the photos with nothing lying over the film that get a shadow, a band in the print, and margins in it."""
 
 FAR = (0.004, 0.08)
 """How far beside the film a shadow lies, in sizes of the film."""
 
 SLANT = 0.4
-"""One sigma of how much, in parts of that, it is turned, stretched and sheared: a sheet stands off unevenly."""
+"""Standard deviation, in parts of that, of how the shadow is turned, stretched and sheared, as by a sheet that stands
+off unevenly."""
 
 RIM = (0.0005, 0.012)
 """Sigma of its blurred rim, in sizes of the film."""
 
 REACHED = (0.002, 0.085)
-"""Parts of the film by which a map's corners are moved out to the shadow: no strip would show more."""
+"""Range of how far a map's corners are moved out to the shadow, in parts of the film: a strip would not show more."""
 
 PART_SHARE = 0.3
-"""Of the maps, those that take part of the shadow only for the sheet."""
+"""Share of the maps that take only part of the shadow for the sheet."""
 
 DEEP, THICK = (0.006, 0.09), (0.0006, 0.008)
 """How deep in the film a band ends, or a margin, and how thick the line of a band is, in parts of the film."""
 
 BROKEN_SHARE, PIECES = 0.5, (3, 8)
-"""Of the lines, those that are broken, as each slice has one; and the least and most pieces then."""
+"""Share of the lines that are broken, as where each slice has its own; and the least and most pieces then."""
 
 LIFT = (1.0, 40.0)
 """By how many grey levels margins are brighter than what is darkest nearby."""
 
 LIFTED_SHARE, ALL_ROUND = 0.7, 0.5
-"""Of the margins, those that are brighter at all, and those on all four sides."""
+"""Shares of the margins that are brighter at all, and that lie on all four sides."""
 
 GREYS = (8, 96)
 """Percentiles of the film's colours in the photo that bands and lines are near."""
@@ -61,8 +62,10 @@ CORNERS = film_nodes((2, 2)).reshape(4, 2)
 def near_edges(
     place: Place, photo: Picture, film: BackwardMap, rng: np.random.Generator
 ) -> tuple[Picture, BackwardMap | None]:
-    """The photo of a sample, of some with a band along a side of the print, or with a shadow right beside the film; and
-    the map that takes this for part of the sheet, None where there is no shadow."""
+    """A sample's photo, at times with a band along a side of the print, or with a shadow right beside the film.
+
+    Also the map that takes the shadow for part of the sheet; None where there is none.
+    """
     band, shadow = rng.random(2) < (BAND_SHARE, SHADOW_SHARE)
     around = ground_around(place, photo, film) if band or shadow else None
     if around is None:
@@ -74,7 +77,7 @@ def near_edges(
 
 
 def margins_some(place: Place, photo: Picture, film: BackwardMap, rng: np.random.Generator) -> Picture:
-    """The photo of a sample, of some with margins along sides of the print."""
+    """A sample's photo, at times with margins along sides of the print."""
     around = ground_around(place, photo, film) if rng.random() < MARGIN_SHARE else None
     return photo if around is None else with_margins(photo, film, around[1], rng)
 
@@ -96,7 +99,7 @@ def near_shadow(
 
 
 def reaching(film: BackwardMap, thrown: Float[np.ndarray, "4 2"], part: float = 1.0) -> BackwardMap:
-    """The map that takes the film's shadow for part of the sheet where it sticks out, or so much of it only.
+    """The map that takes the film's shadow for part of the sheet where it sticks out, or only so large a part of it.
 
     thrown: photo points of the shadows of CORNERS.
     """
