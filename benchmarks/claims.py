@@ -26,7 +26,7 @@ class Claim:
         return self.status == StatusCode.OK.name
 
     def broken_by(self, end_point_px: float) -> bool:
-        """Whether the film is called flattened, and is further off than that allows."""
+        """Whether the film is called flattened, but its error is larger than that allows."""
         return self.ok and self.limit_px is not None and end_point_px > self.limit_px
 
 

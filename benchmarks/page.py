@@ -52,7 +52,7 @@ def read_results(folder: Path, prefix: str = "") -> Results:
 
 
 ON_THE_PAGE_ALONE = frozenset({*CONFIGURATIONS, FLOOR, "scanner", "dewarpnet_full"})
-"""Methods that the README leaves out: others of their kind stand there."""
+"""Methods that the README leaves out, as it has others of their kind."""
 
 
 def readme_table(report: Report) -> str:
@@ -112,7 +112,7 @@ def write_page(page: Path, out: Path, readme: Path | None = None) -> None:
 
 @dataclass(frozen=True)
 class Options:
-    """Make the page from results that are there."""
+    """Make the page from existing results."""
 
     out: Path
     """Folder of run.json and, if made, surroundings.json, stability.json and soak.json."""
@@ -123,12 +123,12 @@ class Options:
 
 
 def run(options: Options, command: list[str]) -> None:
-    """Make the page; nothing that it says depends on the command that makes it."""
+    """Make the page; its text does not depend on the command that makes it."""
     write_page(options.page, options.out, options.readme)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """The command; 0 if it went through."""
+    """The command; returns 0 if it succeeded."""
     return run_command("benchmarks.page", Options, run, arguments)
 
 

@@ -1,4 +1,4 @@
-"""The tables of the page and of the terminal, in Markdown, read off the figures of ``benchmarks.run``."""
+"""The tables of the page and of the terminal, in Markdown, made from the figures of ``benchmarks.run``."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def number(value: float | None, places: int) -> str:
 
 
 def pair(value: float | None, other: float | None, places: int) -> str:
-    """A figure and, in brackets, another way to take it."""
+    """A figure and, in brackets, its other version."""
     return "-" if value is None and other is None else f"{number(value, places)} ({number(other, places)})"
 
 
@@ -91,7 +91,7 @@ def surroundings_table(report: SurroundingsReport) -> str:
 
 
 def memory_text(report: Report) -> str:
-    """What each method takes beyond the libraries and the photo, at each size."""
+    """Memory of each method beyond the libraries and the photo, at each size."""
     sizes = list(dict.fromkeys(m.megapixels for m in report.memory))
     known = {(m.method, m.megapixels): f"{m.own_mib:.0f}" for m in report.memory}
     labels = {m.name: m.label for m in report.methods}
@@ -101,7 +101,7 @@ def memory_text(report: Report) -> str:
 
 
 def forward_text(report: Report) -> str:
-    """The networks alone, with columns for a GPU where one was at hand."""
+    """Times of the networks alone, with columns for a GPU if one was at hand."""
     times = {(f.network, f.device, f.batch): (min(f.seconds), min(f.cpu_seconds)) for f in report.forward}
     columns = list(dict.fromkeys((f.device, f.batch) for f in report.forward))
     kinds = {f.network: (f"{f.parameters / 1e6:.1f}", str(f.input_px)) for f in report.forward}
@@ -116,7 +116,7 @@ def forward_text(report: Report) -> str:
 
 
 def _forward_ms(seconds: tuple[float, float] | None, device: str) -> str:
-    """Milliseconds, with those of the processor where the network runs on it."""
+    """Milliseconds, with processor time if the network runs on the processor."""
     if seconds is None:
         return "-"
     clock, cpu = (number(1e3 * value, 1) for value in seconds)
@@ -127,7 +127,7 @@ def _forward_ms(seconds: tuple[float, float] | None, device: str) -> str:
 
 
 def duel_text(found: Sequence[Duel]) -> str:
-    """How a method does against each rival, at every size."""
+    """A method compared with each rival, at every size."""
     sizes = list(dict.fromkeys(d.megapixels for d in found))
     rows = []
     for of_rival in _by_rival(found):
@@ -141,7 +141,7 @@ def duel_text(found: Sequence[Duel]) -> str:
 
 
 def losses_text(report: Report) -> str:
-    """Every rival that some effort is not both faster and nearer than, and kinds of photos on which one is nearer."""
+    """Every rival that some effort does not beat in both time and error, and kinds of photos on which one is nearer."""
     if not efforts_of(report):
         return "`hybrid` was not run."
     lines = []
@@ -156,7 +156,7 @@ def losses_text(report: Report) -> str:
 
 
 def _by_rival(found: Sequence[Duel]) -> list[list[Duel]]:
-    """The same apart for each rival."""
+    """The same, grouped by rival."""
     names = dict.fromkeys(d.rival.name for d in found)
     return [[d for d in found if d.rival.name == name] for name in names]
 
@@ -247,7 +247,7 @@ def photos_text(report: Report, method: str = MAIN) -> str:
 
 
 def configuration_text(report: Report) -> str:
-    """The pipeline, and what becomes of it with one thing changed."""
+    """The pipeline as it is, and with one thing changed at a time."""
     size = report.settings.sizes[0]
     rows = [r for r in rows_of(report, size) if r.method.name in OWN]
     cells = [
@@ -277,7 +277,7 @@ def stages_text(report: Report, method: str = MAIN) -> str:
 
 
 def figures_text(report: Report) -> str:
-    """What the terminal is told of a run: methods by size, `hybrid` by kind of photo and photo by photo."""
+    """What the terminal shows of a run: methods by size, `hybrid` by kind of photo and photo by photo."""
     parts = [*(size_section(report, size) for size in report.settings.sizes), split_text(report)]
     if MAIN in efforts_of(report):
         parts.append(photos_text(report))

@@ -1,7 +1,7 @@
 """Random problems for single parts of the code: splines, uv maps, grids. Each must be solved, or refused for a reason.
 
-An outcome (``End``) is a residual, a refusal, or a failure: an exception that is no refusal, a number that is
-not finite, a law that is broken.
+An outcome (``End``) is a residual, a refusal, or a failure: an exception that is no refusal, a number that is not
+finite, a law that is broken.
 """
 
 from __future__ import annotations

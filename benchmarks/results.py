@@ -1,4 +1,4 @@
-"""What ``benchmarks.run`` measures, as it lies in its JSON files."""
+"""What ``benchmarks.run`` measures, as stored in its JSON files."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class Measured:
 
     @property
     def wrongly_ok(self) -> bool:
-        """Whether the film is called flattened, and is further off than that allows."""
+        """Whether the film is called flattened, but its error is larger than that allows."""
         return self.claim is not None and self.score is not None and self.claim.broken_by(self.score.end_point_px)
 
 
@@ -82,7 +82,7 @@ class Forward:
 
 @dataclass(frozen=True)
 class MethodNote:
-    """A method, as benchmarks.methods.Method tells of itself."""
+    """A method, as benchmarks.methods.Method describes it."""
 
     name: str
     label: str

@@ -99,7 +99,7 @@ def _known(figure: Callable[[Measured], float | None], measured: Sequence[Measur
 
 
 def spread(items: Sequence[Item], count: int) -> list[Item]:
-    """So many of the items, evenly from first to last."""
+    """The given number of items, evenly spaced from first to last."""
     chosen = min(count, len(items))
     return [items[k * len(items) // chosen] for k in range(chosen)]
 
@@ -163,7 +163,7 @@ class Duel:
 
     @property
     def lost(self) -> bool:
-        """Whether the method is not both faster and nearer, as far as that can be compared."""
+        """Whether the method does not beat the rival in both time and error, as far as they can be compared."""
         return min(self.faster, self.cheaper) < 1 or (self.closer is not None and self.closer < 1)
 
 

@@ -38,8 +38,8 @@ class FilmView:
 def _lattice_xy(
     nodes: Float[np.ndarray, "gh gw 2"], u: Float[np.ndarray, " w"], v: Float[np.ndarray, " h"]
 ) -> tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"]]:
-    """Separately, as OpenCV reads them quickest: x and y (float32) of all points (u[j], v[i]) of a map with these
-    nodes, which is separable."""
+    """x and y (float32) of all points (u[j], v[i]) of a map with these nodes, in two arrays, as OpenCV reads them
+    fastest. Rows and columns are interpolated in turn."""
     gh, gw = nodes.shape[:2]
     columns = np.tensordot(spline_weights(gh, v), nodes, axes=(1, 0)).astype(np.float32)
     weights_u = spline_weights(gw, u).astype(np.float32).T
