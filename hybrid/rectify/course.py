@@ -1,9 +1,10 @@
 """From one map to start from, round by round, to a map that is supported by what is seen on the film.
 
 The start is kept and corrected by a smooth displacement of the film plane (sightings.py). Sightings are the sheet's
-edges (outline.py), the rules or gutters between the slices (grid.py), and what the cells have in common (match.py in
-the first round, then congeal.py). All are looked for again through the improved map, and count only if they agree: the
-spline is fitted to half of them and must explain the other half.
+edges (outline.py), the rules or gutters between the slices (grid.py) or else the borders that BorderNet reads there
+(border_paths.py), and what the cells have in common (match.py in the first round, then congeal.py). All are looked for
+again through the improved map, and count only if they agree: the spline is fitted to half of them and must explain the
+other half.
 """
 
 from __future__ import annotations

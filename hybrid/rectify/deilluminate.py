@@ -95,7 +95,7 @@ class Deillumination:
 @dataclass(frozen=True)
 class _ToneCurve:
     """Display grey of light x in [0, 1]: ``black + straight * x + root * sqrt(x)``. It is monotone, because root is
-    positive and straight is at most half as large where it is below 0."""
+    not negative and straight is at most half as large where it is below 0."""
 
     black: float
     straight: float
