@@ -134,7 +134,7 @@ DIVIDES = """
     OutlineConfig.read_prior OutlineConfig.held_prior
     SheetConfig.intervals SheetConfig.every SheetConfig.focal SheetConfig.focal_sigma SheetConfig.focal_range
     SheetConfig.beyond_sigma SheetConfig.distortion SheetConfig.stretched SheetConfig.bent SheetConfig.edge_px
-    SheetConfig.print_px SheetConfig.network_px SheetConfig.strain
+    SheetConfig.print_px SheetConfig.network_px SheetConfig.strain SheetConfig.square
     GridConfig.widths_px GridConfig.strips GridConfig.stations GridConfig.min_levels GridConfig.sigma_px
     GridConfig.centre_sigma GridConfig.pitch_sigma GridConfig.inset_sigma GridConfig.snug_sigma GridConfig.flush_sigma
     MatchConfig.reach_px MatchConfig.fine_px MatchConfig.shrink MatchConfig.constant_sigma MatchConfig.pitch_sigma

@@ -10,7 +10,16 @@ from hybrid.backward import BackwardMap, end_point_error
 from hybrid.coords import film_nodes
 from hybrid.rectify.grid import Borders, Comb, GridConfig
 from hybrid.rectify.layout import Evidence, Source
-from hybrid.rectify.margins import MarginsConfig, PlacedPrint, undecided, unfilled, usual_margins
+from hybrid.rectify.margins import (
+    MarginsConfig,
+    PlacedPrint,
+    cells_on,
+    nearly_square,
+    square_cells,
+    undecided,
+    unfilled,
+    usual_margins,
+)
 from hybrid.rectify.outline import expecting_rule
 from hybrid.rectify.repeat import Repeats
 from hybrid.rectify.sheet import (
@@ -394,7 +403,7 @@ def test_borders_lie_in_the_middle_where_they_are_found_near_it(found_off, expec
     assert found is not None
     found = replace(found, constants=(*found.constants[:-1], np.array([found_off, 0.0])))
 
-    def fit(_: Sequence[Sightings], before: FittedSheet | None) -> FittedSheet | None:
+    def fit(_: Sequence[Evidence], before: FittedSheet | None, square: bool) -> FittedSheet | None:
         return before and costing(before, 1.01)
 
     borders = Borders(0, 0.1 + found_off, 0.2, 4)
@@ -435,13 +444,52 @@ def test_margins_that_are_hardly_there_may_cost_more_to_leave_out(margins, growt
     found = replace(found, constants=tuple(np.zeros_like(constants) for constants in found.constants))
     repeats = Repeats(0, margins / 2, (1 - margins) / 4, 4)
 
-    def fit(_: Sequence[Sightings], before: FittedSheet | None) -> FittedSheet | None:
+    def fit(_: Sequence[Evidence], before: FittedSheet | None, square: bool) -> FittedSheet | None:
         return before and costing(before, growth)
 
     placed = usual_margins(placed_print(found, seen, repeats), fit, GridConfig(), MarginsConfig())
     source = placed.evidence[-1].source
     assert isinstance(source, Repeats)
     assert source.filling == expected
+
+
+@pytest.mark.parametrize(("down", "expected"), [(0.16, True), (0.168, False), (0.18, False)])
+def test_cells_are_square_where_what_is_seen_allows_it(down, expected):
+    true = cylinder(1.2, 0, 10)  # of 0.8 x 1: cells of 0.2 x 0.16 of that are square
+    coarse = larger(true)
+    columns, rows = [0.1, 0.3, 0.5, 0.7, 0.9], list(0.5 + down * np.arange(-2, 3))
+    lines = lines_seen(true, coarse, {0: columns, 1: rows})
+    seen = edges_seen(true, coarse, np.random.default_rng(0), 0.3) + lines
+    found = fit_sheet(coarse, coarse, PHOTO, seen, CONFIG)
+    assert found is not None
+    sources = Borders(0, 0.5 - 2 * 1.07 * 0.2, 1.07 * 0.2, 4), Borders(1, 0.5 - 2 * 1.07 * down, 1.07 * down, 4)
+    evidence = (*(Evidence(edge) for edge in seen[:4]), *map(Evidence, lines, sources))
+    before = PlacedPrint(found, evidence, evidence)
+    placed = square_cells(before, fitting(coarse), MarginsConfig())
+    (cell,) = cells_on(evidence)
+    ratio = cell.log_ratio(placed.sheet.sheet, placed.sheet.state.constants)
+    assert ratio == pytest.approx(np.log(down / 0.16), abs=0.001 if expected else 0.01)
+    assert placed.sheet.has_square_cells == expected
+    assert error_px(placed.sheet.backward, true) < 1.05 * error_px(found.backward, true)
+    assert square_cells(placed, fitting(coarse), MarginsConfig()) is placed or not expected
+
+
+def test_cells_may_be_square_only_where_both_their_sides_are_known():
+    true = cylinder(1.2, 0, 10)
+    lines = lines_seen(true, true, {0: [0.3, 0.5, 0.7], 1: [0.34, 0.5, 0.66]})
+    seen = edges_seen(true, true, np.random.default_rng(0), 0.3) + lines
+    found = fit_sheet(true, true, PHOTO, seen, CONFIG)
+    assert found is not None
+    edges, columns, rows = (
+        tuple(Evidence(edge) for edge in seen[:4]),
+        Evidence(lines[0], Borders(0, 0.1, 0.2, 4)),
+        Evidence(lines[1], Repeats(1, 0.0, 1.07 * 0.16, 5)),
+    )
+    sheet, constants = found.sheet, found.state.constants
+    assert nearly_square((*edges, columns, rows), sheet, constants, MarginsConfig())
+    assert not nearly_square((*edges, columns), sheet, constants[:2], MarginsConfig())
+    assert not nearly_square((*edges, rows), sheet, constants[2:], MarginsConfig())
+    assert not nearly_square((*edges, columns, rows), sheet, constants + np.array([0, 0, 0, 0.02]), MarginsConfig())
 
 
 @pytest.mark.parametrize(
@@ -469,9 +517,14 @@ def placed_print(sheet: FittedSheet, seen: list[Sightings], source: Source) -> P
     return PlacedPrint(sheet, evidence, evidence)
 
 
-def fitting(coarse: BackwardMap) -> Callable[[Sequence[Sightings], FittedSheet | None], FittedSheet | None]:
+def fitting(coarse: BackwardMap) -> Callable[[Sequence[Evidence], FittedSheet | None, bool], FittedSheet | None]:
     """A function that fits sheets to what is seen through a map."""
-    return lambda seen, before: fit_sheet(coarse, coarse, PHOTO, seen, CONFIG, before)
+
+    def fit(seen: Sequence[Evidence], before: FittedSheet | None, square: bool) -> FittedSheet | None:
+        cells = cells_on(seen) if square else ()
+        return fit_sheet(coarse, coarse, PHOTO, [e.sightings for e in seen], CONFIG, before, cells)
+
+    return fit
 
 
 def test_a_third_of_the_points_of_an_edge_may_be_wrong():

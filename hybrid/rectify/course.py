@@ -28,7 +28,17 @@ from hybrid.rectify.congeal import CongealConfig, register_cells
 from hybrid.rectify.grid import GridConfig, GridLines
 from hybrid.rectify.held_out import held_out_residuals
 from hybrid.rectify.layout import Evidence, Layout, find_lines, find_repeating
-from hybrid.rectify.margins import MarginsConfig, PlacedPrint, in_place, undecided, unfilled, usual_margins
+from hybrid.rectify.margins import (
+    MarginsConfig,
+    PlacedPrint,
+    cells_on,
+    in_place,
+    nearly_square,
+    square_cells,
+    undecided,
+    unfilled,
+    usual_margins,
+)
 from hybrid.rectify.match import MatchConfig, match_cells
 from hybrid.rectify.outline import OutlineConfig, expecting_rule, find_outline
 from hybrid.rectify.repeat import RepeatConfig, cell_agreement
@@ -228,9 +238,15 @@ class Progress:
         return self.sheets == 1
 
     def is_last(self, config: RefineConfig) -> bool:
-        """Whether no further sheet can change anything: the last round moved nothing and no margins are in question."""
-        in_question = self.margins_are_next and undecided(self.attempt.evidence, config.grid, config.margins)
-        return self.settled and not in_question
+        """Whether no further sheet can change anything: the last round moved nothing, and neither margins nor the shape
+        of the cells are in question."""
+        return self.settled and not (self.margins_are_next and self._in_question(config))
+
+    def _in_question(self, config: RefineConfig) -> bool:
+        """Whether what most prints have in common would be tried with a further sheet."""
+        evidence, sheet = self.attempt.evidence, self.sheet
+        may_be_square = sheet is not None and nearly_square(evidence, sheet.sheet, None, config.margins)
+        return may_be_square or undecided(evidence, config.grid, config.margins)
 
 
 def begin(scene: Scene, outline: Sequence[Sightings], config: RefineConfig) -> Progress:
@@ -301,10 +317,11 @@ def unstretched(progress: Progress, config: RefineConfig, watch: Stopwatch) -> P
     near = progress.film
     size = (scene.photo.shape[0], scene.photo.shape[1])
 
-    def fit(sightings: Sequence[Sightings], before: FittedSheet | None) -> FittedSheet | None:
-        return fit_sheet(near, scene.coarse, size, sightings, config.sheet, before)
+    def fit(seen: Sequence[Evidence], before: FittedSheet | None, square: bool) -> FittedSheet | None:
+        cells = cells_on(seen) if square else ()
+        return fit_sheet(near, scene.coarse, size, [e.sightings for e in seen], config.sheet, before, cells)
 
-    sheet = fit([e.sightings for e in seen], progress.sheet)
+    sheet = fit(seen, progress.sheet, progress.sheet is not None and progress.sheet.has_square_cells)
     if sheet is None:
         return None
     placed = PlacedPrint(sheet, attempt.evidence, seen)
@@ -312,6 +329,7 @@ def unstretched(progress: Progress, config: RefineConfig, watch: Stopwatch) -> P
         placed = unfilled(placed, fit, config.grid, config.margins)
     if progress.margins_are_next:
         placed = usual_margins(placed, fit, config.grid, config.margins)
+        placed = square_cells(placed, fit, config.margins)
         if progress.settled and mean_move(sheet.backward, placed.sheet.backward) < config.settled_margins:
             return None
     sheet = placed.sheet

@@ -1,8 +1,9 @@
-"""Where between the sheet's edges the print lies: the margins that most prints have are tried on the fitted sheet.
+"""Where between the sheet's edges the print lies: what most prints have in common is tried on the fitted sheet.
 
 Only the sheet's bend determines the width of the margins, to a few thousandths of the film, and an error there bends
-the sheet wrongly. But most prints fill their film, and most of the others have equal margins on both sides. If a sheet
-explains what is seen nearly as well with such margins, they are adopted.
+the sheet wrongly. But most prints fill their film, and most of the others have equal margins on both sides. Nor does
+anything but the bend determine how wide cells are for their height, yet those of most prints are square, as slices are.
+If a sheet explains what is seen nearly as well with such margins or cells, they are adopted.
 """
 
 from __future__ import annotations
@@ -10,13 +11,17 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+from jaxtyping import Float
+
 from hybrid.errors import require_at_least
 from hybrid.rectify.grid import Borders, Comb, GridConfig, GridLines
 from hybrid.rectify.layout import Evidence, Source
 from hybrid.rectify.outline import as_seen
 from hybrid.rectify.repeat import Repeats
+from hybrid.rectify.sheet import Sheet
 from hybrid.rectify.sheet_fit import FittedSheet
-from hybrid.rectify.sightings import Sightings
+from hybrid.rectify.sheet_problem import Cell
 
 
 @dataclass(frozen=True)
@@ -29,6 +34,7 @@ class MarginsConfig:
     total width, and that share for margins no wider than that: hardly any film has such. sigma: prior standard
     deviation of the print's place with the margins tried. loose: lines that were taken to fill the film may be let go
     if their margins are then together this wide; loose_gain: share by which the sum of squares must then shrink.
+    square: cells are tried as square if the logarithm of their height over their width is at most this, in size.
     """
 
     filling: float = 0.04
@@ -40,6 +46,7 @@ class MarginsConfig:
     sigma: float = 1e-4
     loose: float = 0.012
     loose_gain: float = 0.03
+    square: float = 0.03
 
     def __post_init__(self) -> None:
         require_at_least(self, 1e-6, "sigma")
@@ -51,8 +58,9 @@ class MarginsConfig:
         return isinstance(source, Borders) and bool(off < self.off_middle_read)
 
 
-Fit = Callable[[Sequence[Sightings], FittedSheet | None], FittedSheet | None]
-"""Fits the sheet that best explains sightings, starting from another sheet or from none."""
+Fit = Callable[[Sequence[Evidence], FittedSheet | None, bool], FittedSheet | None]
+"""Fits the sheet that best explains the evidence, starting from another sheet or from none; cells may be taken to be
+square."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +84,7 @@ def usual_margins(found: PlacedPrint, fit: Fit, grid: GridConfig, config: Margin
             if tried is None:
                 continue
             placed, costs = tried
-            sheet = fit([e.sightings for e in placed.seen], found.sheet)
+            sheet = fit(placed.seen, found.sheet, found.sheet.has_square_cells)
             if sheet is not None and sheet.cost < (1.0 + costs) * found.sheet.cost:
                 found = replace(placed, sheet=sheet)
                 break
@@ -91,12 +99,47 @@ def unfilled(found: PlacedPrint, fit: Fit, grid: GridConfig, config: MarginsConf
         if tried is None:
             continue
         loose, lines = tried
-        sheet = fit([e.sightings for e in loose.seen], found.sheet)
+        sheet = fit(loose.seen, found.sheet, found.sheet.has_square_cells)
         if sheet is None or _margins(loose, sheet, lines) < config.loose:
             continue
         if sheet.cost < (1.0 - config.loose_gain) * found.sheet.cost:
             found = replace(loose, sheet=sheet)
     return found
+
+
+def square_cells(found: PlacedPrint, fit: Fit, config: MarginsConfig) -> PlacedPrint:
+    """What was found, with square cells where these explain what is seen nearly as well."""
+    sheet = found.sheet
+    if sheet.has_square_cells or not nearly_square(found.seen, sheet.sheet, sheet.state.constants, config):
+        return found
+    squared = fit(found.seen, sheet, True)
+    explains = squared is not None and squared.cost < (1.0 + config.costs) * sheet.cost
+    return replace(found, sheet=squared) if explains else found
+
+
+def nearly_square(
+    evidence: Sequence[Evidence], sheet: Sheet, constants: Float[np.ndarray, " g"] | None, config: MarginsConfig
+) -> bool:
+    """Whether cells are known along both axes and may be square on a sheet.
+
+    constants: those that the sightings share, one after the other; None where they are 0.
+    """
+    if constants is None:
+        constants = np.zeros(sum(e.sightings.shared.shape[1] for e in evidence))
+    ratios = [cell.log_ratio(sheet, constants) for cell in cells_on(evidence)]
+    return len(ratios) > 0 and bool(abs(np.median(ratios)) <= config.square)
+
+
+def cells_on(evidence: Sequence[Evidence]) -> tuple[Cell, ...]:
+    """The cells that the evidence shows: one for each two pieces of it that tell a width and a height."""
+    sides: tuple[list[tuple[float, int]], list[tuple[float, int]]] = ([], [])
+    first = 0
+    for e in evidence:
+        constants = e.sightings.shared.shape[1]
+        if e.source is not None and len(e.sightings):
+            sides[e.source.axis].append((_pitch(e), first + e.source.pitch_at % constants))
+        first += constants
+    return tuple(Cell(*width, *height) for width in sides[0] for height in sides[1])
 
 
 def undecided(evidence: Sequence[Evidence], grid: GridConfig, config: MarginsConfig) -> bool:
@@ -194,6 +237,14 @@ def _in_the_middle(
     return None
 
 
+def _pitch(e: Evidence) -> float:
+    """The pitch of what is printed, where the constants are 0: lines that were taken to fill the film are seen so."""
+    assert e.source is not None
+    if isinstance(e.source, Repeats):
+        return e.source.pitch
+    return e.source.adjusted(e.sightings, np.zeros(e.sightings.shared.shape[1])).pitch
+
+
 def _changed(found: PlacedPrint, which: Sequence[int], change: Callable[[Evidence], Evidence]) -> PlacedPrint:
     """The same with some of the evidence changed, and likewise the part of it that counted."""
     evidence, seen = (
@@ -228,4 +279,14 @@ def _held(e: Evidence, sigma: dict[int, float]) -> Evidence:
     return replace(e, sightings=replace(e.sightings, shared_sigma=deviations))
 
 
-__all__ = ["MarginsConfig", "PlacedPrint", "in_place", "undecided", "unfilled", "usual_margins"]
+__all__ = [
+    "MarginsConfig",
+    "PlacedPrint",
+    "cells_on",
+    "in_place",
+    "nearly_square",
+    "square_cells",
+    "undecided",
+    "unfilled",
+    "usual_margins",
+]

@@ -69,10 +69,12 @@ class SheetConfig:
     """Share of photos of flat films taken with a main lens (film_size.py); 0 where the focal length is given."""
     focal_range: tuple[float, float] = (0.65, 3.5)
     """Shortest and longest focal length of a phone."""
-    beyond_sigma: float = 0.1
-    """Standard deviation beyond these."""
+    beyond_sigma: float = 0.03
+    """Standard deviation beyond these; small, as a lens that no phone has may explain what is seen a little better."""
     distortion: float = 0.02
     """Standard deviation of the first radial distortion."""
+    square: float = 1e-3
+    """Standard deviation of the logarithm of a cell's height over its width, where cells are taken to be square."""
     least_edges: int = 3
     """With fewer edges the sheet's shape is not determined."""
 
@@ -80,7 +82,7 @@ class SheetConfig:
         require_at_least(self, 0.1, "focal", "focal_range")
         require_at_least(self, 1e-3, "focal_sigma", "beyond_sigma", "distortion", "stretched", "bent")
         require_at_least(self, 1e-3, "edge_px", "print_px", "network_px")
-        require_at_least(self, 1e-6, "strain")
+        require_at_least(self, 1e-6, "strain", "square")
         require_at_least(self, 0, "firm", "steps", "main_lens")
         require_at_most(self, 1, "firm", "main_lens")
         require_at_least(self, 1, "every", "intervals")

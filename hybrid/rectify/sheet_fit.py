@@ -28,7 +28,7 @@ from scipy.linalg import LinAlgError
 from hybrid.backward import BackwardMap
 from hybrid.coords import film_nodes
 from hybrid.rectify.sheet import NODES, Frame, Sheet, SheetConfig, flat_sheet, relief_reversed
-from hybrid.rectify.sheet_problem import Problem, State, aspect_sigma, minimised, strain
+from hybrid.rectify.sheet_problem import Cell, Problem, State, aspect_sigma, minimised, strain
 from hybrid.rectify.sheet_seen import NOTHING, seen_through
 from hybrid.rectify.sightings import Sightings
 
@@ -65,6 +65,11 @@ class FittedSheet:
         return strain(self.sheet, config, 0, derivatives=False).cost > config.stretched
 
     @property
+    def has_square_cells(self) -> bool:
+        """Whether the cells printed on it were taken to be square."""
+        return len(self.problem.square) > 0
+
+    @property
     def aspect_sigma(self) -> float:
         """Standard deviation of the logarithm of the ratio of sides; takes as long as a step of the fit."""
         return aspect_sigma(self.problem, self.state)
@@ -77,14 +82,17 @@ def fit_sheet(
     sightings: Sequence[Sightings],
     config: SheetConfig,
     before: FittedSheet | None = None,
+    square: Sequence[Cell] = (),
 ) -> FittedSheet | None:
     """The sheet that best explains what is seen of its edges and its print; None where the fit fails.
 
     near: a map near the solution, to start from; if ``before`` is its sheet, the fit starts from that. through: the map
-    through which the sightings were made. size: (height, width) of the photo, whose centre the camera looks at.
+    through which the sightings were made. size: (height, width) of the photo, whose centre the camera looks at. square:
+    cells that are taken to be square; their constants are numbered through all sightings.
     """
     frame = Frame.of(size)
-    problem = Problem(seen_through(through, sightings, frame, config), _target(near, frame), config)
+    seen = seen_through(through, sightings, frame, config)
+    problem = Problem(seen, _target(near, frame), config, square=tuple(square))
     try:
         if before is not None:
             problem = replace(problem, config=config.near, bent=before.state.bent)

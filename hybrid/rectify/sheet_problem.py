@@ -35,6 +35,29 @@ _POTRF, _POTRS = get_lapack_funcs(("potrf", "potrs"), dtype=np.float64)
 """LAPACK's factorisation of a positive definite matrix, and the solution with it."""
 
 
+@dataclass(frozen=True)
+class Cell:
+    """The width and height of a cell, in parts of those of the film, each known up to one of the sightings' constants.
+
+    across, down: width and height where the constants are 0. across_at, down_at: numbers of the constants that add to
+    them.
+    """
+
+    across: float
+    across_at: int
+    down: float
+    down_at: int
+
+    def sides(self, constants: Float[np.ndarray, " g"]) -> tuple[float, float]:
+        """Its width and height, in parts of those of the film."""
+        return self.across + float(constants[self.across_at]), self.down + float(constants[self.down_at])
+
+    def log_ratio(self, sheet: Sheet, constants: Float[np.ndarray, " g"]) -> float:
+        """Logarithm of its height over its width, both measured along the sheet: 0 for a square cell."""
+        across, down = self.sides(constants)
+        return float(np.log(down / across) - sheet.log_aspect)
+
+
 @dataclass(frozen=True, eq=False)
 class State:
     """A sheet, the constants of all sightings, and their cost. bent: of the problem that the state solves."""
@@ -75,12 +98,13 @@ class Eased:
 @dataclass(frozen=True, eq=False)
 class Problem:
     """What is minimised. target: where the network puts the film. bent: cost of bending above which further
-    bending costs ever less."""
+    bending costs ever less. square: cells that are taken to be square."""
 
     seen: Seen
     target: Float[np.ndarray, "m 2"]
     config: SheetConfig
     bent: float = np.inf
+    square: tuple[Cell, ...] = ()
 
     def begun(self, sheet: Sheet) -> State:
         """The state of a sheet to start from."""
@@ -113,7 +137,9 @@ class Problem:
         total.cost += stretching.beyond + bending.beyond
         _add_camera(total, sheet, config, config.focal_sigma[len(self.seen.along) > 0])
         for k, (constant, spread) in enumerate(zip(state.constants, self.seen.shared_sigma, strict=True)):
-            total.add_prior(total.camera + CAMERA + k, constant / spread, 1.0 / spread)
+            total.add_prior(constant / spread, {total.camera + CAMERA + k: 1.0 / spread})
+        for cell in self.square:
+            _add_square(total, state, cell, config)
         return total
 
     def _from_network(self, sheet: Sheet, constants: int, derivatives: bool) -> Block:
@@ -261,11 +287,33 @@ def bending_cost(sheet: Sheet, config: SheetConfig) -> float:
 def _add_camera(total: Sum, sheet: Sheet, config: SheetConfig, focal_sigma: float) -> None:
     """Priors on phone cameras. focal_sigma: of the logarithm of the focal length, within the usual range."""
     focal = total.camera + FOCAL
-    total.add_prior(focal, (sheet.log_focal - np.log(config.focal)) / focal_sigma, 1.0 / focal_sigma)
+    total.add_prior((sheet.log_focal - np.log(config.focal)) / focal_sigma, {focal: 1.0 / focal_sigma})
     beyond = sheet.log_focal - float(np.clip(sheet.log_focal, *np.log(config.focal_range)))
     if beyond:
-        total.add_prior(focal, beyond / config.beyond_sigma, 1.0 / config.beyond_sigma)
-    total.add_prior(total.camera + LENS, sheet.distortion / config.distortion, 1.0 / config.distortion)
+        total.add_prior(beyond / config.beyond_sigma, {focal: 1.0 / config.beyond_sigma})
+    total.add_prior(sheet.distortion / config.distortion, {total.camera + LENS: 1.0 / config.distortion})
 
 
-__all__ = ["Eased", "Problem", "State", "aspect_sigma", "bending_cost", "minimised", "strain", "strain_curvature"]
+def _add_square(total: Sum, state: State, cell: Cell, config: SheetConfig) -> None:
+    """Prior on the ratio of a cell's sides, for a cell that is taken to be square."""
+    across, down = cell.sides(state.constants)
+    first, each = total.camera + CAMERA, 1.0 / config.square
+    slopes = {
+        total.camera + ASPECT: -each,
+        first + cell.across_at: -each / across,
+        first + cell.down_at: each / down,
+    }
+    total.add_prior(each * cell.log_ratio(state.sheet, state.constants), slopes)
+
+
+__all__ = [
+    "Cell",
+    "Eased",
+    "Problem",
+    "State",
+    "aspect_sigma",
+    "bending_cost",
+    "minimised",
+    "strain",
+    "strain_curvature",
+]

@@ -6,7 +6,7 @@ point of the film is seen depends on only four rows of coefficients (SortedDesig
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -105,12 +105,17 @@ class Sum:
             right[:, here] += slope[: 3 * near].reshape(3, near)
             self.right[first:] += slope[3 * near :]
 
-    def add_prior(self, k: int, residual: float, slope: float) -> None:
-        """Add what is known of one unknown beforehand."""
+    def add_prior(self, residual: float, slopes: Mapping[int, float]) -> None:
+        """Add what is known beforehand of one unknown, or of several together.
+
+        slopes: derivatives of the residual by these unknowns.
+        """
         self.cost += 0.5 * residual * residual
         if self.derivatives:
-            self.matrix[k, k] += slope * slope
-            self.right[k] += slope * residual
+            for k, slope in slopes.items():
+                self.right[k] += slope * residual
+                for other, by_other in slopes.items():
+                    self.matrix[k, other] += slope * by_other
 
     def add_energy(self, energy: Float[np.ndarray, "n n"], control: Float[np.ndarray, "n 3"]) -> None:
         """Add a quadratic form of the coefficients' x, and of their y and z."""
