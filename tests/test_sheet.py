@@ -34,7 +34,7 @@ from hybrid.rectify.sheet import (
     surface,
 )
 from hybrid.rectify.sheet_fit import FittedSheet, fit_sheet
-from hybrid.rectify.sheet_problem import Eased, Problem, minimised, strain, strain_curvature
+from hybrid.rectify.sheet_problem import SMALLEST, Cell, Eased, Problem, minimised, strain, strain_curvature
 from hybrid.rectify.sheet_seen import seen_through
 from hybrid.rectify.sheet_sum import Sum
 from hybrid.rectify.sightings import Sightings, carried
@@ -472,6 +472,16 @@ def test_cells_are_square_where_what_is_seen_allows_it(down, expected):
     assert placed.sheet.has_square_cells == expected
     assert error_px(placed.sheet.backward, true) < 1.05 * error_px(found.backward, true)
     assert square_cells(placed, fitting(coarse), MarginsConfig()) is placed or not expected
+
+
+def test_no_constants_make_a_cell_vanish():
+    cell, sheet = (
+        Cell(0.2, 0, 0.16, 1),
+        replace(flat_sheet(cylinder(1.2, 0, 10), Frame.of(PHOTO), 7, 1.1), log_aspect=0.0),
+    )
+    assert cell.log_ratio(sheet, np.array([0.05, 0.09])) == pytest.approx(0.0, abs=1e-12)
+    assert cell.sides(np.array([-0.2, -0.3])) == (SMALLEST, SMALLEST)
+    assert cell.log_ratio(sheet, np.array([-0.2, -0.3])) == 0.0
 
 
 def test_cells_may_be_square_only_where_both_their_sides_are_known():

@@ -27,6 +27,8 @@ from hybrid.rectify.tps import tukey_weights
 
 NEAREST = 0.05
 """Least distance of any point of the sheet from the camera, in units of the film's height."""
+SMALLEST = 1e-3
+"""Least width and height of a cell, in parts of those of the film."""
 MOST_BENT = 0.4
 """Largest length of the second-order part of a step, in lengths of the first-order part."""
 FAIR_STEPS, HOPELESS = 3, 4.0
@@ -49,8 +51,9 @@ class Cell:
     down_at: int
 
     def sides(self, constants: Float[np.ndarray, " g"]) -> tuple[float, float]:
-        """Its width and height, in parts of those of the film."""
-        return self.across + float(constants[self.across_at]), self.down + float(constants[self.down_at])
+        """Its width and height, in parts of those of the film; a step too far may leave no less than SMALLEST."""
+        across, down = self.across + constants[self.across_at], self.down + constants[self.down_at]
+        return max(float(across), SMALLEST), max(float(down), SMALLEST)
 
     def log_ratio(self, sheet: Sheet, constants: Float[np.ndarray, " g"]) -> float:
         """Logarithm of its height over its width, both measured along the sheet: 0 for a square cell."""
