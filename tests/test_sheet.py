@@ -531,7 +531,7 @@ def fitting(coarse: BackwardMap) -> Callable[[Sequence[Evidence], FittedSheet | 
     """A function that fits sheets to what is seen through a map."""
 
     def fit(seen: Sequence[Evidence], before: FittedSheet | None, square: bool) -> FittedSheet | None:
-        cells = cells_on(seen) if square else ()
+        cells = cells_on(seen) if square or (before is not None and before.has_square_cells) else ()
         return fit_sheet(coarse, coarse, PHOTO, [e.sightings for e in seen], CONFIG, before, cells)
 
     return fit

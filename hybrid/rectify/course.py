@@ -318,10 +318,11 @@ def unstretched(progress: Progress, config: RefineConfig, watch: Stopwatch) -> P
     size = (scene.photo.shape[0], scene.photo.shape[1])
 
     def fit(seen: Sequence[Evidence], before: FittedSheet | None, square: bool) -> FittedSheet | None:
-        cells = cells_on(seen) if square else ()
+        still_square = before is not None and before.has_square_cells
+        cells = cells_on(seen) if square or still_square else ()
         return fit_sheet(near, scene.coarse, size, [e.sightings for e in seen], config.sheet, before, cells)
 
-    sheet = fit(seen, progress.sheet, progress.sheet is not None and progress.sheet.has_square_cells)
+    sheet = fit(seen, progress.sheet, False)
     if sheet is None:
         return None
     placed = PlacedPrint(sheet, attempt.evidence, seen)

@@ -59,8 +59,8 @@ class MarginsConfig:
 
 
 Fit = Callable[[Sequence[Evidence], FittedSheet | None, bool], FittedSheet | None]
-"""Fits the sheet that best explains the evidence, starting from another sheet or from none; cells may be taken to be
-square."""
+"""Fits the sheet that best explains the evidence, starting from another sheet or from none. Cells are taken to be
+square if they were on that sheet, or if the last argument says so."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +84,7 @@ def usual_margins(found: PlacedPrint, fit: Fit, grid: GridConfig, config: Margin
             if tried is None:
                 continue
             placed, costs = tried
-            sheet = fit(placed.seen, found.sheet, found.sheet.has_square_cells)
+            sheet = fit(placed.seen, found.sheet, False)
             if sheet is not None and sheet.cost < (1.0 + costs) * found.sheet.cost:
                 found = replace(placed, sheet=sheet)
                 break
@@ -99,7 +99,7 @@ def unfilled(found: PlacedPrint, fit: Fit, grid: GridConfig, config: MarginsConf
         if tried is None:
             continue
         loose, lines = tried
-        sheet = fit(loose.seen, found.sheet, found.sheet.has_square_cells)
+        sheet = fit(loose.seen, found.sheet, False)
         if sheet is None or _margins(loose, sheet, lines) < config.loose:
             continue
         if sheet.cost < (1.0 - config.loose_gain) * found.sheet.cost:
