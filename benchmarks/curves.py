@@ -57,7 +57,7 @@ def charts(curves: dict[str, Curve]) -> list[Chart]:
     }
     titled = (
         ("Loss terms, last batch", "unweighted", positive),
-        ("Samples held out", "mean uv error, % of film", tests),
+        ("Samples held out", "mean error, %", tests),
     )
     return [_chart(title, unit, named) for title, unit, named in titled if named]
 

@@ -28,7 +28,7 @@ from torch import nn
 from benchmarks.cases import Case, TrueShape, true_shape
 from benchmarks.claims import Claim, claim_of
 from hybrid.backward import BackwardMap
-from hybrid.errors import PhotoError
+from hybrid.errors import DataError, PhotoError, describe
 from hybrid.learn.baselines import (
     Recovery,
     corrected,
@@ -44,7 +44,7 @@ from hybrid.learn.presets import PRESETS, PaperConfig
 from hybrid.learn.tensors import first_map
 from hybrid.learn.uv_recovery import interpolated, points_of_uv
 from hybrid.learn.uvbw import NetBw, NetUv
-from hybrid.learn.weights import load_weights, notes_of, packaged_path, parameter_count
+from hybrid.learn.weights import images_shown, load_weights, notes_of, packaged_path, parameter_count
 from hybrid.pipeline import Rectifier, RectifyConfig
 from hybrid.records import RectifyResult
 from hybrid.rectify.resample import rectify_photo
@@ -183,9 +183,16 @@ def trained(folder: Path | None, name: str) -> Trained | None:
 
 def _loaded(path: Path, name: str) -> Trained:
     chosen, notes = PRESETS[name], notes_of(path)
-    seen = f"{notes['passes']:,} images" if "passes" in notes else "images that its file does not count"
+    shown = images_shown(notes)
+    seen = "images that its file does not count" if shown is None else f"{shown:,} images"
     of = f" of {', '.join(map(str, notes['data']))}" if notes.get("data") else ""
-    return Trained(load_weights(path, chosen.build, type(chosen.config)).eval(), f"trained on {seen}{of}")
+    network = load_weights(path, chosen.build, type(chosen.config)).eval()
+    for part in ("maps", "heads"):
+        got, allowed = (getattr(config, part, None) for config in (network.config, chosen.config))
+        if got != allowed:
+            do = f"Name the file that --preset {name} wrote."
+            raise DataError(describe(what=f"{part} of {name}", where=path, got=got, allowed=allowed, do=do))
+    return Trained(network, f"trained on {seen}{of}")
 
 
 # ---------------------------------------------------------------- this project

@@ -76,7 +76,8 @@ network it is."""
 
 
 def table_text(table: Table, rows: Mapping[str, Mapping[str, Any]]) -> str:
-    """The table with our figures beside the paper's; rows: summaries by method (benchmarks.tables)."""
+    """The table with our figures beside the paper's, and below it how each network was trained, as rows may differ in
+    that; rows: summaries by method (benchmarks.tables)."""
     pairs = "".join(f" | {kind + ', dB SSIM MS-SSIM':<25} {'paper':<20}" for kind in table.kinds)
     head = f"{'':<25}{pairs} | {'px mean':>8} {'median':>7} {'%':>6} {'lost':>5} {'up':>6} {'ms':>8} {'M':>6}"
     lines = [f"{table.title} ({_counts(rows)} photos)", head]
@@ -84,6 +85,8 @@ def table_text(table: Table, rows: Mapping[str, Mapping[str, Any]]) -> str:
         row = rows.get(name, {})
         pairs = "".join(f" | {_triple(row.get(kind)):<25} {_published(table, name, kind):<20}" for kind in table.kinds)
         lines.append(f"{label:<25}{pairs} | {_figures(row)}")
+    how = {label: rows.get(name, {}).get("training") for name, label in table.rows.items()}
+    lines += [f"{label}: {training}" for label, training in how.items() if training]
     return "\n".join(lines)
 
 

@@ -77,7 +77,8 @@ def score_methods(methods: Mapping[str, Method | None], cases: Sequence[Case]) -
         scores = score_method(method, cases)
         summary = summarise(scores, says_up=method.says_up)
         scored = [asdict(one) for one in scores]
-        rows[name] = {"trained": True, "parameters": method.parameters, **summary, "photos": scored}
+        known = {"trained": True, "parameters": method.parameters, "training": method.training}
+        rows[name] = known | summary | {"photos": scored}
     return rows
 
 

@@ -20,10 +20,10 @@ from hybrid.backward import end_point_error, film_as_seen
 from hybrid.effort import RectifyConfig
 from hybrid.errors import require_at_least
 from hybrid.files import write_bytes
-from hybrid.learn.edge_data import FILM_MAPS
 from hybrid.learn.inference import ready
 from hybrid.learn.network import FilmNet
 from hybrid.learn.samples import Place, film_of, open_places, photo_of
+from hybrid.learn.shards import FILM_MAPS
 from hybrid.learn.weights import packaged_film_net
 from hybrid.looks import see
 from hybrid.pyramid import Pyramid

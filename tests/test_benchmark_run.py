@@ -234,6 +234,19 @@ def test_trained_networks_are_scored_and_say_how_they_were_trained(
     np.testing.assert_array_equal(alone.nodes, made.nodes)
 
 
+@pytest.mark.parametrize("name", ["firenet", "firenet_multimap", "firenet_uv_only"])
+def test_weights_of_one_ablation_do_not_pass_for_those_of_another(name: str, tmp_path: Path) -> None:
+    made = PRESETS["firenet_multimap"].at_width(0.03).at_input(64)
+    save_weights(tmp_path / f"{name}.safetensors", made.network(), made.config, {"passes": 8, "before": 4})
+    if name == "firenet_multimap":
+        known = benchmarks.methods.trained(tmp_path, name)
+        assert known is not None
+        assert known.training == "trained on 12 images"
+    else:
+        with pytest.raises(DataError, match=f"(maps|heads) of {name} .*: got .*; allowed: .*--preset {name}"):
+            benchmarks.methods.trained(tmp_path, name)
+
+
 def test_methods_without_weights_stay_out_unless_they_are_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -501,6 +501,13 @@ def test_weights_come_back_and_are_strict(tmp_path):
         load_into(FilmNet(replace(TINY, widths=(4, 8, 8, 16))), path)
 
 
+def test_the_same_weights_make_the_same_file(tmp_path):
+    network, paths = FilmNet(TINY), [tmp_path / f"{k}.safetensors" for k in range(8)]
+    for path in paths:
+        save_weights(path, network, TINY, {"passes": 0, "seed": 1})
+    assert len({path.read_bytes() for path in paths}) == 1
+
+
 @pytest.mark.parametrize("name", [name for name, chosen in PRESETS.items() if name != "borders"])
 def test_weights_of_every_kind_come_back_without_pytorchs_defaults_or_random_numbers(name, tmp_path):
     """Buffers that are not weights, such as DewarpNet's positions, come back too."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import os
 import re
+import shutil
 import signal
 import socket
 import subprocess
@@ -33,9 +34,9 @@ from hybrid.learn.losses import masked_mean
 from hybrid.learn.network import FilmNet, FilmNetConfig
 from hybrid.learn.presets import PRESETS
 from hybrid.learn.samples import film_of, photo_of
-from hybrid.learn.shards import data_digest
+from hybrid.learn.shards import FILM_MAPS, data_digest
 from hybrid.learn.train import Plan, Rank, TrainConfig, train
-from hybrid.learn.weights import load_weights, save_weights
+from hybrid.learn.weights import images_shown, load_weights, notes_of, save_weights
 
 ROOT = Path(__file__).parents[1]
 TINY = FilmNetConfig(widths=(4, 8, 8, 8), blocks=(1, 1, 1), input_px=64)
@@ -174,6 +175,16 @@ def test_the_digest_of_data_tells_numbered_files_apart(tmp_path):
     assert both != data_digest(folders)
 
 
+def test_the_digest_of_data_tells_other_maps_of_film_net_apart(dataset, tmp_path):
+    copied, digests = Path(shutil.copytree(dataset, tmp_path / "copied")), []
+    for maps in (None, b"these", b"those"):
+        if maps is not None:
+            (copied / FILM_MAPS).write_bytes(maps)
+        digests.append(data_digest([copied]))
+    assert digests[0] == data_digest([dataset])
+    assert len(set(digests)) == 3
+
+
 def test_curves_of_steps_that_come_again_are_left_out(tmp_path):
     path = tmp_path / "curves.csv"
     path.write_text("passes,loss\n100,3\n200,2\n300,1\n")
@@ -208,6 +219,10 @@ def test_a_run_goes_on_without_the_file_that_it_started_from(dataset, tmp_path):
     start.unlink()
     train(quick_run(dataset, tmp_path / "second", passes=16, start=(start,)))
     assert len((tmp_path / "second" / "curves.csv").read_text().split()) == 3
+    again = tmp_path / "second" / "filmnet.safetensors"
+    assert (notes_of(again)["passes"], notes_of(again)["before"]) == (16, 16)
+    train(quick_run(dataset, tmp_path / "third", passes=8, start=(again,)))
+    assert images_shown(notes_of(tmp_path / "third" / "filmnet.safetensors")) == 40
 
 
 @pytest.mark.parametrize("loaders", [0, 1])

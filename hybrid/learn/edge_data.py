@@ -25,13 +25,11 @@ from hybrid.learn.data import BEND_ERROR_NODES, corners_moved, disturbed_map
 from hybrid.learn.draws import log_uniform, one_side_or_two
 from hybrid.learn.near_edges import margins_some, near_edges
 from hybrid.learn.samples import Place, film_mask, film_of, open_places, photo_of, round_corners_of
+from hybrid.learn.shards import FILM_MAPS
 from hybrid.learn.views import plane_of
 from hybrid.pyramid import Pyramid
 from hybrid.round_corners import RoundCorners
 from hybrid.strips import SIDES, Side, StripConfig, edge_strips, strip_copy
-
-FILM_MAPS = "film_maps.npy"
-"""File beside a data set's shards: FilmNet's maps of its samples, (samples, n, m, 2) nodes; NaN where it saw none."""
 
 JUST_INSIDE = 0.02
 """Film units inside of an edge at which a mask of some 80 pixels shows film wherever nothing hides the edge."""

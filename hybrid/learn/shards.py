@@ -27,6 +27,9 @@ from hybrid.learn.coding import decode_albedo, decode_normal, decode_uv, decode_
 FORMAT = 2
 """Version of the data set's files; raised with each change that makes old files unreadable."""
 
+FILM_MAPS = "film_maps.npy"
+"""File beside a data set's shards: FilmNet's maps of its samples, (samples, n, m, 2) nodes; NaN where it saw none."""
+
 TAR_BLOCK = 512
 
 OPEN_SHARDS = 256
@@ -248,10 +251,12 @@ def open_dataset(folder: Path, verify: bool = False) -> list[Shard]:
 
 def data_digest(folders: Sequence[Path]) -> str:
     """Digest of what some folders hold, in their order, wherever they lie: of the hashes of shards that the manifest
-    lists, or of the names and sizes of numbered files and their dataset.json."""
+    lists and of FilmNet's maps of their photos, or of the names and sizes of numbered files and their dataset.json."""
     digest = hashlib.sha256()
     for folder in folders:
         held = [f"{entry.name} {entry.sha256}" for entry in read_manifest(folder)]
+        maps = folder / FILM_MAPS
+        held += [f"{maps.name} {sha256_of(maps)}"] if held and maps.exists() else []
         if not held:
             held = [f"{path.name} {path.stat().st_size}" for path in sorted(folder.glob("[0-9]*"))]
             described = folder / "dataset.json"

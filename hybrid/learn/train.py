@@ -36,7 +36,7 @@ from hybrid.learn.dewarpnet import DewarpNet
 from hybrid.learn.inference import fast_bfloat16
 from hybrid.learn.presets import Preset, preset, weighted_sum
 from hybrid.learn.shards import data_digest
-from hybrid.learn.weights import load_into, save_weights
+from hybrid.learn.weights import images_shown, load_into, notes_of, save_weights
 
 
 @dataclass(frozen=True)
@@ -339,10 +339,11 @@ class _State:
         self.began = {name: str(getattr(plan, name, getattr(config, name, None))) for name in _KEPT}
         self.began |= {"preset": config.preset, "samples": str(samples), "data": data_digest(config.data)}
         self.began["precision"] = "bfloat16" if fast_bfloat16(config.device) else "float32"
-        self.network = plan.preset.network()
+        self.network, self.before = plan.preset.network(), 0
         self.path = config.out / "checkpoint.pt"
         if config.start and not self.path.exists():
             _load_start(self.network, config.start)
+            self.before = max(images_shown(notes_of(file)) or 0 for file in config.start)
         self.network.to(config.device, memory_format=plan.preset.layout)  # type: ignore[call-overload]
         self.averaged = copy.deepcopy(self.network).eval().requires_grad_(False)
         self.optimiser = torch.optim.AdamW(
@@ -383,9 +384,12 @@ class _State:
         names = ("network", "averaged", "optimiser")
         part = self.path.with_suffix(".part")
         torch.save(
-            {"step": self.step, "began": self.began} | {name: getattr(self, name).state_dict() for name in names}, part
+            {"step": self.step, "before": self.before, "began": self.began}
+            | {name: getattr(self, name).state_dict() for name in names},
+            part,
         )
-        notes = {"passes": self.step * self.plan.batch, "seed": config.seed, "weights": dict(self.plan.preset.weights)}
+        notes = {"passes": self.step * self.plan.batch, "before": self.before, "seed": config.seed}
+        notes |= {"weights": dict(self.plan.preset.weights)}
         save_weights(config.out / f"{config.preset}.safetensors", self.averaged, self.plan.preset.config, notes)
         part.replace(self.path)
 
@@ -403,7 +407,7 @@ class _State:
                 do = f"Go on with the {_AS_BEFORE.get(name, 'options')} it began with, or choose another --out."
                 raise ConfigError(describe(what="train", where=self.path.parent, got=got, allowed=allowed, do=do))
         with self._told_if_damaged():
-            self.step = stored["step"]
+            self.step, self.before = stored["step"], stored.get("before", 0)
             for name in ("network", "averaged", "optimiser"):
                 getattr(self, name).load_state_dict(stored[name])
         if self.rank.first:

@@ -44,7 +44,7 @@ def save_weights(path: Path, network: nn.Module, config: Any, notes: dict[str, A
     if lost:
         got, do = f"no finite number in {lost[0]}", "Train with a lower --learning-rate."
         raise DataError(describe(what="weights", where=path, got=got, do=do))
-    write_bytes(path, save(tensors, metadata))
+    write_bytes(path, _sorted(save(tensors, metadata)))
 
 
 def load_weights(path: Path, build: Callable[[Any], Network], config_type: type) -> Network:
@@ -128,6 +128,12 @@ def notes_of(path: Path) -> dict[str, Any]:
     return notes
 
 
+def images_shown(notes: dict[str, Any]) -> int | None:
+    """How many images a network has been shown in all, by its notes: in its training, and in those of the weights that
+    it started from (of several, the most). None where the notes do not say."""
+    return notes["passes"] + notes.get("before", 0) if "passes" in notes else None
+
+
 def parameter_count(network: nn.Module) -> int:
     """Number of parameters, including those that training never changes."""
     return sum(p.numel() for p in network.parameters())
@@ -144,6 +150,15 @@ def _read(path: Path, kind: str) -> tuple[dict[str, str], dict[str, Tensor]]:
         do = "Train them again."
         raise DataError(describe(what="weights", where=path, got=f"conventions {made}", allowed=version, do=do))
     return metadata, {k: v.to(torch.float32) if v.is_floating_point() else v for k, v in tensors.items()}
+
+
+def _sorted(file: bytes) -> bytes:
+    """A safetensors file with its header in order, as the library's order is random: the same training gives the same
+    bytes."""
+    begin, end = 8, 8 + int.from_bytes(file[:8], "little")
+    header = json.dumps(json.loads(file[begin:end]), sort_keys=True, separators=(",", ":")).encode()
+    header += b" " * (-len(header) % 8)
+    return len(header).to_bytes(8, "little") + header + file[end:]
 
 
 def _opened(path: Path) -> tuple[dict[str, str], dict[str, Tensor]]:
