@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from math import factorial
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Shaped
@@ -105,6 +106,9 @@ class BackwardMap:
             raise ValueError("BackwardMap.nodes: got NaN or infinity; allowed: finite photo points")
         nodes.setflags(write=False)
         object.__setattr__(self, "nodes", nodes)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return BackwardMap, (np.asarray(self.nodes),)  # so that the nodes of a copy are read-only, too
 
     @staticmethod
     def from_function(

@@ -81,8 +81,8 @@ def read_photo(path: str | os.PathLike[str]) -> UInt8[np.ndarray, "h w 3"]:
 
     Reads JPEG, PNG, TIFF, WebP, HEIC and whatever else Pillow reads, and the first of several frames. Grey and palettes
     become RGB, 16 bits are scaled to 8, CMYK is converted without a profile (embedded colour profiles are not applied),
-    and transparency is laid over black, because a transparent pixel sends no light. Raises PhotoError for anything that
-    is not a whole picture.
+    and transparency is laid over black, because a transparent pixel sends no light. Raises PhotoError for what is no
+    picture or ends too early. A JPEG that is damaged inside but has an end is read: decoders fill in what is lost.
     """
     path = Path(path)
     data = _read_if_jpeg(path)

@@ -82,21 +82,28 @@ class Rectifier:
     def __deepcopy__(self, memo: dict[int, Any]) -> Rectifier:
         return self
 
-    def __call__(self, source: PhotoSource, corners: Corners | None = None) -> RectifyResult:
+    def __call__(
+        self, source: PhotoSource, corners: Corners | None = None, focal: float | None = None
+    ) -> RectifyResult:
         """The flat film of a photo.
 
         Args:
             source: a path, (H, W, 3) uint8 RGB, (H, W) uint8, or a Pillow image.
             corners: the sheet's corners, if a person knows them better than the network: four photo points (x, y), in
                 any order, accurate to about a hundredth of the film. A film is then returned whatever the network sees.
+            focal: the lens's focal length in units of the photo's longer side, where it is known. By default what the
+                source tells (EXIF); an array tells nothing (``hybrid.camera.told_focal`` reads it from a file).
 
         Raises:
             PhotoError: the source cannot be read as a photo. A photo without a film is not an error but a status.
-            ConfigError: these cannot be the corners of a sheet in the photo.
+            ConfigError: these cannot be the corners of a sheet in the photo, or there is no such focal length.
         """
+        if focal is not None and not 0.0 < focal < np.inf:
+            do = "Give it in units of the photo's longer side, as 0.75, or leave it out."
+            raise ConfigError(describe(what="focal", got=focal, allowed="a number above 0", do=do))
         clock = Clock()
         with one_thread():
-            return self._rectified(*_photo_of(source, clock), corners, clock)
+            return self._rectified(*_photo_of(source, clock, focal), corners, clock)
 
     def fuse(self, sources: Iterable[PhotoSource], names: Sequence[str] | None = None) -> RectifyResult:
         """One film from several photos of it, between which the phone or the lamps moved, so that glare vanishes.
@@ -205,10 +212,11 @@ class Rectifier:
         with clock.stage("survey") as report:
             shown = survey_photo(photo, self.config.survey)
             report.reason = shown.reason
+        size = (photo.shape[0], photo.shape[1])
         if not shown.ok:
-            return RectifyResult(Status(shown.code), clock.reports)
+            return RectifyResult(Status(shown.code), clock.reports, photo_size=size)
         pyramid, readers, config = Pyramid(photo), self._readers, _with_lens(self.config, focal)
-        told = None if corners is None else film_at(corners, (photo.shape[0], photo.shape[1]))
+        told = None if corners is None else film_at(corners, size)
         if told is None:
             seen = see(readers.network, pyramid, config, clock)
             seen, checks = checked(readers.network, pyramid, seen, config, clock)
@@ -225,14 +233,14 @@ class Rectifier:
                 refinement = whole_sheet(pyramid, phases, refinement, readers.edges, beside, config, clock)
         flat = flat_itself(pyramid, seen, phases, refinement, told, config, clock)
         if (refinement := flat or refinement) is None:
-            return RectifyResult(Status(checks.code), clock.reports)
+            return RectifyResult(Status(checks.code), clock.reports, photo_size=size)
         first = judged(readers, pyramid, seen, refinement, flat is not None, config, clock)
         found = beyond_doubt(readers, pyramid, seen, first, corners is None, config, clock)
         clock.counts(found.stages)
         verdict, signs = found.verdict, found.signs
         if verdict.code is StatusCode.NO_FILM:
             if corners is None:
-                return RectifyResult(Status(verdict.code), clock.reports)
+                return RectifyResult(Status(verdict.code), clock.reports, photo_size=size)
             verdict = replace(verdict, code=StatusCode.UNSURE)
         if corners is not None and not survey_print(pyramid, found.refinement.backward, config.survey).ok:
             doubts = (*verdict.doubts, "it is printed dark on bright: of a negative, invert the picture first")
@@ -245,7 +253,7 @@ class Rectifier:
             expected_error_px=expected_error_px(signs, config.trust),
             limit_px=largest_error_px(signs.photo_px, config.trust),
             signs=signs,
-            photo_size=(photo.shape[0], photo.shape[1]),
+            photo_size=size,
         )
 
     def _finish(
@@ -314,10 +322,10 @@ class Rectifier:
         return way, float(chances[way.index])
 
 
-def _photo_of(source: PhotoSource, clock: Clock) -> tuple[Photo, float | None]:
-    """The photo, as a stage, and the focal length in units of its longer side if its file states it."""
+def _photo_of(source: PhotoSource, clock: Clock, focal: float | None = None) -> tuple[Photo, float | None]:
+    """The photo, as a stage, and the focal length in units of its longer side if it is given or its file states it."""
     with clock.stage("read") as report:
-        photo, focal = as_photo(source), told_focal(source)
+        photo, focal = as_photo(source), told_focal(source) if focal is None else focal
         lens = "" if focal is None else f", by a lens of {focal:.2f} times its longer side"
         report.reason = f"{photo.shape[1]} x {photo.shape[0]} pixels{lens}"
     return photo, focal

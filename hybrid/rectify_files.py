@@ -8,11 +8,12 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from tqdm import tqdm
 
+from hybrid.camera import told_focal
 from hybrid.errors import HybridError, told
 from hybrid.files import make_folder
 from hybrid.image_io import pictures_in, read_photo
@@ -20,7 +21,14 @@ from hybrid.outputs import FOLDERS, RectifiedFormat, write_result
 from hybrid.records import RectifyResult, StageReport
 from hybrid.workers import shared_out
 
-Rectify = Callable[[np.ndarray], RectifyResult]
+
+@runtime_checkable
+class Rectify(Protocol):
+    """Rectifies a photo, as Rectifier does. focal: as its file tells it (camera.py)."""
+
+    def __call__(self, source: np.ndarray, /, *, focal: float | None) -> RectifyResult: ...
+
+
 Say = Callable[[str], Any]
 
 
@@ -99,7 +107,7 @@ def _rectified(
         start = time.perf_counter()
         photo = read_photo(path)
         read = StageReport("file", True, f"{path.stat().st_size / 1e6:.1f} MB", time.perf_counter() - start)
-        result = rectify(photo)
+        result = rectify(photo, focal=told_focal(path))
         result = replace(result, stages=(read, *result.stages))
         files = write_result(out, [path], photo, result, rectified_format, made=made, dicom=dicom)
         status, warnings = result.status, (*warnings_of(result), *further_pictures([path]))

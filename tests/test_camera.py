@@ -14,8 +14,11 @@ from PIL.ExifTags import IFD, Base
 from hybrid.backward import BackwardMap
 from hybrid.camera import told_focal
 from hybrid.effort import RectifyConfig
-from hybrid.pipeline import _with_lens, rectify
+from hybrid.errors import ConfigError
+from hybrid.pipeline import Rectifier, _with_lens, rectify
+from hybrid.records import RectifyResult, Status, StatusCode
 from hybrid.rectify.film_size import FilmSizeConfig, known_by_plane, snap_aspect
+from hybrid.rectify_files import rectify_files
 
 SIZE = 400, 300
 """Width and height of the photos."""
@@ -64,6 +67,28 @@ def test_what_is_no_lens_of_a_phone_is_none(tmp_path: Path):
 def test_the_lens_is_told_with_the_photo(tmp_path: Path):
     result = rectify(photo_with(tmp_path / "a.jpg", FocalLengthIn35mmFilm=26))
     assert result.stages[0].reason == "400 x 300 pixels, by a lens of 0.75 times its longer side"
+
+
+def test_photos_that_are_rectified_from_files_are_so_with_their_lens(tmp_path: Path):
+    seen = []
+
+    def tool(photo: np.ndarray, *, focal: float | None) -> RectifyResult:
+        seen.append(focal)
+        return RectifyResult(Status(StatusCode.NO_FILM), ())
+
+    photos = [photo_with(tmp_path / "a.jpg", FocalLengthIn35mmFilm=26), photo_with(tmp_path / "b.jpg")]
+    rectify_files(photos, tmp_path / "out", lambda: tool, "jpg", print)
+    assert seen == [told_focal(photos[0]), None]
+
+
+def test_the_lens_of_an_array_may_be_given():
+    photo = np.zeros((300, 400, 3), np.uint8)
+    assert (
+        Rectifier()(photo, focal=0.75).stages[0].reason == "400 x 300 pixels, by a lens of 0.75 times its longer side"
+    )
+    for wrong in (0.0, -1.0, float("nan"), float("inf")):
+        with pytest.raises(ConfigError, match=r"focal: got .*; allowed: a number above 0. Give it in units"):
+            Rectifier()(photo, focal=wrong)
 
 
 def test_a_lens_that_was_asked_for_counts_for_more():

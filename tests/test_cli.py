@@ -55,7 +55,7 @@ class StandIn:
 
     config: StandInConfig = field(default_factory=StandInConfig)
 
-    def __call__(self, photo: np.ndarray, corners: object = None) -> RectifyResult:
+    def __call__(self, photo: np.ndarray, corners: object = None, focal: float | None = None) -> RectifyResult:
         stages = (
             StageReport("network", True, "always", 0.01),
             StageReport("spline", False, "no grid was found", 0.0),

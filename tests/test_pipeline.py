@@ -1,6 +1,7 @@
 """The whole pipeline with the packaged network: what a result promises, and what comes of photos without a film."""
 
 import copy
+import os
 import pickle
 import re
 import subprocess
@@ -317,6 +318,7 @@ def test_blank_and_small_photos_end_at_once(rectifier, image, code):
     found = rectifier(image)
     assert found.status.code is code
     assert [stage.name for stage in found.stages] == ["read", "survey"]
+    assert found.photo_size == image.shape[:2]
 
 
 @pytest.mark.parametrize(
@@ -379,6 +381,28 @@ def test_which_arrays_of_a_result_are_the_callers(photo):
     assert not any(np.shares_memory(one, other) for one, other in combinations(whose, 2))
     result.slices()[0][:] = 0.25
     assert (result.film == 0.25).any()
+
+
+FORKED = """
+import multiprocessing
+import sys
+import hybrid
+
+rectifier = hybrid.Rectifier(hybrid.RectifyConfig.of("fast"))
+here = rectifier(sys.argv[1])
+with multiprocessing.get_context("fork").Pool(1) as pool:
+    (there,) = pool.map(rectifier, [sys.argv[1]])
+assert there.status == here.status
+assert (there.film == here.film).all()
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
+def test_a_forked_process_rectifies_what_its_parent_has(tmp_path):
+    """It has none of the parent's threads, which have worked by then."""
+    example = Path(hybrid.__file__).parent / "examples" / "film.jpg"
+    environment = {**os.environ, "OMP_NUM_THREADS": "2"}
+    subprocess.run([sys.executable, "-c", FORKED, str(example)], check=True, env=environment, timeout=300)
 
 
 WRONG_TYPES = """

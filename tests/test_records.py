@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
+import pickle
 
 import numpy as np
 import pytest
@@ -39,8 +41,10 @@ def test_records_are_frozen() -> None:
     with pytest.raises(dataclasses.FrozenInstanceError):
         grid_of(2, 2).rows = 3  # pyright: ignore[reportAttributeAccessIssue]
     backward = BackwardMap(film_nodes((4, 4)))
-    with pytest.raises(ValueError, match="read-only"):
-        backward.nodes[0, 0] = 1.0
+    for each in (backward, pickle.loads(pickle.dumps(backward)), copy.deepcopy(backward)):
+        assert np.array_equal(each.nodes, backward.nodes)
+        with pytest.raises(ValueError, match="read-only"):
+            each.nodes[0, 0] = 1.0
 
 
 def test_grid_refuses_vertices_that_do_not_fit() -> None:

@@ -22,7 +22,7 @@ class Tool:
     def __init__(self) -> None:
         self.process = os.getpid()
 
-    def __call__(self, photo: np.ndarray) -> RectifyResult:
+    def __call__(self, photo: np.ndarray, *, focal: float | None) -> RectifyResult:
         return RectifyResult(Status(StatusCode.NO_FILM), ())
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from functools import lru_cache, partial
 
 import torch
@@ -11,6 +12,10 @@ from torch import Tensor, nn
 from hybrid.learn.network import Residual
 from hybrid.learn.tensors import Network
 from hybrid.learn.upright import Mix
+
+if hasattr(os, "register_at_fork"):
+    # A forked process has none of its parent's threads, and PyTorch's would be waited for without end.
+    os.register_at_fork(after_in_child=partial(torch.set_num_threads, 1))
 
 MOST_SIZES = 3
 """Input sizes for which a convolution keeps its packed weights; for one size, FilmNet's take 30 MB."""
