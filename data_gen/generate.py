@@ -44,7 +44,7 @@ class GenerateConfig:
     out: Path
     """Folder for the data set; finished shards in it are kept, so an interrupted run resumes."""
     seed: int = 0
-    """The same seed gives the same bytes."""
+    """The same seed gives the same bytes, on processors of one kind."""
     size: int = 256
     """Side of the photos in pixels."""
     map_size: int | None = None

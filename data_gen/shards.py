@@ -5,7 +5,7 @@
 000000012.json          camera, grid, coding, every parameter
 
 The key is the sample's number in the data set. Nothing is compressed, so a reader maps the file into memory and uses
-the arrays in place. The headers hold no time and no owner: the same sample gives the same bytes everywhere.
+the arrays in place. The headers hold no time and no owner: the same sample gives the same bytes.
 """
 
 from __future__ import annotations
