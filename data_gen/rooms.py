@@ -28,8 +28,8 @@ HDRI_SIZE = (512, 1024)
 ROUGHNESS_LEVELS = (0.14, 0.2, 0.28, 0.4)
 
 MAX_RELATIVE_RADIANCE = 3000.0
-"""The sun of an HDR file is clipped here (times the mean), as brighter points add noise to a blurred reflection; a sunny
-sky may lose up to three quarters of its energy by that, and more than a quarter of its irradiance towards the sun."""
+"""The sun of an HDR file is clipped here (times the mean), as brighter points add noise to blurred reflections. A sunny
+sky may lose three quarters of its energy by that, and a quarter of the irradiance of what faces the sun."""
 
 
 @dataclass(frozen=True, eq=False)

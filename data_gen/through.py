@@ -12,8 +12,8 @@ from data_gen.shade import Behind, LitFilm, entering_light
 from hybrid.coords import opencv_from_photo
 
 LATTICE = 96
-"""Film points along each side at which the picture behind is looked up: 4 mm, so print or grain right behind a clear film
-shows as a blur."""
+"""Film points along each side at which the picture behind is looked up: every 4 mm, so what lies right behind a clear
+film shows blurred."""
 
 STANDING_OFF_MM = 20.0
 """How far a bent film stands off what it lies on, about: light on its far side is averaged at least this widely."""

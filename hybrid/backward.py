@@ -108,7 +108,7 @@ class BackwardMap:
         object.__setattr__(self, "nodes", nodes)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return BackwardMap, (np.asarray(self.nodes),)  # so that the nodes of a copy are read-only, too
+        return BackwardMap, (self.nodes,)  # so that the nodes of a copy are read-only, too
 
     @staticmethod
     def from_function(

@@ -21,6 +21,9 @@ FILM_35_DIAGONAL_MM = math.hypot(36.0, 24.0)
 SHORTEST_MM, LONGEST_MM = 8.0, 400.0
 """Equivalent focal lengths outside these are not those of phones; 0 means that it is unknown."""
 
+FOCALS = (0.1, 20.0)
+"""Focal lengths that may be given, in units of the photo's longer side: between a fisheye's and a telescope's."""
+
 TOLD_SIGMA = 0.05
 """Standard deviation of the logarithm of a focal length that is told: lenses breathe, and millimetres are whole."""
 
@@ -60,4 +63,4 @@ def _oblong(size: tuple[int, int]) -> float:
     return max(size) / min(size)
 
 
-__all__ = ["TOLD_SIGMA", "told_focal"]
+__all__ = ["FOCALS", "TOLD_SIGMA", "told_focal"]

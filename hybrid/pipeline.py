@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from functools import lru_cache, partial
+from numbers import Real
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool
 
 from hybrid.backward import BackwardMap, Orientation
-from hybrid.camera import TOLD_SIGMA, told_focal
+from hybrid.camera import FOCALS, TOLD_SIGMA, told_focal
 from hybrid.effort import Effort, RectifyConfig
 from hybrid.errors import ConfigError, FusionError, describe
 from hybrid.geometry import Readers, beyond_doubt, flat_itself, judged, shape_of, whole_sheet
@@ -98,9 +99,10 @@ class Rectifier:
             PhotoError: the source cannot be read as a photo. A photo without a film is not an error but a status.
             ConfigError: these cannot be the corners of a sheet in the photo, or there is no such focal length.
         """
-        if focal is not None and not 0.0 < focal < np.inf:
+        if focal is not None and not (isinstance(focal, Real) and FOCALS[0] <= focal <= FOCALS[1]):
             do = "Give it in units of the photo's longer side, as 0.75, or leave it out."
-            raise ConfigError(describe(what="focal", got=focal, allowed="a number above 0", do=do))
+            allowed = f"a number from {FOCALS[0]:g} to {FOCALS[1]:g}"
+            raise ConfigError(describe(what="Focal length", got=repr(focal), allowed=allowed, do=do))
         clock = Clock()
         with one_thread():
             return self._rectified(*_photo_of(source, clock, focal), corners, clock)
@@ -346,10 +348,12 @@ def _rectifier(config: RectifyConfig) -> Rectifier:
     return Rectifier(config)
 
 
-def rectify(photo: PhotoSource, effort: Effort | str = "default", corners: Corners | None = None) -> RectifyResult:
+def rectify(
+    photo: PhotoSource, effort: Effort | str = "default", corners: Corners | None = None, focal: float | None = None
+) -> RectifyResult:
     """Rectify one photo with the packaged network and an effort's options; see Rectifier.
 
     Raises:
-        ConfigError: there is no such effort, or these cannot be a film's corners.
+        ConfigError: there is no such effort or focal length, or these cannot be a film's corners.
     """
-    return _rectifier(RectifyConfig.of(effort))(photo, corners)
+    return _rectifier(RectifyConfig.of(effort))(photo, corners, focal)

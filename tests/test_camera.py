@@ -86,9 +86,11 @@ def test_the_lens_of_an_array_may_be_given():
     assert (
         Rectifier()(photo, focal=0.75).stages[0].reason == "400 x 300 pixels, by a lens of 0.75 times its longer side"
     )
-    for wrong in (0.0, -1.0, float("nan"), float("inf")):
-        with pytest.raises(ConfigError, match=r"focal: got .*; allowed: a number above 0. Give it in units"):
-            Rectifier()(photo, focal=wrong)
+    for wrong in (0.0, -1.0, 26.0, float("nan"), float("inf")):
+        with pytest.raises(
+            ConfigError, match=r"Focal length: got .*; allowed: a number from 0.1 to 20. Give it in units"
+        ):
+            rectify(photo, focal=wrong)
 
 
 def test_a_lens_that_was_asked_for_counts_for_more():

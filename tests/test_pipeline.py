@@ -416,6 +416,7 @@ for call in (
     lambda: hybrid.RectifyConfig(tries=1.5),
     lambda: hybrid.rectify(np.zeros((90, 90, 3), np.uint8), effort=config),
     lambda: hybrid.rectify(np.zeros((90, 90, 3), np.uint8), effort=["fast"]),
+    lambda: hybrid.rectify(np.zeros((90, 90, 3), np.uint8), focal="26 mm"),
     lambda: hybrid.GridEdit.of("x.jpg"),
     lambda: hybrid.Rectifier().edited("x.jpg", result),
 ):
@@ -435,6 +436,8 @@ def test_something_else_than_what_is_asked_for_is_refused_by_name():
         "Effort: got a RectifyConfig; allowed: fast, default, thorough. For options of your own: "
         "Rectifier(config)(photo).",
         "Effort: got a list; allowed: fast, default, thorough. Name one of them.",
+        "Focal length: got '26 mm'; allowed: a number from 0.1 to 20. Give it in units of the photo's longer side, as "
+        "0.75, or leave it out.",
         "Grid to edit: got a str; allowed: a RectifyResult. Rectify the photo first: GridEdit.of(Rectifier()(photo)).",
         "Edited grid: got a RectifyResult; allowed: a GridEdit. Make one: GridEdit.of(result).",
     ]
