@@ -13,6 +13,7 @@ from hybrid.rectify.clear_margins import ClearMarginsConfig
 from hybrid.rectify.cover import CoverConfig
 from hybrid.rectify.deilluminate import DeilluminateConfig
 from hybrid.rectify.edge_paths import EdgeConfig
+from hybrid.rectify.false_margins import FalseMarginsConfig
 from hybrid.rectify.film_size import FilmSizeConfig
 from hybrid.rectify.foreshortening import ForeshorteningConfig
 from hybrid.rectify.fuse import FuseConfig
@@ -39,6 +40,7 @@ class RectifyConfig:
     invert: InvertConfig = field(default_factory=InvertConfig)
     edges: EdgeConfig = field(default_factory=EdgeConfig)
     margins: ClearMarginsConfig = field(default_factory=ClearMarginsConfig)
+    false_margins: FalseMarginsConfig = field(default_factory=FalseMarginsConfig)
     told_cells: bool = True
     """Whether a map starts from the cells as the network sees them; otherwise they are found from the print alone."""
     foreshortening: ForeshorteningConfig = field(default_factory=ForeshorteningConfig)

@@ -19,6 +19,7 @@ from hybrid.rectify.border_paths import borders_shown
 from hybrid.rectify.cell_phases import CellPhases
 from hybrid.rectify.clear_margins import LongerSheet, with_margins
 from hybrid.rectify.edge_paths import EdgesRead, look_across, put_on_edges, read_edges
+from hybrid.rectify.false_margins import without_margins
 from hybrid.rectify.flat import already_flat, is_frame
 from hybrid.rectify.foreshortening import even
 from hybrid.rectify.invert import Inversion
@@ -165,7 +166,8 @@ def whole_sheet(
     clock: Clock,
 ) -> Refinement:
     """A refinement, or one of a longer sheet with margins that had been taken for the background, if its edges are
-    likely to be there, its print lies in its middle, and the network sees it there, too.
+    likely to be there, its print lies in its middle, and the network sees it there, too; or one of a shorter sheet
+    without margins that were background.
 
     reader: reads the film's edges. beside: how far beside a map the network sees the film (``seen_beside``).
     """
@@ -177,8 +179,11 @@ def whole_sheet(
                 break
             refined = wider[0]
             found.append(wider[1])
+        if shorter := _without_margins(pyramid, phases, refined, reader, config):
+            refined = shorter[0]
+            found.append(shorter[1])
         report.ran = bool(found)
-        report.reason = "; ".join(found) or "the sheet does not go on beyond its map"
+        report.reason = "; ".join(found) or "the sheet ends where its map does"
     return refined
 
 
@@ -215,6 +220,27 @@ def _with_margins(
         if beside(wider.backward) <= options.most_beside:
             return replace(wider, across=across), str(longer)
     return None
+
+
+def _without_margins(
+    pyramid: Pyramid, phases: CellPhases | None, refined: Refinement, reader: StripReader, config: RectifyConfig
+) -> tuple[Refinement, str] | None:
+    """A refinement of the sheet without margins that were background, and what these were."""
+    options, grid = config.false_margins, refined.grid
+    shorter = grid and without_margins(pyramid, refined.backward, grid, reader, config.edges, options)
+    if not shorter:
+        return None
+    within = exact(pyramid, shorter.read.through, phases, shorter.read, reader, config, Clock())
+    if within.grid is None or within.grid.lopsided > options.most_lopsided:
+        return None
+    if _edges_of(pyramid, within, reader, config).support.min() < options.sure:
+        return None
+    is_ground = (
+        shorter.unlike >= options.unlike
+        or _edges_of(pyramid, refined, reader, config).support.min() < options.unseen
+        or _grid_chance(within) - _grid_chance(refined) >= options.grid_gained
+    )
+    return (within, str(shorter)) if is_ground else None
 
 
 def _grid_chance(refinement: Refinement) -> float:

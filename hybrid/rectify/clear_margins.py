@@ -119,9 +119,7 @@ class LongerSheet:
     @property
     def lopsided(self) -> float:
         """Largest difference between the gains at opposite ends, in parts of the longer sheet."""
-        return max(
-            abs(sum(end.inward * self._share(end) for end in self.gained if end.axis == axis)) for axis in (0, 1)
-        )
+        return unlike_ends({end: self._share(end) for end in self.gained})
 
     def detail_gained(self, pyramid: Pyramid, film: BackwardMap, look: CellsConfig) -> float:
         """Detail of the margins gained, through the longer map ``film``, in parts of that of the print: for the end
@@ -154,7 +152,7 @@ def with_margins(
             if start.folds((17, 17)):
                 break
             on_edges = put_on_edges(start, read_edges(pyramid, start, reader, edges), edges)
-            moved = {side: _gained(film, on_edges, side) for side in SIDES}
+            moved = {side: beyond_end(film, on_edges, side) for side in SIDES}
             if any(abs(moved[side]) >= config.least for side in SIDES if side not in new):
                 break  # a side that was right was moved to another edge
             read = look_across(pyramid, on_edges, reader, edges)
@@ -173,7 +171,7 @@ def with_margins(
 
 
 def lengthened(film: BackwardMap, gained: Mapping[Side, float]) -> BackwardMap:
-    """The map extended straight on beyond some of its ends, by lengths in parts of the map."""
+    """The map extended straight on beyond some of its ends, by lengths in parts of the map, or cut by negative ones."""
     added = np.zeros((2, 2))
     for end, length in gained.items():
         added[int(end.edge), end.axis] = length
@@ -226,10 +224,15 @@ def _shown(film: BackwardMap, end: Side, size: tuple[int, int]) -> bool:
     return bool(inside.mean() > MOST)
 
 
-def _gained(film: BackwardMap, longer: BackwardMap, end: Side) -> float:
-    """How far an end of a longer map lies beyond the film's, in parts of the film: the median."""
-    at = film.film_near(longer.photo_from_film(_along(end)), _along(end), iterations=4, most_step=0.2)
+def beyond_end(film: BackwardMap, other: BackwardMap, end: Side) -> float:
+    """How far an end of another map lies beyond the film's, in parts of the film: the median."""
+    at = film.film_near(other.photo_from_film(_along(end)), _along(end), iterations=4, most_step=0.2)
     return float(np.median(_outside(at[:, end.axis], end)))
+
+
+def unlike_ends(lengths: Mapping[Side, float]) -> float:
+    """Largest difference between lengths at opposite ends, 0 at ends that are not named."""
+    return max(abs(sum(end.inward * length for end, length in lengths.items() if end.axis == axis)) for axis in (0, 1))
 
 
 def _along(end: Side) -> Float[np.ndarray, "n 2"]:
@@ -242,4 +245,4 @@ def _outside(at: Float[np.ndarray, " n"], end: Side) -> Float[np.ndarray, " n"]:
     return end.inward * (end.edge - at)
 
 
-__all__ = ["ClearMarginsConfig", "LongerSheet", "lengthened", "with_margins"]
+__all__ = ["ClearMarginsConfig", "LongerSheet", "beyond_end", "lengthened", "unlike_ends", "with_margins"]

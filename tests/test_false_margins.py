@@ -1,0 +1,147 @@
+"""Ground that was taken for margins: cut off where the sheet's edges are seen around its print, and only there."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from test_edges import CONFIG, STEPS, sheet_photo
+
+import hybrid.geometry as geometry
+from hybrid.backward import BackwardMap
+from hybrid.coords import film_nodes
+from hybrid.effort import RectifyConfig
+from hybrid.geometry import whole_sheet
+from hybrid.pyramid import Pyramid
+from hybrid.records import SliceGrid
+from hybrid.rectify.false_margins import FalseMarginsConfig, ShorterSheet, without_margins
+from hybrid.rectify.refine import Refinement
+from hybrid.stages import Clock
+
+OPTIONS = FalseMarginsConfig()
+ALIKE = {"left": 60, "right": 60}
+"""By how many pixels a shadow may stick out that looks like margins."""
+SHADOW = 60
+"""The grey of the sheet's shadow, which is brighter than the sheet and darker than the ground."""
+
+
+def before_its_shadow(right: int = 0, below: int = 0, left: int = 0, above: int = 0) -> tuple[np.ndarray, BackwardMap]:
+    """A dark sheet from 100 to 600 along both axes before a shadow that sticks out by so many pixels, and the map of
+    both together."""
+    photo, _ = sheet_photo()
+    low, high = np.array([100 - left, 100 - above]), np.array([600 + right, 600 + below])
+    shadow = photo[low[1] : high[1], low[0] : high[0]]
+    shadow[shadow > SHADOW] = SHADOW
+    return photo, BackwardMap(low + (high - low) * film_nodes((9, 9)))
+
+
+def print_in(film: BackwardMap, low=(110, 110), high=(590, 590)) -> SliceGrid:
+    """The grid of a print between two photo points (x, y), through a map of an upright sheet."""
+    photo_points = np.array(low) + (np.array(high) - low) * film_nodes((5, 4))
+    first, last = film.nodes[0, 0], film.nodes[-1, -1]
+    return SliceGrid(4, 3, (photo_points - first) / (last - first), photo_points, 0.9)
+
+
+def shorter(photo: np.ndarray, film: BackwardMap, grid: SliceGrid, config=OPTIONS) -> ShorterSheet | None:
+    return without_margins(Pyramid(photo), film, grid, STEPS, CONFIG, config)
+
+
+@pytest.mark.parametrize(
+    ("out", "lost"),
+    [
+        ({"below": 70}, {"bottom"}),
+        ({"right": 60, "below": 80}, {"right", "bottom"}),
+        ({"left": 60, "right": 120, "above": 70}, {"left", "right", "top"}),
+        (ALIKE, {"left", "right"}),
+    ],
+)
+def test_the_sheet_is_found_that_ends_before_its_map(out, lost):
+    photo, film = before_its_shadow(**out)
+    found = shorter(photo, film, print_in(film))
+    assert found is not None
+    np.testing.assert_allclose(found.read.through.nodes[0, 0], 100, atol=4)
+    np.testing.assert_allclose(found.read.through.nodes[-1, -1], 600, atol=4)
+    assert {side.name for side in found.lost} == lost
+    for side, length in found.lost.items():
+        pixels = out[{"bottom": "below", "top": "above"}.get(side.name, side.name)]
+        assert length == pytest.approx(pixels / np.ptp(film.nodes[..., side.axis]), abs=0.01)
+        assert side.name in str(found)
+    assert (found.unlike > OPTIONS.unlike) is (out != ALIKE)
+
+
+def test_a_sheet_with_more_room_on_one_side_keeps_its_margin():
+    """As below a header: nothing within the sheet looks like its edge."""
+    photo, film = sheet_photo()
+    assert shorter(photo, film, print_in(film, low=(110, 180))) is None
+
+
+def test_margins_narrower_than_the_least_are_kept():
+    photo, film = before_its_shadow(below=70)
+    assert shorter(photo, film, print_in(film), replace(OPTIONS, least=0.2)) is None
+
+
+# ---------------------------------------------------------------- which of them are believed
+
+
+SURE = replace(OPTIONS, sure=0.8)
+
+
+def sheet_of(
+    monkeypatch, out=None, printed=((110, 110), (590, 590)), config=SURE, gained=0.0, seen=True
+) -> tuple[bool, bool, str]:
+    """Whether the sheet before a shadow counts, whether the stage ran, and what it reports.
+
+    Refinement leaves maps as they are, and finds a print between two photo points, whose grid is more probable than the
+    one before by ``gained``. seen: whether the longer map ends where the shadow does."""
+    photo, film = before_its_shadow(**(out or {"below": 70}))
+    if not seen:
+        film = BackwardMap(film.photo_from_film(np.array([0.0, -0.06]) + np.array([1.0, 1.12]) * film_nodes((9, 9))))
+    before = Refinement(film, replace(print_in(film), confidence=0.5), (), expected_px=0.5, stands=True)
+
+    def exact(pyramid, start, phases, read, reader, options, clock):
+        assert read.through is start
+        assert np.ptp(start.nodes[..., 1]) < 510
+        grid = replace(print_in(start, *printed), confidence=0.5 + gained) if printed else None
+        return Refinement(start, grid, (), expected_px=0.5, stands=True)
+
+    monkeypatch.setattr(geometry, "exact", exact)
+    options = replace(RectifyConfig(), false_margins=config, margins=replace(RectifyConfig().margins, beyond=()))
+    clock = Clock()
+    after = whole_sheet(Pyramid(photo), None, before, STEPS, lambda _: 0.0, options, clock)
+    (report,) = clock.reports
+    return after.backward is not film, report.ran, report.reason
+
+
+def test_a_shorter_sheet_counts_where_its_edges_are_sure_and_its_print_in_the_middle(monkeypatch):
+    counts, ran, reason = sheet_of(monkeypatch)
+    assert counts
+    assert ran
+    assert "ends before its map: 12% at the bottom" in reason
+
+
+@pytest.mark.parametrize("printed", [((110, 110), (590, 570)), None])
+def test_it_does_not_where_its_print_is_not_in_the_middle_or_gone(monkeypatch, printed):
+    assert sheet_of(monkeypatch, printed=printed)[:2] == (False, False)
+
+
+def test_nor_where_its_edges_are_not_sure(monkeypatch):
+    assert sheet_of(monkeypatch, config=replace(OPTIONS, sure=1.0))[:2] == (False, False)
+
+
+@pytest.mark.parametrize(
+    ("gained", "seen", "counts"),
+    [
+        (0.0, True, False),
+        (0.9 * OPTIONS.grid_gained, True, False),
+        (1.1 * OPTIONS.grid_gained, True, True),
+        (0.0, False, True),
+    ],
+)
+def test_margins_alike_are_ground_only_if_the_grid_or_the_edges_say_so(monkeypatch, gained, seen, counts):
+    assert sheet_of(monkeypatch, ALIKE, gained=gained, seen=seen)[0] is counts
+
+
+def test_where_no_grid_is_seen_nothing_is_cut_off():
+    photo, film = before_its_shadow(below=70)
+    before = Refinement(film, None, (), expected_px=0.5, stands=True)
+    after = whole_sheet(Pyramid(photo), None, before, STEPS, lambda _: 0.0, RectifyConfig(), Clock())
+    assert after is before
