@@ -198,7 +198,7 @@ def _surroundings_text(surroundings: SurroundingsReport) -> str:
     if surroundings.sides > 1:
         alone = f"the mean of its maps from {surroundings.sides} sides; refinement starts from one of them"
     return (
-        "Photos with truth, changed around the film, which stays as it was photographed. Errors are geometric means, "
+        "Photos with truth, changed around the film, or by what lies on it or in the lens. Errors are geometric means, "
         "over the films found, of end-point errors in pixels of the photo before the change, scaled to 1080. "
         f"The network alone: {alone}.\n\n"
         f"```bash\n{surroundings.run['command']}\n```\n\n{_made(surroundings.run).capitalize()}.\n\n"

@@ -1,8 +1,9 @@
-"""What a film lies on, and what that costs: ``python -m benchmarks.surroundings --photos DIR [DIR ...] --json OUT``.
+"""What a film lies on, what is stuck on it, and what that costs.
 
-Photos with truth are changed around their film (grounds.py), which stays as it was, and flattened again: by the network
-alone, as refinement starts from it, and by the whole pipeline. Errors are mean end-point errors in pixels of the
-original photo, scaled to 1080. The JSON file, named surroundings.json, may lie beside run.json for ``benchmarks.page``.
+``python -m benchmarks.surroundings --photos DIR [DIR ...] --json OUT`` changes photos with truth around their film
+(grounds.py) or on it (marks.py) and flattens them again: by the network alone, as refinement starts from it, and by the
+whole pipeline. Errors are mean end-point errors in pixels of the original photo, scaled to 1080. The JSON file, named
+surroundings.json, may lie beside run.json for ``benchmarks.page``.
 """
 
 from __future__ import annotations
@@ -22,8 +23,10 @@ from tqdm import tqdm
 from benchmarks.cases import Case, photo_cases, read_alike, sample_cases
 from benchmarks.command import run_command
 from benchmarks.damage import Damaged
-from benchmarks.grounds import CHANGES, Sheet
+from benchmarks.grounds import CHANGES as AROUND
+from benchmarks.grounds import Sheet
 from benchmarks.machine import describe_run
+from benchmarks.marks import MARKS
 from benchmarks.page_tables import surroundings_table
 from benchmarks.schema import write_record
 from benchmarks.scores import LATTICE
@@ -37,13 +40,16 @@ from hybrid.image_io import write_rgb
 from hybrid.pipeline import Rectifier
 from hybrid.workers import shared_out
 
+CHANGES = AROUND | MARKS
+"""All changes: what each is called, in words, and how it is made."""
+
 SHOWN = 2
 """Number of photos of each change that are drawn."""
 
 
 @dataclass(frozen=True)
 class Options:
-    """Change photos with truth around their film, and measure the effect."""
+    """Change photos with truth around their film or on it, and measure the effect."""
 
     json_path: Annotated[Path, tyro.conf.arg(name="json")]
     """File for the figures."""

@@ -12,6 +12,7 @@ import pytest
 import benchmarks.surroundings
 from benchmarks.cases import Case
 from benchmarks.grounds import CHANGES, Sheet
+from benchmarks.marks import MARKS
 from benchmarks.page_tables import surroundings_table
 from benchmarks.schema import read_record
 from benchmarks.surroundings import Options, Rectifiers, Task, counted, main, tasks_of, tried
@@ -102,6 +103,33 @@ def test_motion_leaves_the_film_where_it_is() -> None:
         for x in (-1, 0, 1)
     )
     assert least[1] == (0, 0)
+
+
+@pytest.mark.parametrize("name", ["labels", "written"])
+def test_marks_cover_a_little_of_the_film_and_nothing_else(name: str) -> None:
+    for seed in range(3):
+        before = sheet()
+        it = MARKS[name][1](before, sheet(5), np.random.default_rng(seed))
+        assert it.backward is before.backward
+        changed = (it.photo != before.photo).any(axis=2)
+        assert 0.002 < changed[before.ground == 0].mean() < 0.2
+        assert not changed[before.ground == 255].any()
+
+
+def test_labels_are_bright_and_printed_dark() -> None:
+    before = replace(sheet(), photo=np.full((*SIZE, 3), 90, np.uint8))
+    it = MARKS["labels"][1](before, before, np.random.default_rng(0))
+    assert (it.photo.min(axis=2) > 160).any()
+    assert (it.photo.max(axis=2) < 40).any()
+
+
+def test_flare_only_adds_light() -> None:
+    before = sheet()
+    it = MARKS["flare"][1](before, before, np.random.default_rng(0))
+    added = it.photo.astype(int) - before.photo
+    assert added.min() >= 0
+    assert added.max() > 20
+    np.testing.assert_array_equal(it.backward.nodes, before.backward.nodes)
 
 
 # ---------------------------------------------------------------- what is found
