@@ -226,21 +226,25 @@ def _without_margins(
     pyramid: Pyramid, phases: CellPhases | None, refined: Refinement, reader: StripReader, config: RectifyConfig
 ) -> tuple[Refinement, str] | None:
     """A refinement of the sheet without margins that were background, and what these were."""
-    options, grid = config.false_margins, refined.grid
-    shorter = grid and without_margins(pyramid, refined.backward, grid, reader, config.edges, options)
-    if not shorter:
+    options, grid, across = config.false_margins, refined.grid, refined.across
+    if grid is None:
+        return None
+    unseen = across is not None and across.support.min() < options.unseen  # a plane has straight edges that are seen
+    least_grid = 0.0 if unseen else grid.confidence + options.grid_gained
+    if least_grid > 1.0 and grid.lopsided < options.unlike - options.most_lopsided:
+        return None  # whatever were cut off, nothing would tell it from a margin
+    shorter = without_margins(pyramid, refined.backward, grid, reader, config.edges, options)
+    if shorter is None:
+        return None
+    if shorter.unlike >= options.unlike:
+        least_grid = 0.0
+    if least_grid > 1.0:
         return None
     within = exact(pyramid, shorter.read.through, phases, shorter.read, reader, config, Clock())
-    if within.grid is None or within.grid.lopsided > options.most_lopsided:
+    if within.grid is None or within.grid.lopsided > options.most_lopsided or _grid_chance(within) < least_grid:
         return None
-    if _edges_of(pyramid, within, reader, config).support.min() < options.sure:
-        return None
-    is_ground = (
-        shorter.unlike >= options.unlike
-        or _edges_of(pyramid, refined, reader, config).support.min() < options.unseen
-        or _grid_chance(within) - _grid_chance(refined) >= options.grid_gained
-    )
-    return (within, str(shorter)) if is_ground else None
+    sure = _edges_of(pyramid, within, reader, config).support.min() >= options.sure
+    return (within, str(shorter)) if sure else None
 
 
 def _grid_chance(refinement: Refinement) -> float:

@@ -13,6 +13,7 @@ from hybrid.effort import RectifyConfig
 from hybrid.geometry import whole_sheet
 from hybrid.pyramid import Pyramid
 from hybrid.records import SliceGrid
+from hybrid.rectify.edge_paths import look_across
 from hybrid.rectify.false_margins import FalseMarginsConfig, ShorterSheet, without_margins
 from hybrid.rectify.refine import Refinement
 from hybrid.stages import Clock
@@ -95,12 +96,14 @@ def sheet_of(
     photo, film = before_its_shadow(**(out or {"below": 70}))
     if not seen:
         film = BackwardMap(film.photo_from_film(np.array([0.0, -0.06]) + np.array([1.0, 1.12]) * film_nodes((9, 9))))
-    before = Refinement(film, replace(print_in(film), confidence=0.5), (), expected_px=0.5, stands=True)
+    across = look_across(Pyramid(photo), film, STEPS, CONFIG)
+    grid = replace(print_in(film), confidence=0.4)
+    before = Refinement(film, grid, (), expected_px=0.5, stands=True, across=across)
 
     def exact(pyramid, start, phases, read, reader, options, clock):
         assert read.through is start
         assert np.ptp(start.nodes[..., 1]) < 510
-        grid = replace(print_in(start, *printed), confidence=0.5 + gained) if printed else None
+        grid = replace(print_in(start, *printed), confidence=0.4 + gained) if printed else None
         return Refinement(start, grid, (), expected_px=0.5, stands=True)
 
     monkeypatch.setattr(geometry, "exact", exact)
@@ -145,3 +148,13 @@ def test_where_no_grid_is_seen_nothing_is_cut_off():
     before = Refinement(film, None, (), expected_px=0.5, stands=True)
     after = whole_sheet(Pyramid(photo), None, before, STEPS, lambda _: 0.0, RectifyConfig(), Clock())
     assert after is before
+
+
+@pytest.mark.parametrize(("out", "confidence", "looks"), [(ALIKE, 0.6, 0), (ALIKE, 0.4, 1), ({"below": 70}, 0.6, 1)])
+def test_nothing_is_read_where_nothing_could_tell_what_is_cut_off_from_a_margin(monkeypatch, out, confidence, looks):
+    photo, film = before_its_shadow(**out)
+    before = Refinement(film, replace(print_in(film), confidence=confidence), (), expected_px=0.5, stands=True)
+    asked: list[BackwardMap] = []
+    monkeypatch.setattr(geometry, "without_margins", lambda pyramid, film, *others: asked.append(film))
+    whole_sheet(Pyramid(photo), None, before, STEPS, lambda _: 0.0, RectifyConfig(), Clock())
+    assert len(asked) == looks

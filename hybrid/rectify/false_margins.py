@@ -37,7 +37,7 @@ class FalseMarginsConfig:
     most_lopsided: float = 0.02
     unlike: float = 0.035
     unseen: float = 0.3
-    grid_gained: float = 0.35
+    grid_gained: float = 0.5
 
     def __post_init__(self) -> None:
         require_at_least(self, 1e-3, "least")
@@ -77,13 +77,21 @@ def without_margins(
     if not wide:
         return None
     start = lengthened(film, wide)
+    at_once = put_on_edges(start, look_across(pyramid, start, reader, edges), edges)
+    if not _lost(film, at_once, config):
+        return None  # mostly: the edges that are seen are those of the map
     on_edges = put_on_edges(start, read_edges(pyramid, start, reader, edges), edges)
     if on_edges.folds((17, 17)):
         return None
-    lost = {side: -beyond_end(film, on_edges, side) for side in SIDES}
-    lost = {side: length for side, length in lost.items() if length > config.least}
     read = look_across(pyramid, on_edges, reader, edges)
+    lost = _lost(film, on_edges, config)
     return ShorterSheet(read, lost) if lost and read.support.min() >= config.likely else None
+
+
+def _lost(film: BackwardMap, shorter: BackwardMap, config: FalseMarginsConfig) -> dict[Side, float]:
+    """By how much a shorter map is so at its ends, where that is no less than the narrowest margin."""
+    inside = {side: -beyond_end(film, shorter, side) for side in SIDES}
+    return {side: length for side, length in inside.items() if length > config.least}
 
 
 def _margin(grid: SliceGrid, side: Side) -> float:
