@@ -11,13 +11,14 @@ from jaxtyping import Float
 
 from benchmarks.damage import Damaged
 from benchmarks.grounds import Change, Picture, Sheet
-from hybrid.coords import opencv_from_photo
+from hybrid.backward import BackwardMap
+from hybrid.coords import film_nodes, opencv_from_photo
 
 Box = tuple[float, float, float, float]
 """u0, v0, u1, v1 of a part of the film."""
 
-_FINER = 4
-"""Bits of the fractions of pixels to which OpenCV draws."""
+_FRACTION_BITS = 4
+"""Of the pixels to which OpenCV draws."""
 
 
 def _labels(sheet: Sheet, other: Sheet, rng: np.random.Generator) -> Damaged:
@@ -48,12 +49,10 @@ def _bars(box: Box, rng: np.random.Generator) -> list[Box]:
 
 def _fill(photo: Picture, sheet: Sheet, boxes: Sequence[Box], colour: Float[np.ndarray, "3"]) -> None:
     """Paint parts of the film, bent as it is, in the photo."""
-    t = np.linspace(0.0, 1.0, 8, endpoint=False)
-    half = np.concatenate([np.stack([t, 0 * t], axis=1), np.stack([0 * t + 1, t], axis=1)])
-    border = np.concatenate([half, 1.0 - half])  # once around
     for u0, v0, u1, v1 in boxes:
-        points = sheet.backward.photo_from_film(np.array([u0, v0]) + border * np.array([u1 - u0, v1 - v0]))
-        cv2.fillPoly(photo, [_fixed(points)], colour.tolist(), cv2.LINE_AA, _FINER)
+        part = np.array([u0, v0]) + film_nodes((9, 9)) * np.array([u1 - u0, v1 - v0])
+        outline = BackwardMap(sheet.backward.photo_from_film(part)).outline()
+        cv2.fillPoly(photo, [_fixed(outline)], colour.tolist(), cv2.LINE_AA, _FRACTION_BITS)
 
 
 def _written(sheet: Sheet, other: Sheet, rng: np.random.Generator) -> Damaged:
@@ -68,7 +67,7 @@ def _written(sheet: Sheet, other: Sheet, rng: np.random.Generator) -> Damaged:
         drift = rng.uniform(-1.0, 1.0, 2) * (t[:, None] - 0.5)  # a ring, or letters in a row
         ring = np.stack([np.cos(2 * np.pi * turns * t + phase), np.sin(2 * np.pi * turns * t + phase)], axis=1)
         points = sheet.backward.photo_from_film(np.clip(middle + size * (ring + drift), 0.0, 1.0))
-        cv2.polylines(photo, [_fixed(points)], False, colour, width, cv2.LINE_AA, _FINER)
+        cv2.polylines(photo, [_fixed(points)], False, colour, width, cv2.LINE_AA, _FRACTION_BITS)
     return Damaged(photo, sheet.backward)
 
 
@@ -89,7 +88,7 @@ def _flare(sheet: Sheet, other: Sheet, rng: np.random.Generator) -> Damaged:
 
 def _fixed(points: Float[np.ndarray, "n 2"]) -> np.ndarray:
     """Photo points as OpenCV draws them, with fractions."""
-    return np.rint(opencv_from_photo(points) * 2**_FINER).astype(np.int32)
+    return np.rint(opencv_from_photo(points) * 2**_FRACTION_BITS).astype(np.int32)
 
 
 MARKS: dict[str, tuple[str, Change]] = {

@@ -230,18 +230,19 @@ def _without_margins(
     if grid is None:
         return None
     unseen = across is not None and across.support.min() < options.unseen  # a plane has straight edges that are seen
-    least_grid = 0.0 if unseen else grid.confidence + options.grid_gained
-    if least_grid > 1.0 and grid.lopsided < options.unlike - options.most_lopsided:
+    may_gain = grid.confidence + options.grid_gained <= 1.0
+    if not (unseen or may_gain or grid.lopsided >= options.unlike - options.most_lopsided):
         return None  # whatever were cut off, nothing would tell it from a margin
     shorter = without_margins(pyramid, refined.backward, grid, reader, config.edges, options)
     if shorter is None:
         return None
-    if shorter.unlike >= options.unlike:
-        least_grid = 0.0
-    if least_grid > 1.0:
+    is_ground = unseen or shorter.unlike >= options.unlike
+    if not (is_ground or may_gain):
         return None
     within = exact(pyramid, shorter.read.through, phases, shorter.read, reader, config, Clock())
-    if within.grid is None or within.grid.lopsided > options.most_lopsided or _grid_chance(within) < least_grid:
+    if within.grid is None or within.grid.lopsided > options.most_lopsided:
+        return None
+    if not (is_ground or within.grid.confidence >= grid.confidence + options.grid_gained):
         return None
     sure = _edges_of(pyramid, within, reader, config).support.min() >= options.sure
     return (within, str(shorter)) if sure else None

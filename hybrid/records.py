@@ -89,9 +89,15 @@ class SliceGrid:
         return float(lines[0]), float(lines[-1] - lines[0]) / cells, cells
 
     @property
+    def margins(self) -> Float[np.ndarray, "2 2"]:
+        """Film between the sheet's edges and the grid, in film units: left and top, then right and bottom."""
+        return np.stack([self.vertices[0, 0], 1.0 - self.vertices[-1, -1]])
+
+    @property
     def lopsided(self) -> float:
         """How much the margins on opposite sides of the grid differ, along the worse axis, in film units."""
-        return float(np.abs(self.vertices[0, 0] - (1.0 - self.vertices[-1, -1])).max())
+        before, after = self.margins
+        return float(np.abs(before - after).max())
 
     def turned(self, way: Orientation) -> SliceGrid:
         """The grid of the film after it was moved as ``way`` says; see ``BackwardMap.turned``."""

@@ -137,8 +137,7 @@ class LongerSheet:
         return max(float(margin.mean()) for margin in gained) / max(float(shown[printed].mean()), 1e-6)
 
     def __str__(self) -> str:
-        told = " and ".join(f"{length:.0%} at the {end.name}" for end, length in self.gained.items())
-        return f"the sheet goes on: {told}, each edge at least {float(self.read.support.min()):.0%} likely"
+        return f"the sheet goes on: {told_of(self.gained, self.read)}"
 
 
 def with_margins(
@@ -230,6 +229,12 @@ def beyond_end(film: BackwardMap, other: BackwardMap, end: Side) -> float:
     return float(np.median(_outside(at[:, end.axis], end)))
 
 
+def told_of(lengths: Mapping[Side, float], read: EdgesRead) -> str:
+    """Lengths at a sheet's ends, and how likely its edges are, in words."""
+    told = " and ".join(f"{length:.0%} at the {end.name}" for end, length in lengths.items())
+    return f"{told}, each edge at least {float(read.support.min()):.0%} likely"
+
+
 def unlike_ends(lengths: Mapping[Side, float]) -> float:
     """Largest difference between lengths at opposite ends, 0 at ends that are not named."""
     return max(abs(sum(end.inward * length for end, length in lengths.items() if end.axis == axis)) for axis in (0, 1))
@@ -245,4 +250,4 @@ def _outside(at: Float[np.ndarray, " n"], end: Side) -> Float[np.ndarray, " n"]:
     return end.inward * (end.edge - at)
 
 
-__all__ = ["ClearMarginsConfig", "LongerSheet", "beyond_end", "lengthened", "unlike_ends", "with_margins"]
+__all__ = ["ClearMarginsConfig", "LongerSheet", "beyond_end", "lengthened", "told_of", "unlike_ends", "with_margins"]

@@ -153,10 +153,14 @@ def off_corners(columns: int) -> Bool[np.ndarray, " c"]:
 def read_edges(pyramid: Pyramid, film: BackwardMap, reader: StripReader, config: EdgeConfig) -> EdgesRead:
     """The edges as read across those of a map; if they are far beside these, as read once more across the edges
     found."""
-    read = look_across(pyramid, film, reader, config)
+    return read_nearer(pyramid, look_across(pyramid, film, reader, config), reader, config)
+
+
+def read_nearer(pyramid: Pyramid, read: EdgesRead, reader: StripReader, config: EdgeConfig) -> EdgesRead:
+    """Edges as they were read, or as read once more across the edges found if these are far beside the map's."""
     if read.off <= config.far:
         return read
-    return replace(look_across(pyramid, put_on_edges(film, read, config), reader, config), off=read.off)
+    return replace(look_across(pyramid, put_on_edges(read.through, read, config), reader, config), off=read.off)
 
 
 def put_on_edges(film: BackwardMap, read: EdgesRead, config: EdgeConfig) -> BackwardMap:
@@ -196,5 +200,6 @@ __all__ = [
     "off_corners",
     "put_on_edges",
     "read_edges",
+    "read_nearer",
     "read_paths",
 ]

@@ -16,8 +16,8 @@ from hybrid.backward import BackwardMap
 from hybrid.errors import require_at_least, require_at_most
 from hybrid.pyramid import Pyramid
 from hybrid.records import SliceGrid
-from hybrid.rectify.clear_margins import beyond_end, lengthened, unlike_ends
-from hybrid.rectify.edge_paths import EdgeConfig, EdgesRead, look_across, put_on_edges, read_edges
+from hybrid.rectify.clear_margins import beyond_end, lengthened, told_of, unlike_ends
+from hybrid.rectify.edge_paths import EdgeConfig, EdgesRead, look_across, put_on_edges, read_nearer
 from hybrid.strips import SIDES, Side, StripReader
 
 
@@ -58,8 +58,7 @@ class ShorterSheet:
         return unlike_ends(self.lost)
 
     def __str__(self) -> str:
-        told = " and ".join(f"{length:.0%} at the {end.name}" for end, length in self.lost.items())
-        return f"the sheet ends before its map: {told}, each edge at least {float(self.read.support.min()):.0%} likely"
+        return f"the sheet ends before its map: {told_of(self.lost, self.read)}"
 
 
 def without_margins(
@@ -72,32 +71,26 @@ def without_margins(
 ) -> ShorterSheet | None:
     """The sheet without its margins, if edges are seen near where its print ends, and put on these edges. grid: of the
     print, through ``film``."""
-    margins = {side: _margin(grid, side) for side in SIDES}
+    margins = {side: float(grid.margins[int(side.edge), side.axis]) for side in SIDES}
     wide = {side: -margin for side, margin in margins.items() if margin > config.least}
     if not wide:
         return None
     start = lengthened(film, wide)
-    at_once = put_on_edges(start, look_across(pyramid, start, reader, edges), edges)
-    if not _lost(film, at_once, config):
+    read = look_across(pyramid, start, reader, edges)
+    if not _lost(film, put_on_edges(start, read, edges), config):
         return None  # mostly: the edges that are seen are those of the map
-    on_edges = put_on_edges(start, read_edges(pyramid, start, reader, edges), edges)
-    if on_edges.folds((17, 17)):
+    on_edges = put_on_edges(start, read_nearer(pyramid, read, reader, edges), edges)
+    lost = _lost(film, on_edges, config)
+    if not lost:
         return None
     read = look_across(pyramid, on_edges, reader, edges)
-    lost = _lost(film, on_edges, config)
-    return ShorterSheet(read, lost) if lost and read.support.min() >= config.likely else None
+    return ShorterSheet(read, lost) if read.support.min() >= config.likely else None
 
 
 def _lost(film: BackwardMap, shorter: BackwardMap, config: FalseMarginsConfig) -> dict[Side, float]:
     """By how much a shorter map is so at its ends, where that is no less than the narrowest margin."""
     inside = {side: -beyond_end(film, shorter, side) for side in SIDES}
     return {side: length for side, length in inside.items() if length > config.least}
-
-
-def _margin(grid: SliceGrid, side: Side) -> float:
-    """How far inside one side of the sheet its print ends, in parts of the film."""
-    corner = -int(side.edge)
-    return side.inward * (float(grid.vertices[corner, corner, side.axis]) - side.edge)
 
 
 __all__ = ["FalseMarginsConfig", "ShorterSheet", "without_margins"]
