@@ -42,7 +42,7 @@ from hybrid.metrics import ssim
 from hybrid.pipeline import Rectifier
 from hybrid.records import RectifyResult
 from hybrid.rectify.deilluminate import Deillumination, deilluminate
-from hybrid.rectify.resample import rectify_photo
+from hybrid.rectify.resample import read_film
 
 PRINT_SIZE = (512, 512)
 MAX_SIDE_PX = 2048
@@ -103,7 +103,7 @@ def score_photo(truth: TruePhoto, rectifier: Rectifier | None) -> tuple[LightSco
     printed = truth.read_print()
     if rectifier is None:
         size = flat_size(truth.backward, printed.shape[0] / printed.shape[1])
-        flat = rectify_photo(truth.read(), truth.backward, size)
+        flat = read_film(truth.read(), truth.backward, size)
         light, milliseconds = timed(flat.image, flat.valid)
         image, film, glare = flat.image, light.film, light.glare
     else:
@@ -124,7 +124,7 @@ def score_sample(place: Place) -> tuple[LightScore, Compared]:
     shard, k = place
     record, backward, photo = shard.record(k), film_of(place), photo_of(place)
     size = flat_size(backward, record["size_mm"][0] / record["size_mm"][1])
-    flat = rectify_photo(photo, backward, size)
+    flat = read_film(photo, backward, size)
     light, milliseconds = timed(flat.image, flat.valid)
     seen, uv, true_glare = (shard.field(name, k) for name in ("mask", "uv", "glare"))
     truth = np.nan_to_num(shard.field("albedo", k))

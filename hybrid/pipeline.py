@@ -44,7 +44,7 @@ from hybrid.rectify.film_size import bounded_size, film_size
 from hybrid.rectify.fuse import fuse
 from hybrid.rectify.invert import Inversion, agreed
 from hybrid.rectify.refine import Refinement
-from hybrid.rectify.resample import Rectified, rectify_photo
+from hybrid.rectify.resample import Rectified, read_film
 from hybrid.rectify.sheet import SheetConfig
 from hybrid.rectify.survey import Verdict, survey_photo, survey_print
 from hybrid.rectify.trust import expected_error_px, largest_error_px
@@ -174,7 +174,7 @@ class Rectifier:
             pyramid = Pyramid(photo)
             with clock.stage("resample") as report:
                 size = (before.film.shape[0], before.film.shape[1])
-                flat = rectify_photo(pyramid, edit.backward, size, self.config.resample)
+                flat = read_film(pyramid, edit.backward, size, self.config.resample)
                 report.reason = f"to {size[1]} x {size[0]} pixels, corners moved by hand: {len(edit.done)}"
             light = self._without_light(flat, before.covered, clock)
         return replace(
@@ -275,7 +275,7 @@ class Rectifier:
             else:
                 aspect, sigma = refinement.aspect, refinement.aspect_sigma
                 size = film_size(backward, pyramid.size, grid, self.config.size, aspect, camera, sigma)
-            flat = rectify_photo(pyramid, backward, size, self.config.resample)
+            flat = read_film(pyramid, backward, size, self.config.resample)
             report.reason = f"to {size[1]} x {size[0]} pixels"
         with clock.stage("upright") as report:
             way, probability = self._read(flat, grid, report)

@@ -26,7 +26,7 @@ from hybrid.rectify.bspline import NormalEquations
 from hybrid.rectify.consensus import read_beside, to_common
 from hybrid.rectify.deilluminate import DeilluminateConfig, read_light, recovered
 from hybrid.rectify.merge import Film, MergeConfig, detail_of, merge, reduced
-from hybrid.rectify.resample import ResampleConfig, rectify_photo
+from hybrid.rectify.resample import ResampleConfig, read_film
 from hybrid.rectify.tps import mad_sigma
 
 AnyFilm = Float32[np.ndarray, "_ _"]
@@ -424,7 +424,7 @@ def _merged(
 ) -> Merged:
     """The photos resampled through their maps, freed of their light, and merged."""
     size = _largest_size(members, base)
-    flats = [rectify_photo(one.photo, one.at.backward, size, resample) for one in members]
+    flats = [read_film(one.photo, one.at.backward, size, resample) for one in members]
     covers = [one.cover_on(size) for one in members]
     print_seen = [flat.valid & ~cover for flat, cover in zip(flats, covers, strict=True)]
     reads = [read_light(flat.image, seen, reader, light) for flat, seen in zip(flats, print_seen, strict=True)]
