@@ -13,32 +13,32 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
 from hybrid.backward import BackwardMap
-from hybrid.coords import film_centres_1d
+from hybrid.coords import film_centres_1d, linear_from_srgb
 from hybrid.errors import require_at_most
 from hybrid.film_view import view_film
 from hybrid.strips import SIDES, Side
 
-GROUND_PX = 2.0
-"""Photo pixels beyond the film's edge at which its ground is read: past the blur."""
+DEEPEST = 6
+"""Most pixels of the film that are corrected, from its edge on."""
 
 
 @dataclass(frozen=True)
 class SpillConfig:
     """Options of the correction of a flat film's outermost pixels."""
 
-    reach_px: float = 1.25
-    """Pixels whose centres lie this near to the edge are corrected, in photo pixels; 0: none are."""
     contrast: float = 12.0
-    """Grey levels (of 255) by which the ground must differ from the film inside."""
+    """Grey levels (of 255) by which the ground must differ from the film inside; 255: nothing is corrected."""
     even: float = 0.25
-    """The film inside is even where neighbouring pixels differ by less than this share of that contrast."""
-    most: float = 0.45
-    """Largest share of ground in a side's outermost pixels, at the median: a print that is as bright along the edge as
-    a rule shows a larger one, or none between 0 and 1, and is left as it is."""
+    """The film inside is even where neighbouring pixels differ by less than this share of that contrast,"""
+    level: float = 0.04
+    """and no longer mixed with ground where they do by less than this at the median."""
+    odd: float = 0.25
+    """A blurred edge has as much ground inside as it has film outside: the shares of ground in the pixels on both sides
+    of it add up to 1, except for this, in linear light at the median. If a rule lies along the edge, they do not."""
 
     def __post_init__(self) -> None:
-        require_at_most(self, 8, "reach_px")
-        require_at_most(self, 1, "even", "most")
+        require_at_most(self, 255, "contrast")
+        require_at_most(self, 1, "even", "level", "odd")
 
 
 def limit_spill(
@@ -53,25 +53,37 @@ def limit_spill(
     image: the film as read from ``photo`` through ``backward``; pixels that are not ``valid`` are left alone.
     """
     for side in SIDES:
-        pixels, shown = _from_edge(image, side), _from_edge(valid, side)
-        film_px = backward.mean_film_pixels()[1 - side.axis]
-        depth = int(np.ceil(config.reach_px * len(pixels) / film_px - 0.5))  # pixels whose centres are within reach
-        if depth < 1 or len(pixels) < 2 * depth + 2:
+        rim, shown = (_from_edge(x, side)[: DEEPEST + 2] for x in (image, valid))
+        ground, seen = _ground(photo, backward, side, image.shape)
+        _limit(rim, ground, seen & shown.all(axis=0), config)
+
+
+def _limit(
+    rim: UInt8[np.ndarray, "d n 3"],
+    ground: Float[np.ndarray, "d n 3"],
+    shown: Bool[np.ndarray, " n"],
+    config: SpillConfig,
+) -> None:
+    """Correct one side: its outermost pixels, down to the first that shows no ground, from which the others follow.
+
+    rim, ground: rows of pixels from the edge on, inside and outside. shown: where the photo shows both.
+    """
+    grey, beside = (rows.mean(axis=-1, dtype=np.float32) for rows in (rim, ground))
+    for depth in range(1, len(rim) - 1):
+        contrast, unlike = beside[depth + 1] - grey[depth], grey[depth + 1] - grey[depth]
+        clear = shown & (np.abs(contrast) > config.contrast) & (np.abs(unlike) < config.even * np.abs(contrast))
+        if not clear.any() or abs(np.median(unlike[clear] / contrast[clear])) > config.level:
             continue
-        ground, seen = _ground(photo, backward, side, pixels.shape[1], GROUND_PX / film_px)
-        inside = pixels[depth : depth + 2].astype(np.float32)
-        contrast = (ground - inside[0]).mean(axis=-1)
-        unlike = (inside[1] - inside[0]).mean(axis=-1)
-        clear = seen & shown[: depth + 2].all(axis=0)
-        clear &= (np.abs(contrast) > config.contrast) & (np.abs(unlike) < config.even * np.abs(contrast))
-        if not clear.any():
-            continue
-        share = float(np.median((pixels[0] - inside[0]).mean(axis=-1)[clear] / contrast[clear]))
-        if 0 < share <= config.most:
-            brighter = ground > inside[0]
+        rows = (grey[0], beside[0], grey[depth], beside[depth + 1])
+        inner, outer, film, bare = (linear_from_srgb(row[clear] / 255.0) for row in rows)
+        ground_shares = (inner - film) / (bare - film) + (outer - film) / (bare - film)
+        if abs(np.median(ground_shares) - 1.0) <= config.odd:
+            inside = rim[depth : depth + 2]
+            brighter = ground[depth + 1] > inside[0]
             most = np.where(clear[:, None] & brighter, inside.max(axis=0), 255)
             least = np.where(clear[:, None] & ~brighter, inside.min(axis=0), 0)
-            pixels[:depth] = np.clip(pixels[:depth], least, most)
+            rim[:depth] = np.clip(rim[:depth], least, most)
+        return
 
 
 def _from_edge(picture: np.ndarray, side: Side) -> np.ndarray:
@@ -81,10 +93,12 @@ def _from_edge(picture: np.ndarray, side: Side) -> np.ndarray:
 
 
 def _ground(
-    photo: UInt8[np.ndarray, "H W 3"], backward: BackwardMap, side: Side, count: int, beyond: float
-) -> tuple[Float[np.ndarray, "n 3"], Bool[np.ndarray, " n"]]:
-    """What the photo shows at so many places along a side, ``beyond`` film units outside it, and whether it does."""
-    along, across = film_centres_1d(count), np.array([side.edge - side.inward * beyond])
+    photo: UInt8[np.ndarray, "H W 3"], backward: BackwardMap, side: Side, shape: tuple[int, ...]
+) -> tuple[Float[np.ndarray, "d n 3"], Bool[np.ndarray, " n"]]:
+    """Rows of pixels outside a side of a film's picture, from the edge on, and where the photo shows all of them."""
+    pixels, along = shape[1 - side.axis], film_centres_1d(shape[side.axis])
+    across = side.edge - side.inward * (np.arange(DEEPEST + 2) + 0.5) / pixels
     u, v = (along, across) if side.axis == 1 else (across, along)
     view = view_film(photo, backward, u, v)
-    return view.image.reshape(count, 3), view.inside.ravel()
+    rows = (view.image, view.inside) if side.axis == 1 else (view.image.swapaxes(0, 1), view.inside.T)
+    return rows[0], rows[1].all(axis=0)
