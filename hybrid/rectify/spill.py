@@ -20,6 +20,7 @@ from hybrid.strips import SIDES, Side
 
 DEEPEST = 6
 """Most pixels of the film that are corrected, from its edge on."""
+_THIRDS = np.full(3, 1.0 / 3.0, np.float32)
 
 
 @dataclass(frozen=True)
@@ -29,9 +30,9 @@ class SpillConfig:
     contrast: float = 12.0
     """Grey levels (of 255) by which the ground must differ from the film inside; 255: nothing is corrected."""
     even: float = 0.25
-    """The film inside is even where neighbouring pixels differ by less than this share of that contrast,"""
+    """The film inside is even where neighbouring pixels differ by less than this share of that contrast."""
     level: float = 0.04
-    """and no longer mixed with ground where they do by less than this at the median."""
+    """It shows no more ground where they differ by less than this share at the median."""
     odd: float = 0.25
     """A blurred edge has as much ground inside as it has film outside: the shares of ground in the pixels on both sides
     of it add up to 1, except for this, in linear light at the median. If a rule lies along the edge, they do not."""
@@ -68,7 +69,7 @@ def _limit(
 
     rim, ground: rows of pixels from the edge on, inside and outside. shown: where the photo shows both.
     """
-    grey, beside = (rows.mean(axis=-1, dtype=np.float32) for rows in (rim, ground))
+    grey, beside = (rows.astype(np.float32) @ _THIRDS for rows in (rim, ground))
     for depth in range(1, len(rim) - 1):
         contrast, unlike = beside[depth + 1] - grey[depth], grey[depth + 1] - grey[depth]
         clear = shown & (np.abs(contrast) > config.contrast) & (np.abs(unlike) < config.even * np.abs(contrast))
@@ -76,8 +77,8 @@ def _limit(
             continue
         rows = (grey[0], beside[0], grey[depth], beside[depth + 1])
         inner, outer, film, bare = (linear_from_srgb(row[clear] / 255.0) for row in rows)
-        ground_shares = (inner - film) / (bare - film) + (outer - film) / (bare - film)
-        if abs(np.median(ground_shares) - 1.0) <= config.odd:
+        both_shares = (inner + outer - 2.0 * film) / (bare - film)
+        if abs(np.median(both_shares) - 1.0) <= config.odd:
             inside = rim[depth : depth + 2]
             brighter = ground[depth + 1] > inside[0]
             most = np.where(clear[:, None] & brighter, inside.max(axis=0), 255)
@@ -97,8 +98,7 @@ def _ground(
 ) -> tuple[Float[np.ndarray, "d n 3"], Bool[np.ndarray, " n"]]:
     """Rows of pixels outside a side of a film's picture, from the edge on, and where the photo shows all of them."""
     pixels, along = shape[1 - side.axis], film_centres_1d(shape[side.axis])
-    across = side.edge - side.inward * (np.arange(DEEPEST + 2) + 0.5) / pixels
-    u, v = (along, across) if side.axis == 1 else (across, along)
-    view = view_film(photo, backward, u, v)
-    rows = (view.image, view.inside) if side.axis == 1 else (view.image.swapaxes(0, 1), view.inside.T)
-    return rows[0], rows[1].all(axis=0)
+    beyond = side.edge - side.inward * (np.arange(DEEPEST + 2) + 0.5) / pixels
+    film = backward if side.axis == 1 else BackwardMap(backward.nodes.swapaxes(0, 1))
+    view = view_film(photo, film, along, beyond)
+    return view.image, np.all(view.inside, axis=0)
