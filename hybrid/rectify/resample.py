@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float, UInt8
 from hybrid.backward import BackwardMap, Orientation, spline_weights
 from hybrid.coords import film_centres_1d, film_nodes, opencv_from_photo, photo_from_opencv, sample_bilinear
 from hybrid.pyramid import Pyramid
+from hybrid.rectify.rounding import RoundingConfig, cut_off, find_round_corners
 from hybrid.rectify.spill import SpillConfig, limit_spill
 from hybrid.threads import in_strips
 
@@ -33,13 +34,16 @@ class ResampleConfig:
     """Photo pixels per film pixel, along an axis, below which interpolation is cubic, at 2.5 times the cost of linear.
     Against an area average of a print's texts, cubic gains 3 dB at 0.7 (34 against 32 dB) and at 1 (40 against 37, far
     above all other errors of a film), nothing at 1.4, and loses beyond (at 1.8: 41 against 47). 0: never."""
+    rounding: RoundingConfig = field(default_factory=RoundingConfig)
+    """Options of ``read_film``'s search for round corners."""
     spill: SpillConfig = field(default_factory=SpillConfig)
     """Options of ``read_film``'s correction of the outermost pixels."""
 
 
 @dataclass(frozen=True, eq=False)
 class Rectified:
-    """The flat film, light kept. image: (h, w, 3) uint8 sRGB, black where not ``valid``. valid: inside the photo."""
+    """The flat film, light kept. image: (h, w, 3) uint8 sRGB, black where not ``valid``. valid: inside the photo, and
+    not beyond the sheet's round corners."""
 
     image: UInt8[np.ndarray, "h w 3"]
     valid: Bool[np.ndarray, "h w"]
@@ -55,10 +59,15 @@ def read_film(
     size: tuple[int, int],
     config: ResampleConfig | None = None,
 ) -> Rectified:
-    """As ``rectify_photo``, through the map of a whole sheet: its rim is freed of the ground that shines into it."""
+    """As ``rectify_photo``, through the map of a whole sheet: what lies beyond its round corners is not valid, and its
+    rim is freed of the ground that shines into it."""
     config = config or ResampleConfig()
     pyramid = photo if isinstance(photo, Pyramid) else Pyramid(photo)
     flat = rectify_photo(pyramid, backward, size, config)
+    corners = find_round_corners(pyramid.photo, backward, size[0] / size[1], config.rounding)
+    if corners is not None:
+        cut_off(corners, flat.image)
+        cut_off(corners, flat.valid)
     limit_spill(flat.image, flat.valid, pyramid.photo, backward, config.spill)
     return flat
 
