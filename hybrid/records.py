@@ -251,7 +251,8 @@ class RectifyResult:
     glare: (h, w) bool, where the photo is so clipped or veiled that nothing could be recovered. Not beyond the photo's
         edge, where the film is black and its confidence 0.
     covered: (h, w) bool, where something hides the film (a hand, a clip, tape): the film shows it, not the print.
-    confidence: (h, w) float32 in [0, 1], how far the film can be trusted; 0 on glare and where it is covered.
+    confidence: (h, w) float32 in [0, 1], how far the film can be trusted; 0 on glare, where it is covered, and beyond
+        the photo or the sheet's round corners.
     expected_error_px: mean distance, in pixels of the photo, by which film points are expected to be off; the true one
         is larger as often as smaller.
     limit_px: largest error, in pixels of the photo, that the status OK allows. The true one must be smaller with a

@@ -10,7 +10,7 @@ from hybrid.backward import BackwardMap
 from hybrid.coords import FILM_CORNERS, film_centres, linear_from_srgb, srgb_from_linear
 from hybrid.errors import ConfigError
 from hybrid.rectify.resample import ResampleConfig, read_film
-from hybrid.rectify.rounding import RoundingConfig, cut_off, find_round_corners
+from hybrid.rectify.rounding import RoundingConfig, blank_beyond, find_round_corners
 from hybrid.round_corners import RoundCorners
 
 SIZE = (700, 560)
@@ -86,18 +86,20 @@ def test_the_ground_beyond_the_arcs_is_not_valid():
     assert (flat.image > 60).sum() < 0.1 * (kept.image > 60).sum()
 
 
-def test_pixels_beyond_the_arcs_are_those_that_are_cut_off():
+def test_pixels_beyond_the_arcs_are_those_that_are_blanked():
     corners = RoundCorners(0.06, 0.03)
     picture, mask = np.full((90, 70, 3), 7, np.uint8), np.ones((90, 70), bool)
-    cut_off(corners, picture)
-    cut_off(corners, mask)
+    blank_beyond(corners, picture)
+    blank_beyond(corners, mask)
     beyond = corners.cut(film_centres((90, 70)))
     assert beyond.any()
     np.testing.assert_array_equal(mask, ~beyond)
     np.testing.assert_array_equal(picture == 0, np.repeat(beyond[..., None], 3, axis=-1))
 
 
-@pytest.mark.parametrize("wrong", [{"radius": (0.0, 0.05)}, {"radius": (0.02, 0.5)}, {"agreed": 2.0}, {"step": -1.0}])
+@pytest.mark.parametrize(
+    "wrong", [{"smallest": 0.0}, {"largest": 0.02}, {"largest": 0.5}, {"agreed": 2.0}, {"step": -1.0}]
+)
 def test_impossible_options_are_refused(wrong: dict):
     from hybrid.effort import RectifyConfig
 

@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float, UInt8
 from hybrid.backward import BackwardMap, Orientation, spline_weights
 from hybrid.coords import film_centres_1d, film_nodes, opencv_from_photo, photo_from_opencv, sample_bilinear
 from hybrid.pyramid import Pyramid
-from hybrid.rectify.rounding import RoundingConfig, cut_off, find_round_corners
+from hybrid.rectify.rounding import RoundingConfig, blank_beyond, find_round_corners
 from hybrid.rectify.spill import SpillConfig, limit_spill
 from hybrid.threads import in_strips
 
@@ -66,8 +66,8 @@ def read_film(
     flat = rectify_photo(pyramid, backward, size, config)
     corners = find_round_corners(pyramid.photo, backward, size[0] / size[1], config.rounding)
     if corners is not None:
-        cut_off(corners, flat.image)
-        cut_off(corners, flat.valid)
+        blank_beyond(corners, flat.image)
+        blank_beyond(corners, flat.valid)
     limit_spill(flat.image, flat.valid, pyramid.photo, backward, config.spill)
     return flat
 

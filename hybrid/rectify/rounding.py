@@ -26,8 +26,6 @@ OUTSIDE = 3
 """Pixels by which these reach beyond the corner."""
 BLUR = 1.0
 """Pixels on either side of an arc that say nothing."""
-
-
 WIDER = 3.0
 """Pixels added to the radius that is found, lest a blurred arc of ground be left: 1.2 pixels in a corner's middle."""
 
@@ -36,21 +34,23 @@ WIDER = 3.0
 class RoundingConfig:
     """Options of the search for round corners.
 
-    radius: smallest and largest, in parts of the film's shorter side. contrast: grey levels (of 255) by which ground
-    and film must differ at a corner. agreed: share of the pixels beyond an arc that must be nearer to the ground than
-    to the film, and of those inside that must be nearer to the film. step: least difference between their means, in
-    parts of that contrast. plain: share of it down to which a smaller radius does as well.
+    smallest, largest: radius in parts of the film's shorter side. contrast: grey levels (of 255) by which ground and
+    film must differ at a corner; 255: none do. agreed: share of the pixels beyond an arc that must be nearer to the
+    ground than to the film, and of those inside that must be nearer to the film. step: least difference between their
+    means, in parts of that contrast. plain: share of the largest difference with which a smaller radius does as well.
     """
 
-    radius: tuple[float, float] = (0.018, 0.07)
+    smallest: float = 0.018
+    largest: float = 0.07
     contrast: float = 25.0
     agreed: float = 0.8
     step: float = 0.65
     plain: float = 0.92
 
     def __post_init__(self) -> None:
-        require_at_least(self, 0.01, "radius")
-        require_at_most(self, 0.2, "radius")
+        require_at_least(self, 0.01, "smallest")
+        require_at_least(self, self.smallest + 0.01, "largest")
+        require_at_most(self, 0.2, "largest")
         require_at_most(self, 255, "contrast")
         require_at_most(self, 1, "agreed", "step", "plain")
 
@@ -63,8 +63,8 @@ def find_round_corners(
     photo, backward: the sheet's map into the photo. aspect: the film's height over its width.
     """
     pixels = (PIXELS * max(1.0, aspect), PIXELS * max(1.0, 1.0 / aspect))  # along the height and the width
-    least, reach = (round(PIXELS * radius) for radius in config.radius)
-    radii, beyond, inside, edges = _parts(least, reach)
+    reach = round(PIXELS * config.largest)
+    radii, beyond, inside, edges = _parts(round(PIXELS * config.smallest), reach)
     steps, agree = [], []
     for corner in FILM_CORNERS:
         ground = _ground_share(photo, backward, corner, pixels, reach, config.contrast)
@@ -84,7 +84,7 @@ def find_round_corners(
     return RoundCorners(radius / pixels[1], radius / pixels[0])
 
 
-def cut_off(corners: RoundCorners, picture: Shaped[np.ndarray, "h w *c"]) -> None:
+def blank_beyond(corners: RoundCorners, picture: Shaped[np.ndarray, "h w *c"]) -> None:
     """Set to 0, in place, the pixels of a flat film's picture whose centres lie beyond its round corners."""
     height, width = picture.shape[:2]
     v, u = film_centres_1d(height), film_centres_1d(width)
