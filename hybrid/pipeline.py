@@ -175,7 +175,7 @@ class Rectifier:
             with clock.stage("resample") as report:
                 size = (before.film.shape[0], before.film.shape[1])
                 flat = read_film(pyramid, edit.backward, size, self.config.resample)
-                report.reason = f"to {size[1]} x {size[0]} pixels, corners moved by hand: {len(edit.done)}"
+                report.reason = f"to {flat}; corners moved by hand: {len(edit.done)}"
             light = self._without_light(flat, before.covered, clock)
         return replace(
             before,
@@ -276,7 +276,7 @@ class Rectifier:
                 aspect, sigma = refinement.aspect, refinement.aspect_sigma
                 size = film_size(backward, pyramid.size, grid, self.config.size, aspect, camera, sigma)
             flat = read_film(pyramid, backward, size, self.config.resample)
-            report.reason = f"to {size[1]} x {size[0]} pixels"
+            report.reason = f"to {flat}"
         with clock.stage("upright") as report:
             way, probability = self._read(flat, grid, report)
             if way.index:

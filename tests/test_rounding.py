@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from hybrid.backward import BackwardMap
+from hybrid.backward import BackwardMap, Orientation
 from hybrid.coords import FILM_CORNERS, film_centres, linear_from_srgb, srgb_from_linear
 from hybrid.errors import ConfigError
 from hybrid.rectify.resample import ResampleConfig, read_film
@@ -84,6 +84,11 @@ def test_the_ground_beyond_the_arcs_is_not_valid():
     kept = read_film(photo, backward, SIZE, ResampleConfig(rounding=RoundingConfig(contrast=255.0)))
     assert kept.valid.all()
     assert (flat.image > 60).sum() < 0.1 * (kept.image > 60).sum()
+    assert kept.corners is None
+    assert str(kept) == "560 x 700 pixels"
+    assert flat.corners is not None
+    assert str(flat) == f"560 x 700 pixels, its corners rounded by {flat.corners.u:.1%} of its width"
+    assert flat.turned(Orientation(1, True)).corners == RoundCorners(flat.corners.v, flat.corners.u)
 
 
 def test_pixels_beyond_the_arcs_are_those_that_are_blanked():

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
@@ -13,6 +13,7 @@ from hybrid.coords import film_centres_1d, film_nodes, opencv_from_photo, photo_
 from hybrid.pyramid import Pyramid
 from hybrid.rectify.rounding import RoundingConfig, blank_beyond, find_round_corners
 from hybrid.rectify.spill import SpillConfig, limit_spill
+from hybrid.round_corners import RoundCorners
 from hybrid.threads import in_strips
 
 SHRINK_LIMIT = 2.4
@@ -42,15 +43,24 @@ class ResampleConfig:
 
 @dataclass(frozen=True, eq=False)
 class Rectified:
-    """The flat film, light kept. image: (h, w, 3) uint8 sRGB, black where not ``valid``. valid: inside the photo, and
-    not beyond the sheet's round corners."""
+    """The flat film, light kept.
+
+    image: (h, w, 3) uint8 sRGB, black where not ``valid``. valid: inside the photo, and not beyond the sheet's round
+    corners. corners: these, if they were seen.
+    """
 
     image: UInt8[np.ndarray, "h w 3"]
     valid: Bool[np.ndarray, "h w"]
+    corners: RoundCorners | None = None
 
     def turned(self, way: Orientation) -> Rectified:
         """The film moved as ``way`` says."""
-        return Rectified(*(np.ascontiguousarray(way.moved(picture)) for picture in (self.image, self.valid)))
+        image, valid = (np.ascontiguousarray(way.moved(picture)) for picture in (self.image, self.valid))
+        return Rectified(image, valid, self.corners and self.corners.turned(way.turns))
+
+    def __str__(self) -> str:
+        size = f"{self.image.shape[1]} x {self.image.shape[0]} pixels"
+        return size if self.corners is None else f"{size}, its corners rounded by {self.corners.u:.1%} of its width"
 
 
 def read_film(
@@ -69,7 +79,7 @@ def read_film(
         blank_beyond(corners, flat.image)
         blank_beyond(corners, flat.valid)
     limit_spill(flat.image, flat.valid, pyramid.photo, backward, config.spill)
-    return flat
+    return replace(flat, corners=corners)
 
 
 def rectify_photo(
