@@ -47,7 +47,7 @@ from hybrid.learn.uvbw import NetBw, NetUv
 from hybrid.learn.weights import images_shown, load_weights, notes_of, packaged_path, parameter_count
 from hybrid.pipeline import Rectifier, RectifyConfig
 from hybrid.records import RectifyResult
-from hybrid.rectify.resample import read_film
+from hybrid.rectify.resample import rectify_photo
 from hybrid.threads import one_thread
 
 
@@ -125,7 +125,7 @@ def flattened(method: Method, given: Any, photo: UInt8[np.ndarray, "h w 3"], siz
             if found is None:
                 return Flattened(parts={"map": until_map - start}, message="no film")
             backward = map_in(found)
-            image = read_film(photo, backward, size).image
+            image = rectify_photo(photo, backward, size).image
             film = found.film(size) if isinstance(found, Recovery) else None
             parts = {"map": until_map - start, "resample": time.perf_counter() - until_map}
         return Flattened(backward, image, film, parts)

@@ -131,7 +131,7 @@ def _how(report: Report) -> str:
         "rendered photo has a truth at every point. The project's check photos, rendered by a program that is not its "
         "own, were looked at while `hybrid` was developed, so other photos are the fairer test. Every method gets the "
         "same photos in memory and leaves the flat film in memory; the methods take turns on each photo. Where a "
-        "method gives a map, the photo is read through it as `hybrid` does, to a film of the size that the photo "
+        "method gives a map, the photo is interpolated through it as by `hybrid`, to a film of the size that the photo "
         "resolves. The floor is one bilinear `cv2.remap` to that film, through a map that exists already. The networks "
         "of `hybrid` compute in bfloat16 where the processor has instructions for it, the others in single precision, "
         "as published. `hybrid` folds normalisation into convolutions and lays out weights once, at loading; the rest "
