@@ -112,7 +112,7 @@ def _ground_share(
 
     corner: a film point. pixels: of the whole film, along its height and its width.
     """
-    out = np.arange(-OUTSIDE, reach) + 0.5
+    out = centres_1d(OUTSIDE + reach) - OUTSIDE
     v, u = (end + (1.0 - 2.0 * end) * out / n for end, n in zip(corner[::-1], pixels, strict=True))
     view = view_film(photo, backward, u, v)
     if not view.inside.all():

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
 from hybrid.backward import BackwardMap
-from hybrid.coords import film_centres_1d, linear_from_srgb
+from hybrid.coords import centres_1d, film_centres_1d, linear_from_srgb
 from hybrid.errors import require_at_most
 from hybrid.film_view import view_film
 from hybrid.strips import SIDES, Side
@@ -98,7 +98,7 @@ def _ground(
 ) -> tuple[Float[np.ndarray, "d n 3"], Bool[np.ndarray, " n"]]:
     """Rows of pixels outside a side of a film's picture, from the edge on, and where the photo shows all of them."""
     pixels, along = shape[1 - side.axis], film_centres_1d(shape[side.axis])
-    beyond = side.edge - side.inward * (np.arange(DEEPEST + 2) + 0.5) / pixels
+    beyond = side.edge - side.inward * centres_1d(DEEPEST + 2) / pixels
     film = backward if side.axis == 1 else BackwardMap(backward.nodes.swapaxes(0, 1))
     view = view_film(photo, film, along, beyond)
     return view.image, np.all(view.inside, axis=0)
