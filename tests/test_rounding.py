@@ -94,8 +94,7 @@ def test_the_ground_beyond_the_arcs_is_not_valid():
 def test_pixels_beyond_the_arcs_are_those_that_are_blanked():
     corners = RoundCorners(0.06, 0.03)
     picture, mask = np.full((90, 70, 3), 7, np.uint8), np.ones((90, 70), bool)
-    blank_beyond(corners, picture)
-    blank_beyond(corners, mask)
+    blank_beyond(corners, picture, mask)
     beyond = corners.cut(film_centres((90, 70)))
     assert beyond.any()
     np.testing.assert_array_equal(mask, ~beyond)

@@ -76,8 +76,7 @@ def read_film(
     flat = rectify_photo(pyramid, backward, size, config)
     corners = find_round_corners(pyramid.photo, backward, size[0] / size[1], config.rounding)
     if corners is not None:
-        blank_beyond(corners, flat.image)
-        blank_beyond(corners, flat.valid)
+        blank_beyond(corners, flat.image, flat.valid)
     limit_spill(flat.image, flat.valid, pyramid.photo, backward, config.spill)
     return replace(flat, corners=corners)
 

@@ -12,7 +12,7 @@ from functools import lru_cache
 from itertools import product
 
 import numpy as np
-from jaxtyping import Float, Shaped, UInt8
+from jaxtyping import Bool, Float, UInt8
 
 from hybrid.backward import BackwardMap
 from hybrid.coords import FILM_CORNERS, centres_1d, film_centres_1d
@@ -67,11 +67,11 @@ def find_round_corners(
     radii, beyond, inside, edges = _parts(round(PIXELS * config.smallest), reach)
     steps, agree = [], []
     for corner in FILM_CORNERS:
-        ground = _ground_share(photo, backward, corner, pixels, reach, config.contrast)
-        if ground is None:
+        share = _ground_share(photo, backward, corner, pixels, reach, config.contrast)
+        if share is None:
             continue
-        is_ground = (ground > 0.5).astype(np.float64).ravel()
-        steps.append(beyond @ ground.ravel() - np.abs(inside @ ground.ravel()))
+        share, is_ground = share.ravel(), (share > 0.5).astype(np.float64).ravel()
+        steps.append(beyond @ share - np.abs(inside @ share))
         agree.append(np.minimum(beyond @ is_ground, 1.0 - np.maximum(inside @ is_ground, edges @ is_ground)))
     if len(steps) < 2:
         return None
@@ -84,14 +84,14 @@ def find_round_corners(
     return RoundCorners(radius / pixels[1], radius / pixels[0])
 
 
-def blank_beyond(corners: RoundCorners, picture: Shaped[np.ndarray, "h w *c"]) -> None:
-    """Set to 0, in place, the pixels of a flat film's picture whose centres lie beyond its round corners."""
-    height, width = picture.shape[:2]
+def blank_beyond(corners: RoundCorners, image: UInt8[np.ndarray, "h w 3"], valid: Bool[np.ndarray, "h w"]) -> None:
+    """Blank, in place, the pixels of a flat film whose centres lie beyond its round corners: they are not valid."""
+    height, width = valid.shape
     v, u = film_centres_1d(height), film_centres_1d(width)
     rows, columns = (_ends(int(np.ceil(radius * n))) for radius, n in ((corners.v, height), (corners.u, width)))
-    for down, across in product(rows, columns):
-        uv = np.stack(np.meshgrid(u[across], v[down]), axis=-1)
-        picture[down, across][corners.cut(uv)] = 0
+    for corner in product(rows, columns):
+        beyond = corners.cut(np.stack(np.meshgrid(u[corner[1]], v[corner[0]]), axis=-1))
+        image[corner][beyond], valid[corner][beyond] = 0, False
 
 
 def _ends(n: int) -> tuple[slice, slice]:

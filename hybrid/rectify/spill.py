@@ -13,10 +13,9 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
 from hybrid.backward import BackwardMap
-from hybrid.coords import centres_1d, film_centres_1d, linear_from_srgb
+from hybrid.coords import centres_1d, linear_from_srgb
 from hybrid.errors import require_at_most
-from hybrid.film_view import view_film
-from hybrid.strips import SIDES, Side
+from hybrid.strips import SIDES, view_across
 
 DEEPEST = 6
 """Most pixels of the film that are corrected, from its edge on."""
@@ -53,10 +52,13 @@ def limit_spill(
 
     image: the film as read from ``photo`` through ``backward``; pixels that are not ``valid`` are left alone.
     """
-    for side in SIDES:
-        rim, shown = (_from_edge(x, side)[: DEEPEST + 2] for x in (image, valid))
-        ground, seen = _ground(photo, backward, side, image.shape)
-        _limit(rim, ground, seen & shown.all(axis=0), config)
+    on_its_side = (image.swapaxes(0, 1), valid.T, BackwardMap(backward.nodes.swapaxes(0, 1)))
+    for picture, shown, film in ((image, valid, backward), on_its_side):
+        outside = -centres_1d(DEEPEST + 2) / len(picture)
+        for side in SIDES[:2]:  # top and bottom; of the film on its side, left and right
+            from_edge = slice(None, DEEPEST + 2) if side.inward > 0 else slice(None, -DEEPEST - 3, -1)
+            ground, seen = view_across(photo, film, side, outside, picture.shape[1], fine=1)
+            _limit(picture[from_edge], ground, np.all(seen, axis=0) & shown[from_edge].all(axis=0), config)
 
 
 def _limit(
@@ -85,20 +87,3 @@ def _limit(
             least = np.where(clear[:, None] & ~brighter, inside.min(axis=0), 0)
             rim[:depth] = np.clip(rim[:depth], least, most)
         return
-
-
-def _from_edge(picture: np.ndarray, side: Side) -> np.ndarray:
-    """A view of a film's picture whose rows run along a side, the outermost first."""
-    rows = picture if side.axis == 1 else picture.swapaxes(0, 1)
-    return rows if side.inward > 0 else rows[::-1]
-
-
-def _ground(
-    photo: UInt8[np.ndarray, "H W 3"], backward: BackwardMap, side: Side, shape: tuple[int, ...]
-) -> tuple[Float[np.ndarray, "d n 3"], Bool[np.ndarray, " n"]]:
-    """Rows of pixels outside a side of a film's picture, from the edge on, and where the photo shows all of them."""
-    pixels, along = shape[1 - side.axis], film_centres_1d(shape[side.axis])
-    beyond = side.edge - side.inward * centres_1d(DEEPEST + 2) / pixels
-    film = backward if side.axis == 1 else BackwardMap(backward.nodes.swapaxes(0, 1))
-    view = view_film(photo, film, along, beyond)
-    return view.image, np.all(view.inside, axis=0)
