@@ -10,6 +10,14 @@ from dataclasses import dataclass, replace
 from hybrid.records import StageReport
 
 
+@dataclass(frozen=True)
+class Decision:
+    """Whether something holds, with the one-line evidence for it."""
+
+    yes: bool
+    reason: str
+
+
 @dataclass
 class Report:
     """What a stage says of itself while it runs."""
@@ -40,4 +48,4 @@ class Clock:
         )
 
 
-__all__ = ["Clock", "Report"]
+__all__ = ["Clock", "Decision", "Report"]

@@ -16,7 +16,7 @@ from hybrid.learn.edges import strip_reader
 from hybrid.learn.inference import ready
 from hybrid.learn.weights import packaged_border_net
 from hybrid.rectify.glance import glance
-from hybrid.rectify.invert import apply_homography
+from hybrid.rectify.homography import apply_homography
 from hybrid.rectify.plane import PlaneConfig, edge_line, film_corners, flat_film, plane_by_edges
 from hybrid.rectify.refine import RefineConfig
 from hybrid.rectify.sightings import Sightings

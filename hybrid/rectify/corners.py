@@ -10,7 +10,7 @@ from jaxtyping import Float
 from hybrid.backward import BackwardMap, film_as_seen
 from hybrid.coords import film_nodes
 from hybrid.errors import ConfigError, describe
-from hybrid.rectify.invert import apply_homography, fit_homography
+from hybrid.rectify.homography import apply_homography, fit_homography
 
 LEAST_SIDE_PX = 32
 """Corners closer together than this are not those of a film."""

@@ -13,12 +13,12 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float32, UInt8
+from jaxtyping import Bool, Float, Float32, UInt8
 
 from hybrid.coords import srgb_from_linear
 from hybrid.errors import require_at_least, require_at_most
 from hybrid.levels import CLIPPED, LEAST_CONTRAST, LevelReader, Levels, grey_table
-from hybrid.rectify.survey import survey_light
+from hybrid.stages import Decision
 from hybrid.threads import in_strips
 
 CLIPPED_CONTRAST = 50 / 255
@@ -180,6 +180,15 @@ def find_clipped(rectified: UInt8[np.ndarray, "h w 3"]) -> Bool[np.ndarray, "h w
         return clipped.astype(bool)
     width = 4 * (max(rectified.shape[:2]) // 300) + 1
     return cv2.blur(clipped, (width, width)) > 127
+
+
+def survey_light(gain: Float[np.ndarray, "gh gw"], veil: Float[np.ndarray, "vh vw"], even: float) -> Decision:
+    """Whether the light is even: over the film ``gain`` varies by less than ``even`` (relative), and ``veil``, given
+    in parts of the light of white, by less than a third of that, as a veil shows more on black than a gain on white."""
+    spread = float(np.percentile(gain, 98) / max(float(np.percentile(gain, 2)), 1e-6) - 1.0)
+    lift = float(np.percentile(veil, 98) - np.percentile(veil, 2))
+    text = f"light varies by {spread:.0%}, reflections by {lift:.1%} of white over the film"
+    return Decision(spread <= even and lift <= even / 3, text)
 
 
 # ---------------------------------------------------------------- light in grey

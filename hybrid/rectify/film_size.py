@@ -11,8 +11,8 @@ from jaxtyping import Float
 from hybrid.backward import BackwardMap
 from hybrid.errors import require_at_least
 from hybrid.records import SliceGrid
+from hybrid.rectify.homography import survey_plane
 from hybrid.rectify.sheet import Frame, SheetConfig, inner, nearest_homography
-from hybrid.rectify.survey import survey_plane
 
 FORMATS_CM = ((35, 43), (28, 35), (25, 30), (20, 25))
 """Sheet sizes on sale, used in either orientation."""

@@ -20,6 +20,7 @@ from hybrid.errors import require_at_least
 from hybrid.records import CoarseMaps
 from hybrid.rectify import bspline
 from hybrid.rectify.bspline import NormalEquations
+from hybrid.rectify.homography import apply_homography, fit_homography
 from hybrid.rectify.tps import tukey_weights
 
 ROBUST_INTERVALS = 4
@@ -143,26 +144,6 @@ def change(before: Inversion, after: Inversion | NotInverted) -> float:
         return float("inf")
     distance = np.linalg.norm(after.backward.nodes - before.backward.nodes, axis=-1).mean()
     return float(distance / np.mean(after.backward.mean_film_pixels()))
-
-
-def apply_homography(homography: Float[np.ndarray, "3 3"], uv: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
-    """Film points mapped by a homography to points (x, y)."""
-    mapped = uv @ homography[:, :2].T + homography[:, 2]
-    return mapped[:, :2] / mapped[:, 2:]
-
-
-def fit_homography(
-    uv: Float[np.ndarray, "n 2"], target: Float[np.ndarray, "n 2"], weight: Float[np.ndarray, " n"]
-) -> Float[np.ndarray, "3 3"]:
-    """The homography from film points to ``target`` points of order one (direct linear transform, weighted)."""
-    root = np.sqrt(weight / weight.sum())[:, None]
-    ones = np.ones((len(uv), 1))
-    point = np.hstack([uv, ones]) * root
-    zero = np.zeros_like(point)
-    rows = np.vstack(
-        [np.hstack([point, zero, -target[:, :1] * point]), np.hstack([zero, point, -target[:, 1:] * point])]
-    )
-    return np.linalg.eigh(rows.T @ rows)[1][:, 0].reshape(3, 3)
 
 
 def coverage(uv: Float[np.ndarray, "n 2"], bins: int = COVERAGE_BINS) -> float:

@@ -15,11 +15,10 @@ from hybrid.errors import require_at_most
 from hybrid.records import StageReport
 from hybrid.rectify.cell_phases import CellPhases
 from hybrid.rectify.glance import glance
-from hybrid.rectify.invert import apply_homography, fit_homography
+from hybrid.rectify.homography import apply_homography, fit_homography, survey_plane
 from hybrid.rectify.outline import find_outline
 from hybrid.rectify.refine import RefineConfig, Refinement
 from hybrid.rectify.sightings import Sightings, carried
-from hybrid.rectify.survey import survey_plane
 from hybrid.rectify.tps import mad_sigma, tukey_weights
 from hybrid.strips import SIDES
 

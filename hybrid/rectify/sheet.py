@@ -16,7 +16,7 @@ from hybrid.backward import BackwardMap
 from hybrid.coords import film_centres, film_nodes
 from hybrid.errors import require_at_least, require_at_most
 from hybrid.rectify.bspline import SortedDesign, axis_weights
-from hybrid.rectify.invert import fit_homography
+from hybrid.rectify.homography import fit_homography
 
 FOCAL, ASPECT, LENS = range(3)
 """Unknowns besides the surface: logarithms of the focal length and of the ratio of sides, and the distortion."""

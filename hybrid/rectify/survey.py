@@ -10,14 +10,14 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import Bool, UInt8
 
 from hybrid.backward import BackwardMap
 from hybrid.coords import film_nodes, inside_outline, photo_from_opencv
 from hybrid.errors import require_at_least, require_at_most
 from hybrid.pyramid import Pyramid
 from hybrid.records import CoarseMaps, StatusCode
-from hybrid.rectify.invert import Inversion, NotInverted, apply_homography, fit_homography
+from hybrid.rectify.invert import Inversion, NotInverted
 from hybrid.rectify.resample import index_in_grid, rectify_photo
 
 PRINT_PX, PRINT_DETAIL_PX = 320, 12.0
@@ -53,14 +53,6 @@ class SurveyConfig:
     def __post_init__(self) -> None:
         require_at_least(self, 1, "max_stretch")
         require_at_most(self, 1, "min_mask_share", "min_inlier_share", "min_coverage", "min_overlap")
-
-
-@dataclass(frozen=True)
-class Decision:
-    """Whether something holds, with the one-line evidence for it."""
-
-    yes: bool
-    reason: str
 
 
 @dataclass(frozen=True)
@@ -190,24 +182,3 @@ def film_share(maps: CoarseMaps, size: Sequence[int]) -> float:
 def _reached(maps: CoarseMaps, size: Sequence[int]) -> Bool[np.ndarray, "h w"]:
     """Which pixels of the maps lie within a photo of ``size``."""
     return np.all((maps.photo_points >= 0) & (maps.photo_points <= (size[1], size[0])), axis=-1)
-
-
-def survey_plane(backward: BackwardMap, max_off: float) -> tuple[Decision, BackwardMap]:
-    """Whether a map is within ``max_off`` (parts of the film's size) of a plane sheet's, and the nearest such map."""
-    nodes = backward.nodes.reshape(-1, 2)
-    uv = film_nodes(backward.nodes.shape[:2]).reshape(-1, 2)
-    centre, unit = nodes.mean(axis=0), float(nodes.std())
-    homography = fit_homography(uv, (nodes - centre) / unit, np.ones(len(uv)))
-    plane = apply_homography(homography, uv) * unit + centre
-    off = float(np.linalg.norm(plane - nodes, axis=1).max()) / max(backward.mean_film_pixels())
-    evidence = f"the sheet is within {off:.1%} of its size of a plane"
-    return Decision(off <= max_off, evidence), BackwardMap(plane.reshape(backward.nodes.shape))
-
-
-def survey_light(gain: Float[np.ndarray, "gh gw"], veil: Float[np.ndarray, "vh vw"], even: float) -> Decision:
-    """Whether the light is even: over the film ``gain`` varies by less than ``even`` (relative), and ``veil``, given
-    in parts of the light of white, by less than a third of that, as a veil shows more on black than a gain on white."""
-    spread = float(np.percentile(gain, 98) / max(float(np.percentile(gain, 2)), 1e-6) - 1.0)
-    lift = float(np.percentile(veil, 98) - np.percentile(veil, 2))
-    text = f"light varies by {spread:.0%}, reflections by {lift:.1%} of white over the film"
-    return Decision(spread <= even and lift <= even / 3, text)
