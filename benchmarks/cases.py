@@ -20,7 +20,7 @@ from hybrid.image_io import read_photo
 from hybrid.learn.dewarpnet import coordinate_code
 from hybrid.learn.samples import Place, film_of, open_places, photo_of, truth_at
 from hybrid.learn.tensors import map_batch
-from hybrid.rectify.film_size import FilmSizeConfig
+from hybrid.rectify.film.size import FilmSizeConfig
 
 SAME_SIZE = 1.25
 """Ratio of areas up to which a photo counts as having the requested size."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from hybrid.records import RectifyResult, StatusCode
-from hybrid.rectify.trust import REFERENCE_PX
+from hybrid.rectify.verdict.trust import REFERENCE_PX
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from jaxtyping import Bool, UInt8
 from hybrid.backward import BackwardMap
 from hybrid.coords import film_nodes, opencv_from_photo
 from hybrid.draw import resized
-from hybrid.rectify.trust import REFERENCE_PX
+from hybrid.rectify.verdict.trust import REFERENCE_PX
 
 SMALLEST_PX, LARGEST_PX = 64.0**2, 100e6
 """Range of areas to which photos are resized."""

@@ -41,8 +41,8 @@ from hybrid.levels import LevelReader
 from hybrid.metrics import ssim
 from hybrid.pipeline import Rectifier
 from hybrid.records import RectifyResult
-from hybrid.rectify.deilluminate import Deillumination, deilluminate
-from hybrid.rectify.resample import read_film
+from hybrid.rectify.film.deilluminate import Deillumination, deilluminate
+from hybrid.rectify.film.resample import read_film
 
 PRINT_SIZE = (512, 512)
 MAX_SIDE_PX = 2048

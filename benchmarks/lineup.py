@@ -23,12 +23,12 @@ from hybrid.coords import opencv_from_photo
 from hybrid.errors import ConfigError, describe
 from hybrid.learn.predict import PredictConfig
 from hybrid.pipeline import RectifyConfig
-from hybrid.rectify.border_paths import BorderConfig
-from hybrid.rectify.deilluminate import DeilluminateConfig
-from hybrid.rectify.edge_paths import EdgeConfig, PathConfig
-from hybrid.rectify.outline import OutlineConfig
-from hybrid.rectify.refine import RefineConfig
-from hybrid.rectify.repeat import RepeatConfig
+from hybrid.rectify.edges.outline import OutlineConfig
+from hybrid.rectify.edges.paths import EdgeConfig, PathConfig
+from hybrid.rectify.film.deilluminate import DeilluminateConfig
+from hybrid.rectify.grid.borders import BorderConfig
+from hybrid.rectify.grid.repeat import RepeatConfig
+from hybrid.rectify.refine.refine import RefineConfig
 
 Maker = Callable[[Path | None], Method | None]
 """Makes a method from a folder of weights; None where it needs weights that are not there."""

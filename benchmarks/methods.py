@@ -47,7 +47,7 @@ from hybrid.learn.uvbw import NetBw, NetUv
 from hybrid.learn.weights import images_shown, load_weights, notes_of, packaged_path, parameter_count
 from hybrid.pipeline import Rectifier, RectifyConfig
 from hybrid.records import RectifyResult
-from hybrid.rectify.resample import rectify_photo
+from hybrid.rectify.film.resample import rectify_photo
 from hybrid.threads import one_thread
 
 

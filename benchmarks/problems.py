@@ -20,9 +20,9 @@ from hybrid.backward import BackwardMap
 from hybrid.coords import film_nodes, pixel_centres
 from hybrid.errors import HybridError
 from hybrid.records import CoarseMaps
-from hybrid.rectify.grid import GridConfig, find_comb
-from hybrid.rectify.invert import NotInverted, fit_backward
-from hybrid.rectify.tps import affine_basis, choose_smoothing, fit_tps, fit_tps_robust
+from hybrid.rectify.coarse.invert import NotInverted, fit_backward
+from hybrid.rectify.grid.lines import GridConfig, find_comb
+from hybrid.rectify.splines.tps import affine_basis, choose_smoothing, fit_tps, fit_tps_robust
 
 SHOWN = 8
 """Number of failures that are described."""

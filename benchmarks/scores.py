@@ -16,7 +16,7 @@ from benchmarks.methods import Method
 from hybrid.backward import BackwardMap, Orientation, end_point_error
 from hybrid.coords import rescale_points
 from hybrid.metrics import PAPER_SIZE, ImageScores, PaperScores, image_scores, local_distortion, paper_protocol
-from hybrid.rectify.trust import REFERENCE_PX
+from hybrid.rectify.verdict.trust import REFERENCE_PX
 
 LATTICE = (33, 33)
 """Film points, edges included, over which the end-point error is taken."""

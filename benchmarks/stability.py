@@ -36,7 +36,7 @@ from hybrid.errors import ConfigError, PhotoError, describe, require_at_least
 from hybrid.files import write_bytes
 from hybrid.pipeline import Rectifier, RectifyConfig
 from hybrid.records import RectifyResult, StatusCode
-from hybrid.rectify.survey import SurveyConfig
+from hybrid.rectify.verdict.survey import SurveyConfig
 
 TRUTHFUL_PX = 5.0
 """Largest end-point error of a film that is reported ok, in pixels of REFERENCE_PX for the longer side of the photo

@@ -1,8 +1,8 @@
 """Whether films that are called ``OK`` are right: ``python -m benchmarks.verdict --data DIR [DIR ...] --json OUT``.
 
-Photos of data sets are rectified, and their errors compared with the probability that ``hybrid.rectify.trust`` gives
-them and with the error that it expects. The verdict's weights are also fitted anew (``verdict_fit.py``), and judged on
-sheets that they were not fitted to.
+Photos of data sets are rectified, and their errors compared with the probability that ``hybrid.rectify.verdict.trust``
+gives them and with the error that it expects. The verdict's weights are also fitted anew (``verdict_fit.py``), and
+judged on sheets that they were not fitted to.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from hybrid.effort import Effort, RectifyConfig
 from hybrid.errors import DataError, HybridError, describe, require_at_least
 from hybrid.pipeline import Rectifier
 from hybrid.records import RectifyResult
-from hybrid.rectify.trust import TrustConfig, chance_right, expected_error_px, film_verdict
+from hybrid.rectify.verdict.trust import TrustConfig, chance_right, expected_error_px, film_verdict
 from hybrid.workers import shared_out
 
 BINS = (0.0, 0.5, 0.8, 0.9, 0.95, 0.97, np.nextafter(1.0, 2.0))

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from hybrid.records import Signs
-from hybrid.rectify.trust import (
+from hybrid.rectify.verdict.trust import (
     ChanceConfig,
     ErrorConfig,
     TrustConfig,

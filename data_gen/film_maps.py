@@ -27,7 +27,7 @@ from hybrid.learn.shards import FILM_MAPS
 from hybrid.learn.weights import packaged_film_net
 from hybrid.looks import see
 from hybrid.pyramid import Pyramid
-from hybrid.rectify.invert import NotInverted
+from hybrid.rectify.coarse.invert import NotInverted
 from hybrid.stages import Clock
 
 NODES = (33, 33)

@@ -1,6 +1,6 @@
 """What the file of a photo tells of the camera: the focal length of its lens.
 
-Where a sheet is only tilted, the photo leaves the focal length open, and so the sheet's length (rectify/film_size.py).
+Where a sheet is only tilted, the photo leaves the focal length open, and so the sheet's length (rectify/film/size.py).
 """
 
 from __future__ import annotations

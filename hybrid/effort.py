@@ -9,21 +9,21 @@ from typing import Literal
 from hybrid.errors import ConfigError, describe, require_at_most, require_numbers
 from hybrid.learn.orientation import UprightConfig
 from hybrid.learn.predict import PredictConfig
-from hybrid.rectify.clear_margins import ClearMarginsConfig
-from hybrid.rectify.cover import CoverConfig
-from hybrid.rectify.deilluminate import DeilluminateConfig
-from hybrid.rectify.edge_paths import EdgeConfig
-from hybrid.rectify.false_margins import FalseMarginsConfig
-from hybrid.rectify.film_size import FilmSizeConfig
-from hybrid.rectify.foreshortening import ForeshorteningConfig
-from hybrid.rectify.fuse import FuseConfig
-from hybrid.rectify.invert import InvertConfig
-from hybrid.rectify.plane import PlaneConfig
-from hybrid.rectify.refine import RefineConfig
-from hybrid.rectify.resample import ResampleConfig
-from hybrid.rectify.sheet import SheetConfig
-from hybrid.rectify.survey import SurveyConfig
-from hybrid.rectify.trust import ErrorConfig, TrustConfig
+from hybrid.rectify.coarse.foreshortening import ForeshorteningConfig
+from hybrid.rectify.coarse.invert import InvertConfig
+from hybrid.rectify.edges.paths import EdgeConfig
+from hybrid.rectify.film.cover import CoverConfig
+from hybrid.rectify.film.deilluminate import DeilluminateConfig
+from hybrid.rectify.film.fuse import FuseConfig
+from hybrid.rectify.film.resample import ResampleConfig
+from hybrid.rectify.film.size import FilmSizeConfig
+from hybrid.rectify.margins.clear import ClearMarginsConfig
+from hybrid.rectify.margins.ground import FalseMarginsConfig
+from hybrid.rectify.refine.plane import PlaneConfig
+from hybrid.rectify.refine.refine import RefineConfig
+from hybrid.rectify.sheet.shape import SheetConfig
+from hybrid.rectify.verdict.survey import SurveyConfig
+from hybrid.rectify.verdict.trust import ErrorConfig, TrustConfig
 
 Effort = Literal["fast", "default", "thorough"]
 """How much work a photo is worth; RectifyConfig.of says what each of them does."""

@@ -15,18 +15,18 @@ from hybrid.learn.network import FilmNet
 from hybrid.looks import LastLook, network_beside, see_from_sides, seen_through
 from hybrid.pyramid import Photo, Pyramid
 from hybrid.records import CoarseMaps, Signs, StageReport, StatusCode
-from hybrid.rectify.border_paths import borders_shown
-from hybrid.rectify.cell_phases import CellPhases
-from hybrid.rectify.clear_margins import LongerSheet, with_margins
-from hybrid.rectify.edge_paths import EdgesRead, look_across, put_on_edges, read_edges
-from hybrid.rectify.false_margins import without_margins
-from hybrid.rectify.flat import already_flat, is_frame
-from hybrid.rectify.foreshortening import even
-from hybrid.rectify.invert import Inversion
-from hybrid.rectify.plane import flat_film
-from hybrid.rectify.refine import Refinement, refine
-from hybrid.rectify.survey import Verdict, survey_print
-from hybrid.rectify.trust import chance_right, film_verdict, floored, signs_of
+from hybrid.rectify.coarse.foreshortening import even
+from hybrid.rectify.coarse.invert import Inversion
+from hybrid.rectify.edges.paths import EdgesRead, look_across, put_on_edges, read_edges
+from hybrid.rectify.grid.borders import borders_shown
+from hybrid.rectify.grid.phases import CellPhases
+from hybrid.rectify.margins.clear import LongerSheet, with_margins
+from hybrid.rectify.margins.ground import without_margins
+from hybrid.rectify.refine.plane import flat_film
+from hybrid.rectify.refine.refine import Refinement, refine
+from hybrid.rectify.verdict.flat import already_flat, is_frame
+from hybrid.rectify.verdict.survey import Verdict, survey_print
+from hybrid.rectify.verdict.trust import chance_right, film_verdict, floored, signs_of
 from hybrid.stages import Clock, Report
 from hybrid.strips import StripReader
 

@@ -12,7 +12,7 @@ from hybrid.backward import BackwardMap
 from hybrid.coords import film_nodes
 from hybrid.errors import ConfigError, describe
 from hybrid.records import RectifyResult, SliceGrid
-from hybrid.rectify.tps import fit_tps
+from hybrid.rectify.splines.tps import fit_tps
 
 NEAR = 0.02
 """Corners of the sheet closer than this (film units) to a corner of a cell move with it."""

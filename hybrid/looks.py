@@ -14,10 +14,10 @@ from hybrid.learn.predict import look, look_from_sides
 from hybrid.learn.views import film_view, near_views, plane_of, whole_view
 from hybrid.pyramid import Photo, Pyramid
 from hybrid.records import CoarseMaps, StatusCode
-from hybrid.rectify.corners import put_on_corners
-from hybrid.rectify.invert import Inversion, NotInverted, change, fit_backward
-from hybrid.rectify.survey import SurveyConfig, Verdict, expected_error, film_share, survey_maps, survey_print
-from hybrid.rectify.trust import seen_beside
+from hybrid.rectify.coarse.corners import put_on_corners
+from hybrid.rectify.coarse.invert import Inversion, NotInverted, change, fit_backward
+from hybrid.rectify.verdict.survey import SurveyConfig, Verdict, expected_error, film_share, survey_maps, survey_print
+from hybrid.rectify.verdict.trust import seen_beside
 from hybrid.stages import Clock
 
 WIDER, NEARER = 1.25, 0.7

@@ -37,17 +37,17 @@ from hybrid.levels import LevelReader
 from hybrid.looks import checked, network_beside, see, see_at, see_from_sides
 from hybrid.pyramid import Photo, Pyramid
 from hybrid.records import CoarseMaps, RectifyResult, SliceGrid, Status, StatusCode
-from hybrid.rectify.corners import Corners, film_at
-from hybrid.rectify.cover import covered_parts
-from hybrid.rectify.deilluminate import Deillumination, deilluminate
-from hybrid.rectify.film_size import bounded_size, film_size
-from hybrid.rectify.fuse import fuse
-from hybrid.rectify.invert import Inversion, agreed
-from hybrid.rectify.refine import Refinement
-from hybrid.rectify.resample import Rectified, read_film
-from hybrid.rectify.sheet import SheetConfig
-from hybrid.rectify.survey import Verdict, survey_photo, survey_print
-from hybrid.rectify.trust import expected_error_px, largest_error_px
+from hybrid.rectify.coarse.corners import Corners, film_at
+from hybrid.rectify.coarse.invert import Inversion, agreed
+from hybrid.rectify.film.cover import covered_parts
+from hybrid.rectify.film.deilluminate import Deillumination, deilluminate
+from hybrid.rectify.film.fuse import fuse
+from hybrid.rectify.film.resample import Rectified, read_film
+from hybrid.rectify.film.size import bounded_size, film_size
+from hybrid.rectify.refine.refine import Refinement
+from hybrid.rectify.sheet.shape import SheetConfig
+from hybrid.rectify.verdict.survey import Verdict, survey_photo, survey_print
+from hybrid.rectify.verdict.trust import expected_error_px, largest_error_px
 from hybrid.stages import Clock, Report
 from hybrid.threads import one_thread
 

@@ -258,7 +258,7 @@ class RectifyResult:
     limit_px: largest error, in pixels of the photo, that the status OK allows. The true one must be smaller with a
         probability of 95 % (``TrustConfig.least_chance``), and nothing else may speak against the film
         (``status.doubts``).
-    signs: the evidence for and against the map, from which both are computed (``rectify/trust.py``).
+    signs: the evidence for and against the map, from which both are computed (``rectify/verdict/trust.py``).
     photo_size: height and width of the photo in pixels.
     photo: for a film fused from several photos, the index of the photo that rectified, backward and the grid's vertices
         in the photo are of: the first whose map is sure, or else the first that shows a film. photos: how many photos

@@ -7,7 +7,7 @@ import numpy as np
 from hybrid.learn.inference import ready
 from hybrid.learn.light import level_reader
 from hybrid.learn.weights import packaged_light_net
-from hybrid.rectify.deilluminate import DeilluminateConfig, Deillumination, deilluminate
+from hybrid.rectify.film.deilluminate import DeilluminateConfig, Deillumination, deilluminate
 
 READER = level_reader(ready(packaged_light_net()))
 

@@ -50,9 +50,9 @@ from hybrid.learn.weights import save_weights
 from hybrid.looks import see
 from hybrid.pipeline import Rectifier
 from hybrid.pyramid import Pyramid
-from hybrid.rectify.invert import Inversion
-from hybrid.rectify.resample import rectify_photo
-from hybrid.rectify.trust import REFERENCE_PX
+from hybrid.rectify.coarse.invert import Inversion
+from hybrid.rectify.film.resample import rectify_photo
+from hybrid.rectify.verdict.trust import REFERENCE_PX
 from hybrid.stages import Clock
 
 EXAMPLE = Path(__file__).parents[1] / "hybrid/examples/film.jpg"

@@ -25,7 +25,7 @@ from hybrid.coords import sample_bilinear
 from hybrid.errors import ConfigError, DataError, PhotoError
 from hybrid.image_io import read_photo
 from hybrid.records import RectifyResult, Status, StatusCode
-from hybrid.rectify.trust import REFERENCE_PX
+from hybrid.rectify.verdict.trust import REFERENCE_PX
 
 SIZE = (240, 320)
 

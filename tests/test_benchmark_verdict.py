@@ -17,7 +17,7 @@ from benchmarks.verdict_fit import FOLDS, Judged, fit_chance, fit_error, trust_o
 from hybrid.effort import RectifyConfig
 from hybrid.pipeline import Rectifier
 from hybrid.records import RectifyResult, Signs, Status, StatusCode
-from hybrid.rectify.trust import TrustConfig, chance_features, features
+from hybrid.rectify.verdict.trust import TrustConfig, chance_features, features
 
 TRUST = TrustConfig()
 SURE: dict[str, Any] = {

@@ -18,14 +18,14 @@ from hybrid.learn.inference import ready
 from hybrid.learn.weights import packaged_border_net
 from hybrid.pyramid import Pyramid
 from hybrid.records import SliceGrid
-from hybrid.rectify import course
-from hybrid.rectify.border_paths import BorderConfig, borders_shown, held_to, places_along, read_borders
-from hybrid.rectify.cells import Reading
-from hybrid.rectify.grid import Borders, Comb, GridConfig
-from hybrid.rectify.layout import Layout, find_lines
-from hybrid.rectify.refine import RefineConfig, refine
-from hybrid.rectify.repeat import Repeats
-from hybrid.rectify.sightings import SplineConfig, fit_displacement
+from hybrid.rectify.grid.borders import BorderConfig, borders_shown, held_to, places_along, read_borders
+from hybrid.rectify.grid.cells import Reading
+from hybrid.rectify.grid.layout import Layout, find_lines
+from hybrid.rectify.grid.lines import Borders, Comb, GridConfig
+from hybrid.rectify.grid.repeat import Repeats
+from hybrid.rectify.refine import course
+from hybrid.rectify.refine.refine import RefineConfig, refine
+from hybrid.rectify.splines.sightings import SplineConfig, fit_displacement
 from hybrid.strips import StripConfig, StripReader
 
 STRIP = StripConfig()

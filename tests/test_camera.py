@@ -17,7 +17,7 @@ from hybrid.effort import RectifyConfig
 from hybrid.errors import ConfigError
 from hybrid.pipeline import Rectifier, _with_lens, rectify
 from hybrid.records import RectifyResult, Status, StatusCode
-from hybrid.rectify.film_size import FilmSizeConfig, known_by_plane, snap_aspect
+from hybrid.rectify.film.size import FilmSizeConfig, known_by_plane, snap_aspect
 from hybrid.rectify_files import rectify_files
 
 SIZE = 400, 300

@@ -9,9 +9,9 @@ from told_cells import even_grid, told_of
 from hybrid.backward import BackwardMap
 from hybrid.coords import film_nodes
 from hybrid.records import CoarseMaps
-from hybrid.rectify.cell_phases import CellPhases
-from hybrid.rectify.cells import CellsConfig, read_cells
-from hybrid.rectify.grid import GridConfig
+from hybrid.rectify.grid.cells import CellsConfig, read_cells
+from hybrid.rectify.grid.lines import GridConfig
+from hybrid.rectify.grid.phases import CellPhases
 
 FLAT = BackwardMap(film_nodes((9, 9)) * (400.0, 300.0))
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from jaxtyping import Float
 
-from hybrid.rectify.cells import CellsConfig, read_cells
-from hybrid.rectify.grid import GridConfig
+from hybrid.rectify.grid.cells import CellsConfig, read_cells
+from hybrid.rectify.grid.lines import GridConfig
 
 NO_PITCH = ((), ())
 

@@ -13,10 +13,10 @@ from hybrid.effort import RectifyConfig
 from hybrid.geometry import MOST_MARGINS, whole_sheet
 from hybrid.pyramid import Pyramid
 from hybrid.records import SliceGrid
-from hybrid.rectify.cells import CellsConfig
-from hybrid.rectify.clear_margins import ClearMarginsConfig, LongerSheet, _together, lengthened, with_margins
-from hybrid.rectify.edge_paths import EdgesRead
-from hybrid.rectify.refine import Refinement
+from hybrid.rectify.edges.paths import EdgesRead
+from hybrid.rectify.grid.cells import CellsConfig
+from hybrid.rectify.margins.clear import ClearMarginsConfig, LongerSheet, _together, lengthened, with_margins
+from hybrid.rectify.refine.refine import Refinement
 from hybrid.stages import Clock
 from hybrid.strips import SIDES
 

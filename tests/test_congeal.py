@@ -8,12 +8,12 @@ import pytest
 
 from hybrid.coords import film_centres_1d
 from hybrid.film_view import FilmView
-from hybrid.rectify.congeal import CongealConfig, block_shifts, median_image, register_cells
-from hybrid.rectify.grid import Comb
-from hybrid.rectify.layout import Layout
-from hybrid.rectify.repeat import Repeats
-from hybrid.rectify.rim import RimConfig, without_background
-from hybrid.rectify.sightings import Sightings, SplineConfig, fit_displacement
+from hybrid.rectify.grid.congeal import CongealConfig, block_shifts, median_image, register_cells
+from hybrid.rectify.grid.layout import Layout
+from hybrid.rectify.grid.lines import Comb
+from hybrid.rectify.grid.repeat import Repeats
+from hybrid.rectify.grid.rim import RimConfig, without_background
+from hybrid.rectify.splines.sightings import Sightings, SplineConfig, fit_displacement
 
 CONFIG = CongealConfig()
 SIDE = 96

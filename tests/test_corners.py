@@ -13,8 +13,8 @@ from hybrid.coords import film_nodes
 from hybrid.errors import ConfigError
 from hybrid.pipeline import Rectifier
 from hybrid.records import StatusCode
-from hybrid.rectify.corners import film_at, put_on_corners
-from hybrid.rectify.survey import Verdict
+from hybrid.rectify.coarse.corners import film_at, put_on_corners
+from hybrid.rectify.verdict.survey import Verdict
 
 SIZE = (800, 1000)
 SHEET = np.array([[210.0, 120.0], [790.0, 180.0], [820.0, 640.0], [170.0, 600.0]])

@@ -16,7 +16,7 @@ from data_gen.scene import SceneConfig
 from hybrid.backward import BackwardMap, Orientation
 from hybrid.coords import film_centres, rescale_points, rgb_from_bgr, sample_bilinear
 from hybrid.effort import RectifyConfig
-from hybrid.rectify.cover import CoverConfig, covered_parts
+from hybrid.rectify.film.cover import CoverConfig, covered_parts
 
 SIZE = (300, 240)
 ALL = np.ones(SIZE, bool)

@@ -18,8 +18,8 @@ from hybrid.coords import (
     rgb_from_bgr,
     srgb_from_linear,
 )
-from hybrid.rectify.deilluminate import find_clipped
-from hybrid.rectify.resample import rectify_photo
+from hybrid.rectify.film.deilluminate import find_clipped
+from hybrid.rectify.film.resample import rectify_photo
 
 SIZE = (600, 480)
 

@@ -6,7 +6,7 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.stats import norm
 
 from hybrid.coords import linear_from_srgb, srgb_from_linear
-from hybrid.rectify.edge_profile import RULES_PX, end_of_sheet, profiles_along
+from hybrid.rectify.edges.profile import RULES_PX, end_of_sheet, profiles_along
 
 DEPTH = np.arange(-30.0, 31.0)
 EDGE = 0.3

@@ -18,9 +18,9 @@ from hybrid.learn.edges import EdgeNet, EdgeNetConfig, EdgeTargets, edge_losses,
 from hybrid.learn.inference import ready
 from hybrid.learn.weights import packaged_edge_net, parameter_count
 from hybrid.pyramid import Pyramid
-from hybrid.rectify.edge_paths import EdgeConfig, look_across, put_on_edges, read_edges, read_paths
-from hybrid.rectify.refine import Refinement
-from hybrid.rectify.trust import TrustConfig
+from hybrid.rectify.edges.paths import EdgeConfig, look_across, put_on_edges, read_edges, read_paths
+from hybrid.rectify.refine.refine import Refinement
+from hybrid.rectify.verdict.trust import TrustConfig
 from hybrid.stages import Report
 from hybrid.strips import StripConfig, StripReader, edge_strips, strip_copy
 

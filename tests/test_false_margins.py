@@ -13,9 +13,9 @@ from hybrid.effort import RectifyConfig
 from hybrid.geometry import whole_sheet
 from hybrid.pyramid import Pyramid
 from hybrid.records import SliceGrid
-from hybrid.rectify.edge_paths import look_across
-from hybrid.rectify.false_margins import FalseMarginsConfig, ShorterSheet, without_margins
-from hybrid.rectify.refine import Refinement
+from hybrid.rectify.edges.paths import look_across
+from hybrid.rectify.margins.ground import FalseMarginsConfig, ShorterSheet, without_margins
+from hybrid.rectify.refine.refine import Refinement
 from hybrid.stages import Clock
 
 OPTIONS = FalseMarginsConfig()

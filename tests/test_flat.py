@@ -14,10 +14,10 @@ from data_gen.prints import FilmPrint
 from hybrid.backward import BackwardMap
 from hybrid.pyramid import Pyramid
 from hybrid.records import CoarseMaps, SliceGrid
-from hybrid.rectify.edge_paths import EdgesRead
-from hybrid.rectify.flat import NEAR_FRAME, NOTHING_ELSE, already_flat, frame_of
-from hybrid.rectify.refine import Refinement
-from hybrid.rectify.survey import film_share
+from hybrid.rectify.edges.paths import EdgesRead
+from hybrid.rectify.refine.refine import Refinement
+from hybrid.rectify.verdict.flat import NEAR_FRAME, NOTHING_ELSE, already_flat, frame_of
+from hybrid.rectify.verdict.survey import film_share
 
 
 @lru_cache(maxsize=1)

@@ -9,11 +9,11 @@ from told_cells import bent_along, even_grid, told_of
 
 from hybrid.backward import BackwardMap, end_point_error
 from hybrid.coords import film_nodes, node_centres_1d
-from hybrid.rectify.cell_phases import CellPhases
-from hybrid.rectify.foreshortening import ForeshorteningConfig, bent, even, spacing
-from hybrid.rectify.outline import edge_sightings
-from hybrid.rectify.refine import RefineConfig, refine
-from hybrid.rectify.sightings import Sightings
+from hybrid.rectify.coarse.foreshortening import ForeshorteningConfig, bent, even, spacing
+from hybrid.rectify.edges.outline import edge_sightings
+from hybrid.rectify.grid.phases import CellPhases
+from hybrid.rectify.refine.refine import RefineConfig, refine
+from hybrid.rectify.splines.sightings import Sightings
 from hybrid.strips import SIDES
 
 CONFIG = ForeshorteningConfig()

@@ -7,12 +7,12 @@ from synthetic_film import FilmDrawing, draw_print, make_photo
 from hybrid.backward import BackwardMap, spline_weights
 from hybrid.coords import film_centres_1d, film_nodes
 from hybrid.film_view import FilmView, _lattice_xy, view_film
-from hybrid.rectify.cells import Reading
-from hybrid.rectify.follow import follow_comb
-from hybrid.rectify.grid import Comb, GridConfig, find_comb
-from hybrid.rectify.layout import Layout, find_lines, find_repeating
-from hybrid.rectify.match import MatchConfig, match_cells
-from hybrid.rectify.repeat import RepeatConfig, Repeats, cell_agreement, find_repeats
+from hybrid.rectify.grid.cells import Reading
+from hybrid.rectify.grid.follow import follow_comb
+from hybrid.rectify.grid.layout import Layout, find_lines, find_repeating
+from hybrid.rectify.grid.lines import Comb, GridConfig, find_comb
+from hybrid.rectify.grid.match import MatchConfig, match_cells
+from hybrid.rectify.grid.repeat import RepeatConfig, Repeats, cell_agreement, find_repeats
 
 GRID, REPEAT = GridConfig(), RepeatConfig()
 

@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from hybrid.rectify import FOLDERS
+
 ROOT = Path(__file__).parents[1]
 ROOMS = ("hybrid.mesh", "hybrid.learn", "hybrid.rectify")
 OUTER = (
@@ -51,6 +53,15 @@ def test_rooms_import_neither_each_other_nor_outwards(module: str) -> None:
     own = next(room for room in ROOMS if within(module, (room,)))
     others = tuple(room for room in ROOMS if room != own)
     wrong = {name for name in imported_by(MODULES[module]) if within(name, others + OUTER)}
+    assert not wrong, f"{module} imports {sorted(wrong)}"
+
+
+@pytest.mark.parametrize("module", [m for m in MODULES if within(m, ("hybrid.rectify",)) and m != "hybrid.rectify"])
+def test_the_folders_of_rectify_import_one_way(module: str) -> None:
+    """Each imports only itself and those before it in FOLDERS."""
+    own = FOLDERS.index(module.split(".")[2])
+    later = tuple(f"hybrid.rectify.{folder}" for folder in FOLDERS[own + 1 :])
+    wrong = {name for name in imported_by(MODULES[module]) if within(name, later)}
     assert not wrong, f"{module} imports {sorted(wrong)}"
 
 

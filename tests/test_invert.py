@@ -12,9 +12,9 @@ from bent_sheets import bent_sheet, maps_of, smooth_noise
 
 from hybrid.backward import BackwardMap, end_point_error
 from hybrid.coords import film_nodes
-from hybrid.rectify import bspline
-from hybrid.rectify.homography import apply_homography, fit_homography
-from hybrid.rectify.invert import Inversion, InvertConfig, NotInverted, fit_backward
+from hybrid.rectify.coarse.homography import apply_homography, fit_homography
+from hybrid.rectify.coarse.invert import Inversion, InvertConfig, NotInverted, fit_backward
+from hybrid.rectify.splines import bspline
 
 CLEAN_PX = 0.5  # mean error without noise: cost of the spline's knots and the penalty on a sheet rolled by 50 degrees
 SHEETS = [(0.0, 0.0), (0.5, 0.3), (0.9, 0.4), (-0.9, -0.4)]

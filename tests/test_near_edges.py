@@ -17,7 +17,7 @@ from hybrid.learn.near_edges import margins_some, near_edges, near_shadow, reach
 from hybrid.learn.samples import Place, open_places
 from hybrid.learn.weights import packaged_edge_net
 from hybrid.pyramid import Pyramid
-from hybrid.rectify.edge_paths import EdgeConfig, look_across, read_edges
+from hybrid.rectify.edges.paths import EdgeConfig, look_across, read_edges
 from hybrid.strips import StripConfig
 
 SIZE, GROUND = (480, 440), 180

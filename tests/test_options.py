@@ -16,22 +16,22 @@ from hybrid.effort import RectifyConfig
 from hybrid.errors import ConfigError, FittedWeights, require_at_least, require_numbers
 from hybrid.learn.predict import PredictConfig
 from hybrid.learn.train import Plan, TrainConfig
-from hybrid.rectify.cells import CellsConfig
-from hybrid.rectify.congeal import CongealConfig
-from hybrid.rectify.course import RefineConfig
-from hybrid.rectify.deilluminate import DeilluminateConfig
-from hybrid.rectify.edge_paths import PathConfig
-from hybrid.rectify.film_size import FilmSizeConfig
-from hybrid.rectify.foreshortening import ForeshorteningConfig
-from hybrid.rectify.fuse import FuseConfig
-from hybrid.rectify.grid import GridConfig
-from hybrid.rectify.invert import InvertConfig
-from hybrid.rectify.match import MatchConfig
-from hybrid.rectify.outline import OutlineConfig
-from hybrid.rectify.plane import PlaneConfig
-from hybrid.rectify.sheet import SheetConfig
-from hybrid.rectify.sightings import SplineConfig
-from hybrid.rectify.trust import TrustConfig
+from hybrid.rectify.coarse.foreshortening import ForeshorteningConfig
+from hybrid.rectify.coarse.invert import InvertConfig
+from hybrid.rectify.edges.outline import OutlineConfig
+from hybrid.rectify.edges.paths import PathConfig
+from hybrid.rectify.film.deilluminate import DeilluminateConfig
+from hybrid.rectify.film.fuse import FuseConfig
+from hybrid.rectify.film.size import FilmSizeConfig
+from hybrid.rectify.grid.cells import CellsConfig
+from hybrid.rectify.grid.congeal import CongealConfig
+from hybrid.rectify.grid.lines import GridConfig
+from hybrid.rectify.grid.match import MatchConfig
+from hybrid.rectify.refine.course import RefineConfig
+from hybrid.rectify.refine.plane import PlaneConfig
+from hybrid.rectify.sheet.shape import SheetConfig
+from hybrid.rectify.splines.sightings import SplineConfig
+from hybrid.rectify.verdict.trust import TrustConfig
 
 NAN = float("nan")
 

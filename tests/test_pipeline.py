@@ -28,9 +28,9 @@ from hybrid.looks import checked, see
 from hybrid.pipeline import Effort, Rectifier, RectifyConfig
 from hybrid.pyramid import Pyramid
 from hybrid.records import StageReport, StatusCode
-from hybrid.rectify.invert import Inversion, NotInverted
-from hybrid.rectify.survey import Verdict
-from hybrid.rectify.trust import chance_right, floored
+from hybrid.rectify.coarse.invert import Inversion, NotInverted
+from hybrid.rectify.verdict.survey import Verdict
+from hybrid.rectify.verdict.trust import chance_right, floored
 from hybrid.stages import Clock
 
 ROOT = Path(__file__).parents[1]
@@ -488,7 +488,7 @@ def test_a_film_that_the_first_looks_miss_is_found_from_a_wider_one(rectifier, p
 
 def test_the_room_named_rectify_answers_as_the_shortcut(photo, result):
     """hybrid.rectify is both the room and the public call, whichever was imported first."""
-    import hybrid.rectify.tps
+    import hybrid.rectify.splines.tps
 
     assert callable(hybrid.rectify)
     np.testing.assert_array_equal(hybrid.rectify(photo).film, result.film)

@@ -15,11 +15,11 @@ from hybrid.coords import film_nodes, opencv_from_photo, pixel_centres, pixel_fr
 from hybrid.learn.edges import strip_reader
 from hybrid.learn.inference import ready
 from hybrid.learn.weights import packaged_border_net
-from hybrid.rectify.glance import glance
-from hybrid.rectify.homography import apply_homography
-from hybrid.rectify.plane import PlaneConfig, edge_line, film_corners, flat_film, plane_by_edges
-from hybrid.rectify.refine import RefineConfig
-from hybrid.rectify.sightings import Sightings
+from hybrid.rectify.coarse.homography import apply_homography
+from hybrid.rectify.refine.glance import glance
+from hybrid.rectify.refine.plane import PlaneConfig, edge_line, film_corners, flat_film, plane_by_edges
+from hybrid.rectify.refine.refine import RefineConfig
+from hybrid.rectify.splines.sightings import Sightings
 
 HOMOGRAPHY = np.array([[560.0, 60.0, 90.0], [-70.0, 700.0, 110.0], [0.08, -0.05, 1.0]])
 REFINE, CONFIG = RefineConfig(), PlaneConfig()

@@ -11,11 +11,11 @@ from synthetic_film import FilmDrawing, disturbed, make_photo
 
 from hybrid.backward import BackwardMap, end_point_error
 from hybrid.coords import film_nodes
-from hybrid.rectify.course import Course, Progress, Stopwatch, unstretched
-from hybrid.rectify.layout import Layout
-from hybrid.rectify.refine import RefineConfig, _apart, _better, refine
-from hybrid.rectify.scene import half_view, scene_of, view_of
-from hybrid.rectify.sightings import (
+from hybrid.rectify.grid.layout import Layout
+from hybrid.rectify.refine.course import Course, Progress, Stopwatch, unstretched
+from hybrid.rectify.refine.refine import RefineConfig, _apart, _better, refine
+from hybrid.rectify.refine.scene import half_view, scene_of, view_of
+from hybrid.rectify.splines.sightings import (
     Displacement,
     Sightings,
     SplineConfig,
@@ -122,7 +122,7 @@ def test_the_farther_apart_the_two_ends_the_more_error_is_expected(monkeypatch):
     photo, true = make_photo(FilmDrawing(margin=0.03), rng)
     coarse, expected = disturbed(true, 4.0, rng), []
     for apart in (1e-3, 1e-2):
-        monkeypatch.setattr("hybrid.rectify.refine._apart", lambda *_, apart=apart: apart)
+        monkeypatch.setattr("hybrid.rectify.refine.refine._apart", lambda *_, apart=apart: apart)
         expected.append(refine(photo, coarse, None, CONFIG).expected_px)
     assert expected[1] > 5 * expected[0]
 
@@ -154,7 +154,7 @@ def test_the_less_doubtful_end_counts(monkeypatch, residuals, alike, sheet_count
     coarse, still = BackwardMap(film_nodes((9, 9)) * 400.0 + 50.0), no_displacement(CONFIG.spline)
     scene = scene_of(np.zeros((500, 500, 3), np.uint8), coarse)
     free, bound = (Course(scene, still, Layout(), (), 0.0, after, True, None, "") for after in residuals)
-    monkeypatch.setattr("hybrid.rectify.refine.agreement", lambda course, _: alike[course is bound])
+    monkeypatch.setattr("hybrid.rectify.refine.refine.agreement", lambda course, _: alike[course is bound])
     assert (_better(free, bound, CONFIG, Stopwatch()) is bound) == sheet_counts
     assert _better(free, replace(bound, believed=False), CONFIG, Stopwatch()) is free
 
@@ -167,8 +167,8 @@ def test_a_sheet_counts_though_a_further_one_fails(monkeypatch):
         fitted.append(None if fitted else unstretched(progress, config, watch))
         return fitted[-1]
 
-    monkeypatch.setattr("hybrid.rectify.refine.unstretched", once)
-    monkeypatch.setattr("hybrid.rectify.refine._better", lambda free, bound, *_: bound)
+    monkeypatch.setattr("hybrid.rectify.refine.refine.unstretched", once)
+    monkeypatch.setattr("hybrid.rectify.refine.refine._better", lambda free, bound, *_: bound)
     refined = refine(photo, disturbed(true, 4.0, np.random.default_rng(6)), None, CONFIG)
     assert len(fitted) == 2
     assert refined.aspect is not None
@@ -183,7 +183,7 @@ def test_a_sheet_that_hardly_moves_the_film_is_the_last(monkeypatch, settled_end
         fitted.append(unstretched(progress, config, watch))
         return fitted[-1]
 
-    monkeypatch.setattr("hybrid.rectify.refine.unstretched", counted)
+    monkeypatch.setattr("hybrid.rectify.refine.refine.unstretched", counted)
     config = replace(CONFIG, settled_sheet=0.0, settled_end=settled_end)
     refine(photo, disturbed(true, 4.0, np.random.default_rng(6)), None, config)
     assert len(fitted) == most

@@ -27,8 +27,8 @@ from hybrid.draw import resized
 from hybrid.effort import RectifyConfig
 from hybrid.pipeline import Rectifier
 from hybrid.records import RectifyResult, StatusCode
-from hybrid.rectify.film_size import FilmSizeConfig
-from hybrid.rectify.trust import TrustConfig
+from hybrid.rectify.film.size import FilmSizeConfig
+from hybrid.rectify.verdict.trust import TrustConfig
 
 OK_PX = 5.0
 """Largest mean error of a film that is called flattened, in pixels of a 1080 px photo."""

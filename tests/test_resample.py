@@ -16,7 +16,7 @@ from hybrid.coords import (
     pixel_centres,
     pixel_from_film,
 )
-from hybrid.rectify.resample import ResampleConfig, _near_rows, index_in_grid, photo_per_film_pixel, rectify_photo
+from hybrid.rectify.film.resample import ResampleConfig, _near_rows, index_in_grid, photo_per_film_pixel, rectify_photo
 
 
 def whole_photo(size: tuple[int, int]) -> BackwardMap:

@@ -9,8 +9,8 @@ import pytest
 from hybrid.backward import BackwardMap, Orientation
 from hybrid.coords import FILM_CORNERS, film_centres, linear_from_srgb, srgb_from_linear
 from hybrid.errors import ConfigError
-from hybrid.rectify.resample import ResampleConfig, read_film
-from hybrid.rectify.rounding import RoundingConfig, blank_beyond, find_round_corners
+from hybrid.rectify.film.resample import ResampleConfig, read_film
+from hybrid.rectify.film.rounding import RoundingConfig, blank_beyond, find_round_corners
 from hybrid.round_corners import RoundCorners
 
 SIZE = (700, 560)

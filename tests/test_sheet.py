@@ -8,9 +8,11 @@ import pytest
 
 from hybrid.backward import BackwardMap, end_point_error
 from hybrid.coords import film_nodes
-from hybrid.rectify.grid import Borders, Comb, GridConfig
-from hybrid.rectify.layout import Evidence, Source
-from hybrid.rectify.margins import (
+from hybrid.rectify.edges.outline import expecting_rule
+from hybrid.rectify.grid.layout import Evidence, Source
+from hybrid.rectify.grid.lines import Borders, Comb, GridConfig
+from hybrid.rectify.grid.repeat import Repeats
+from hybrid.rectify.margins.placing import (
     MarginsConfig,
     PlacedPrint,
     cells_on,
@@ -20,9 +22,11 @@ from hybrid.rectify.margins import (
     unfilled,
     usual_margins,
 )
-from hybrid.rectify.outline import expecting_rule
-from hybrid.rectify.repeat import Repeats
-from hybrid.rectify.sheet import (
+from hybrid.rectify.sheet.equations import Sum
+from hybrid.rectify.sheet.fit import FittedSheet, fit_sheet
+from hybrid.rectify.sheet.problem import SMALLEST, Cell, Eased, Problem, minimised, strain, strain_curvature
+from hybrid.rectify.sheet.seen import seen_through
+from hybrid.rectify.sheet.shape import (
     CAMERA,
     NODES,
     Frame,
@@ -33,11 +37,7 @@ from hybrid.rectify.sheet import (
     relief_reversed,
     surface,
 )
-from hybrid.rectify.sheet_fit import FittedSheet, fit_sheet
-from hybrid.rectify.sheet_problem import SMALLEST, Cell, Eased, Problem, minimised, strain, strain_curvature
-from hybrid.rectify.sheet_seen import seen_through
-from hybrid.rectify.sheet_sum import Sum
-from hybrid.rectify.sightings import Sightings, carried
+from hybrid.rectify.splines.sightings import Sightings, carried
 
 CONFIG = SheetConfig()
 PHOTO = (1000, 1000)

@@ -9,8 +9,8 @@ import pytest
 from hybrid.backward import BackwardMap
 from hybrid.coords import linear_from_srgb, pixel_from_film, srgb_from_linear
 from hybrid.errors import ConfigError
-from hybrid.rectify.resample import ResampleConfig, read_film
-from hybrid.rectify.spill import SpillConfig
+from hybrid.rectify.film.resample import ResampleConfig, read_film
+from hybrid.rectify.film.spill import SpillConfig
 
 LEFT_TOP = np.array([50.5, 40.5])
 """Where the film's corner lies in the photo: its edges run through the middles of pixels."""

@@ -12,11 +12,11 @@ from bent_sheets import bent_sheet, flat_sheet_seen, maps_of, smooth_noise
 from hybrid.backward import BackwardMap
 from hybrid.coords import film_nodes, pixel_centres
 from hybrid.records import CoarseMaps, SliceGrid, StatusCode
-from hybrid.rectify.deilluminate import survey_light
-from hybrid.rectify.film_size import FilmSizeConfig, film_size, known_by_plane, snap_aspect
-from hybrid.rectify.homography import apply_homography, survey_plane
-from hybrid.rectify.invert import fit_backward
-from hybrid.rectify.survey import mask_overlap, survey_maps, survey_photo, survey_print
+from hybrid.rectify.coarse.homography import apply_homography, survey_plane
+from hybrid.rectify.coarse.invert import fit_backward
+from hybrid.rectify.film.deilluminate import survey_light
+from hybrid.rectify.film.size import FilmSizeConfig, film_size, known_by_plane, snap_aspect
+from hybrid.rectify.verdict.survey import mask_overlap, survey_maps, survey_photo, survey_print
 
 
 def verdict(maps: CoarseMaps):

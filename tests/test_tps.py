@@ -7,7 +7,7 @@ from kornia.geometry.transform import get_tps_transform, warp_points_tps
 from scipy.interpolate import RBFInterpolator
 
 from hybrid.coords import film_nodes
-from hybrid.rectify.tps import SplineError, choose_smoothing, fit_tps, fit_tps_robust, lattice_spline, mad_sigma
+from hybrid.rectify.splines.tps import SplineError, choose_smoothing, fit_tps, fit_tps_robust, lattice_spline, mad_sigma
 
 EXACT = 1e-9
 """Error of dense solves of up to 150 unknowns in float64."""

@@ -12,9 +12,9 @@ from hybrid.backward import BackwardMap
 from hybrid.coords import film_centres, film_nodes
 from hybrid.pyramid import Pyramid
 from hybrid.records import CoarseMaps, Signs, SliceGrid, StatusCode
-from hybrid.rectify.edge_paths import EdgesRead
-from hybrid.rectify.flat import frame_of
-from hybrid.rectify.trust import (
+from hybrid.rectify.edges.paths import EdgesRead
+from hybrid.rectify.verdict.flat import frame_of
+from hybrid.rectify.verdict.trust import (
     FLAT_ERROR,
     TrustConfig,
     cells_alike,

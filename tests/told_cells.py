@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 from hybrid.backward import BackwardMap
 from hybrid.coords import film_centres
-from hybrid.rectify.cell_phases import CellPhases
+from hybrid.rectify.grid.phases import CellPhases
 
 Grid = tuple[tuple[float, float, int], tuple[float, float, int]]
 """Where the first cell begins, pitch and number of cells; across, then down."""

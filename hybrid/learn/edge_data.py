@@ -3,7 +3,7 @@
 The predicting map is the true one, disturbed, or the one that FilmNet made of the photo (data_gen/film_maps.py). Only
 FilmNet's errs as it does in use: where a shadow or a frame looks like the sheet's edge, FilmNet has already been drawn
 to it. It has not seen the shadows that are put into photos here, so for these the true map is moved out to them
-(near_edges.py). In the search for margins (rectify/clear_margins.py) a map may end where there is nothing to see, and
+(near_edges.py). In the search for margins (rectify/margins/clear.py) a map may end where there is nothing to see, and
 so do some of the maps here.
 """
 

@@ -108,7 +108,7 @@ def strips_tensor(images: UInt8[np.ndarray, "b r c 3"], inside: Bool[np.ndarray,
 
 
 def strip_reader(network: EdgeNet) -> StripReader:
-    """The network as the strip reader of ``hybrid.rectify.edge_paths`` and ``hybrid.rectify.border_paths``."""
+    """The network as the strip reader of ``hybrid.rectify.edges.paths`` and ``hybrid.rectify.grid.borders``."""
 
     def logs(images: UInt8[np.ndarray, "b r c 3"], inside: Bool[np.ndarray, "b r c"]) -> Float[np.ndarray, "b r1 c2"]:
         with torch.inference_mode():

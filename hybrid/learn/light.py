@@ -204,7 +204,7 @@ def films_tensor(films: UInt8[np.ndarray, "b n n 3"], seen: Bool[np.ndarray, "b 
 
 
 def level_reader(network: LightNet) -> LevelReader:
-    """The network as the level reader of ``hybrid.rectify.deilluminate``.
+    """The network as the level reader of ``hybrid.rectify.film.deilluminate``.
 
     It reads a film twice, as it lies and turned by 180 degrees, since light does not depend on which way the print
     lies. The mean of both is nearer to the truth, and the same for a film that lies upside down.

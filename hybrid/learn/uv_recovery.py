@@ -3,7 +3,7 @@
 This is the baseline's own, slow way: linear interpolation between scattered points on a Delaunay triangulation, the
 nearest point outside their hull. The authors triangulate the same points once for x and once for y and build the
 nearest neighbours twice as well; here both coordinates share one of each, which halves the time and gives the same
-map. ``hybrid.rectify.invert`` is the project's way.
+map. ``hybrid.rectify.coarse.invert`` is the project's way.
 """
 
 from __future__ import annotations

@@ -1,0 +1,1 @@
+"""Splines over the film's plane, and the smooth displacement that observations of the film call for."""
