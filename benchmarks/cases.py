@@ -17,9 +17,9 @@ from hybrid.coords import film_nodes, pixel_centres, rescale_points
 from hybrid.draw import resized
 from hybrid.errors import DataError, describe
 from hybrid.image_io import read_photo
-from hybrid.learn.dewarpnet import coordinate_code
-from hybrid.learn.samples import Place, film_of, open_places, photo_of, truth_at
-from hybrid.learn.tensors import map_batch
+from hybrid.learn.datasets.samples import Place, film_of, open_places, photo_of, truth_at
+from hybrid.learn.networks.tensors import map_batch
+from hybrid.learn.paper.dewarpnet import coordinate_code
 from hybrid.rectify.film.size import FilmSizeConfig
 
 SAME_SIZE = 1.25

@@ -26,7 +26,7 @@ from data_gen.sources import SourceConfig
 from hybrid.backward import BackwardMap
 from hybrid.coords import pixel_centres, rescale_points
 from hybrid.errors import require_at_least
-from hybrid.learn.shards import Shard, open_dataset
+from hybrid.learn.datasets.shards import Shard, open_dataset
 from hybrid.mesh.camera import Camera
 
 BOUNDS = {"projection_max_px": 0.05, "inverse_max_px": 0.1, "mixed_pixels": 0}

@@ -1,8 +1,8 @@
 """Photos with truth, changed around their film: what it may lie on or beside, and how it may lie in the frame.
 
 The film itself stays as it was photographed. The things that networks are trained with behind films
-(hybrid/learn/behind.py) are drawn by other rules: of these changes only the hard shadow and the round corners are much
-alike.
+(hybrid/learn/datasets/behind.py) are drawn by other rules: of these changes only the hard shadow and the round corners
+are much alike.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from jaxtyping import Float, UInt8
 from benchmarks.damage import Damaged
 from hybrid.backward import BackwardMap
 from hybrid.coords import FILM_CORNERS, film_nodes, opencv_from_photo
-from hybrid.learn.behind import filled, ground_of, mixed
-from hybrid.learn.rounded import cut_share
+from hybrid.learn.datasets.behind import filled, ground_of, mixed
+from hybrid.learn.datasets.rounded import cut_share
 from hybrid.round_corners import RoundCorners
 
 Picture = UInt8[np.ndarray, "h w 3"]

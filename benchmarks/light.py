@@ -33,10 +33,10 @@ from hybrid.draw import contact_sheet, fitted, rgb_from_film, side_by_side
 from hybrid.errors import ConfigError, describe, require_at_least
 from hybrid.files import make_folder
 from hybrid.image_io import write_rgb
-from hybrid.learn.inference import ready
-from hybrid.learn.light import level_reader
-from hybrid.learn.samples import Place, film_of, open_places, photo_of
-from hybrid.learn.weights import packaged_light_net
+from hybrid.learn.datasets.samples import Place, film_of, open_places, photo_of
+from hybrid.learn.networks.inference import ready
+from hybrid.learn.networks.lightnet import level_reader
+from hybrid.learn.networks.weights import packaged_light_net
 from hybrid.levels import LevelReader
 from hybrid.metrics import ssim
 from hybrid.pipeline import Rectifier

@@ -21,7 +21,7 @@ from benchmarks.published import full_dewarpnet, full_dewarpnet_published, full_
 from benchmarks.scanner import map_of_corners, scan, true_corners
 from hybrid.coords import opencv_from_photo
 from hybrid.errors import ConfigError, describe
-from hybrid.learn.predict import PredictConfig
+from hybrid.learn.reading.predict import PredictConfig
 from hybrid.pipeline import RectifyConfig
 from hybrid.rectify.edges.outline import OutlineConfig
 from hybrid.rectify.edges.paths import EdgeConfig, PathConfig

@@ -21,7 +21,7 @@ from benchmarks.methods import Flattened, Method, flattened
 from benchmarks.photos import load_photo
 from benchmarks.results import FilmScore, Forward, Measured, Memory
 from benchmarks.scores import score_map
-from hybrid.learn.weights import parameter_count
+from hybrid.learn.networks.weights import parameter_count
 from hybrid.metrics import psnr_after_gain_offset
 
 PRINT_SIZE = (512, 512)

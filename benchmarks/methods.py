@@ -29,7 +29,9 @@ from benchmarks.cases import Case, TrueShape, true_shape
 from benchmarks.claims import Claim, claim_of
 from hybrid.backward import BackwardMap
 from hybrid.errors import DataError, PhotoError, describe
-from hybrid.learn.baselines import (
+from hybrid.learn.networks.tensors import first_map
+from hybrid.learn.networks.weights import images_shown, load_weights, notes_of, packaged_path, parameter_count
+from hybrid.learn.paper.baselines import (
     Recovery,
     corrected,
     dewarpnet_map,
@@ -38,13 +40,11 @@ from hybrid.learn.baselines import (
     published_map,
     recover,
 )
-from hybrid.learn.dewarpnet import DewarpNet, joined
-from hybrid.learn.predict import PredictConfig
-from hybrid.learn.presets import PRESETS, PaperConfig
-from hybrid.learn.tensors import first_map
-from hybrid.learn.uv_recovery import interpolated, points_of_uv
-from hybrid.learn.uvbw import NetBw, NetUv
-from hybrid.learn.weights import images_shown, load_weights, notes_of, packaged_path, parameter_count
+from hybrid.learn.paper.dewarpnet import DewarpNet, joined
+from hybrid.learn.paper.uv_recovery import interpolated, points_of_uv
+from hybrid.learn.paper.uvbw import NetBw, NetUv
+from hybrid.learn.reading.predict import PredictConfig
+from hybrid.learn.training.presets import PRESETS, PaperConfig
 from hybrid.pipeline import Rectifier, RectifyConfig
 from hybrid.records import RectifyResult
 from hybrid.rectify.film.resample import rectify_photo

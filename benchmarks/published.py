@@ -29,12 +29,12 @@ from benchmarks.methods import (
 )
 from hybrid.backward import BackwardMap
 from hybrid.coords import film_nodes, rescale_points
-from hybrid.learn.baselines import Recovery, corrected, recover
-from hybrid.learn.dewarpnet import NODES, BackwardOutput, DewarpNet, DewarpNetConfig
-from hybrid.learn.firenet import FiReNet, FiReNetConfig, FiReNetOutput
-from hybrid.learn.tensors import map_batch
-from hybrid.learn.views import whole_view
-from hybrid.learn.weights import parameter_count
+from hybrid.learn.networks.tensors import map_batch
+from hybrid.learn.networks.weights import parameter_count
+from hybrid.learn.paper.baselines import Recovery, corrected, recover
+from hybrid.learn.paper.dewarpnet import NODES, BackwardOutput, DewarpNet, DewarpNetConfig
+from hybrid.learn.paper.firenet import FiReNet, FiReNetConfig, FiReNetOutput
+from hybrid.learn.reading.views import whole_view
 
 TIME_ONLY = "time only: random weights"
 """Why these methods are not scored."""

@@ -33,9 +33,9 @@ from benchmarks.schema import keep_settings, kept, write_record
 from benchmarks.summary import spread
 from benchmarks.traits import note_of
 from hybrid.errors import ConfigError, describe, require_at_least, require_at_most
-from hybrid.learn.dewarpnet import DewarpNet, DewarpNetConfig
-from hybrid.learn.firenet import FiReNet, FiReNetConfig
-from hybrid.learn.network import FilmNet, FilmNetConfig
+from hybrid.learn.networks.filmnet import FilmNet, FilmNetConfig
+from hybrid.learn.paper.dewarpnet import DewarpNet, DewarpNetConfig
+from hybrid.learn.paper.firenet import FiReNet, FiReNetConfig
 
 NETWORKS: dict[str, Callable[[], nn.Module]] = {
     "FilmNet": lambda: FilmNet(FilmNetConfig()),

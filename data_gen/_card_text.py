@@ -12,8 +12,8 @@ import numpy as np
 
 from data_gen.sample import SampleConfig
 from data_gen.sources import PHANTOMS
-from hybrid.learn import coding
-from hybrid.learn.shards import ShardEntry
+from hybrid.learn.datasets import coding
+from hybrid.learn.datasets.shards import ShardEntry
 
 _SAID = ("size", "map_size")
 """Options of a sample that the command has words for."""
@@ -55,8 +55,8 @@ Each shard is a plain tar file in the WebDataset layout. The files of a sample s
 | KEY.json | size of the film, camera, grid vertices, coding, every parameter | JSON |
 
 {coding}
-`hybrid.learn.shards.open_dataset(DIR)` gives the maps decoded (`shard.field("xyz", 0)`) or in place and as stored
-(`shard.stored("xyz", 0)`); `webdataset` and `tarfile` read the same files.
+`hybrid.learn.datasets.shards.open_dataset(DIR)` gives the maps decoded (`shard.field("xyz", 0)`) or in place and as
+stored (`shard.stored("xyz", 0)`); `webdataset` and `tarfile` read the same files.
 
 ## How it is spread
 

@@ -23,7 +23,7 @@ from data_gen.work import run_command
 from hybrid.coords import rgb_from_bgr
 from hybrid.draw import contact_sheet, fitted
 from hybrid.errors import DataError, describe
-from hybrid.learn.shards import Shard, open_dataset, read_description
+from hybrid.learn.datasets.shards import Shard, open_dataset, read_description
 
 SHEET_SIDE = 8
 TILE = 224

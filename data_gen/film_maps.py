@@ -20,11 +20,11 @@ from hybrid.backward import end_point_error, film_as_seen
 from hybrid.effort import RectifyConfig
 from hybrid.errors import require_at_least
 from hybrid.files import write_bytes
-from hybrid.learn.inference import ready
-from hybrid.learn.network import FilmNet
-from hybrid.learn.samples import Place, film_of, open_places, photo_of
-from hybrid.learn.shards import FILM_MAPS
-from hybrid.learn.weights import packaged_film_net
+from hybrid.learn.datasets.samples import Place, film_of, open_places, photo_of
+from hybrid.learn.datasets.shards import FILM_MAPS
+from hybrid.learn.networks.filmnet import FilmNet
+from hybrid.learn.networks.inference import ready
+from hybrid.learn.networks.weights import packaged_film_net
 from hybrid.looks import see
 from hybrid.pyramid import Pyramid
 from hybrid.rectify.coarse.invert import NotInverted

@@ -29,7 +29,7 @@ from data_gen.work import check_open3d, run_command, source_names, start_worker,
 from hybrid.coords import linear_from_srgb, rgb_from_bgr, srgb_from_linear
 from hybrid.errors import require_at_least
 from hybrid.files import write_bytes
-from hybrid.learn.light_data import LitFilm
+from hybrid.learn.datasets.light import LitFilm
 from hybrid.levels import CHANNEL_SHARES
 from hybrid.mesh.recipes import bend
 

@@ -18,13 +18,13 @@ from data_gen.sources import SourceConfig
 from hybrid import __version__
 from hybrid.coords import CONVENTIONS_VERSION
 from hybrid.errors import ConfigError, DataError, describe
-from hybrid.learn.shards import FORMAT, ShardEntry, read_description, read_index, read_manifest, sha256_of
+from hybrid.learn.datasets.shards import FORMAT, ShardEntry, read_description, read_index, read_manifest, sha256_of
 
 PART = ".part"
 
 SIMULATING = (
     *("data_gen/*.py", "hybrid/mesh/*.py", "hybrid/backward.py", "hybrid/coords.py", "hybrid/levels.py"),
-    *("hybrid/gsdf.py", "hybrid/round_corners.py", "hybrid/learn/coding.py"),
+    *("hybrid/gsdf.py", "hybrid/round_corners.py", "hybrid/learn/datasets/coding.py"),
 )
 """Sources that decide what is simulated and how it is stored."""
 

@@ -4,7 +4,7 @@ Beside each photo (NAME.jpg, .jpeg or .png) lies NAME.npz with the array ``latti
 points (x, y) of a regular lattice of film points, in pixels from the photo's top-left corner with pixel centres at
 +0.5. The lattice includes the film's edges; row 0 is its top. Mask, uv and the backward map are computed from it. 3D
 coordinates, normals and the print are unknown, so training leaves out their losses for such samples
-(hybrid.learn.losses.Targets).
+(hybrid.learn.networks.losses.Targets).
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from hybrid.coords import opencv_from_photo, pixel_centres, rescale_points, rgb_
 from hybrid.draw import outline_curve, resized
 from hybrid.errors import NPZ_ERRORS, ConfigError, DataError, describe
 from hybrid.image_io import read_photo
-from hybrid.learn.coding import encode_uv
+from hybrid.learn.datasets.coding import encode_uv
 
 SUFFIXES = (".jpg", ".jpeg", ".png")
 """Of photos, in lower or upper case."""

@@ -1,7 +1,7 @@
 """Shards: tar files in the WebDataset layout, in which the members of a sample share a key.
 
 000000012.photo.jpg     the photo
-000000012.mask.npy ...  the maps as plain arrays, coded as hybrid/learn/coding.py says, and the backward map's nodes
+000000012.mask.npy ...  the maps as plain arrays, coded as hybrid/learn/datasets/coding.py says, and the backward map
 000000012.json          camera, grid, coding, every parameter
 
 The key is the sample's number in the data set. Nothing is compressed, so a reader maps the file into memory and uses
@@ -19,8 +19,8 @@ from typing import Any
 import numpy as np
 
 from data_gen.sample import Sample
-from hybrid.learn.coding import encode_albedo, encode_normal, encode_uv, encode_xyz
-from hybrid.learn.shards import key_of
+from hybrid.learn.datasets.coding import encode_albedo, encode_normal, encode_uv, encode_xyz
+from hybrid.learn.datasets.shards import key_of
 
 END_OF_TAR = bytes(2 * tarfile.BLOCKSIZE)
 

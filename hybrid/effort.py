@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Literal
 
 from hybrid.errors import ConfigError, describe, require_at_most, require_numbers
-from hybrid.learn.orientation import UprightConfig
-from hybrid.learn.predict import PredictConfig
+from hybrid.learn.reading.orientation import UprightConfig
+from hybrid.learn.reading.predict import PredictConfig
 from hybrid.rectify.coarse.foreshortening import ForeshorteningConfig
 from hybrid.rectify.coarse.invert import InvertConfig
 from hybrid.rectify.edges.paths import EdgeConfig

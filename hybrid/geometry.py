@@ -11,7 +11,7 @@ import numpy as np
 
 from hybrid.backward import BackwardMap, mean_move
 from hybrid.effort import RectifyConfig
-from hybrid.learn.network import FilmNet
+from hybrid.learn.networks.filmnet import FilmNet
 from hybrid.looks import LastLook, network_beside, see_from_sides, seen_through
 from hybrid.pyramid import Photo, Pyramid
 from hybrid.records import CoarseMaps, Signs, StageReport, StatusCode

@@ -9,9 +9,9 @@ import numpy as np
 
 from hybrid.backward import BackwardMap
 from hybrid.effort import RectifyConfig
-from hybrid.learn.network import FilmNet
-from hybrid.learn.predict import look, look_from_sides
-from hybrid.learn.views import film_view, near_views, plane_of, whole_view
+from hybrid.learn.networks.filmnet import FilmNet
+from hybrid.learn.reading.predict import look, look_from_sides
+from hybrid.learn.reading.views import film_view, near_views, plane_of, whole_view
 from hybrid.pyramid import Photo, Pyramid
 from hybrid.records import CoarseMaps, StatusCode
 from hybrid.rectify.coarse.corners import put_on_corners

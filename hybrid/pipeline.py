@@ -19,12 +19,11 @@ from hybrid.errors import ConfigError, FusionError, describe
 from hybrid.geometry import Readers, beyond_doubt, flat_itself, judged, shape_of, whole_sheet
 from hybrid.grid_edit import GridEdit
 from hybrid.image_io import PhotoSource, as_photo
-from hybrid.learn.edges import strip_reader
-from hybrid.learn.inference import ready
-from hybrid.learn.light import level_reader
-from hybrid.learn.network import FilmNet, FilmNetConfig
-from hybrid.learn.orientation import OrientationReader, orientation_chances, upright_way
-from hybrid.learn.weights import (
+from hybrid.learn.networks.edgenet import strip_reader
+from hybrid.learn.networks.filmnet import FilmNet, FilmNetConfig
+from hybrid.learn.networks.inference import ready
+from hybrid.learn.networks.lightnet import level_reader
+from hybrid.learn.networks.weights import (
     load_weights,
     packaged_border_net,
     packaged_edge_net,
@@ -33,6 +32,7 @@ from hybrid.learn.weights import (
     packaged_slice_net,
     packaged_upright_net,
 )
+from hybrid.learn.reading.orientation import OrientationReader, orientation_chances, upright_way
 from hybrid.levels import LevelReader
 from hybrid.looks import checked, network_beside, see, see_at, see_from_sides
 from hybrid.pyramid import Photo, Pyramid

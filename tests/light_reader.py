@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from hybrid.learn.inference import ready
-from hybrid.learn.light import level_reader
-from hybrid.learn.weights import packaged_light_net
+from hybrid.learn.networks.inference import ready
+from hybrid.learn.networks.lightnet import level_reader
+from hybrid.learn.networks.weights import packaged_light_net
 from hybrid.rectify.film.deilluminate import DeilluminateConfig, Deillumination, deilluminate
 
 READER = level_reader(ready(packaged_light_net()))

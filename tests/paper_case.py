@@ -10,8 +10,8 @@ import torch
 from torch import Tensor, nn
 
 from hybrid.coords import film_centres, film_nodes
-from hybrid.learn.paper_targets import PaperTargets
-from hybrid.learn.presets import weighted_sum
+from hybrid.learn.paper.targets import PaperTargets
+from hybrid.learn.training.presets import weighted_sum
 
 CORNER = np.array([0.14, 0.11])
 PHOTO_PER_FILM = np.array([[0.68, -0.07], [0.09, 0.72]])

@@ -8,8 +8,8 @@ import pytest
 
 from hybrid.backward import BackwardMap
 from hybrid.coords import film_nodes, linear_from_srgb
-from hybrid.learn import behind
-from hybrid.learn.samples import Place, open_places
+from hybrid.learn.datasets import behind
+from hybrid.learn.datasets.samples import Place, open_places
 from hybrid.round_corners import RoundCorners
 
 SIZE = (240, 220)

@@ -40,13 +40,13 @@ from hybrid.backward import BackwardMap, end_point_error
 from hybrid.coords import film_nodes, pixel_centres
 from hybrid.errors import ConfigError, DataError
 from hybrid.image_io import read_photo
-from hybrid.learn.baselines import recover
-from hybrid.learn.dewarpnet import DewarpNetConfig
-from hybrid.learn.firenet import FiReNet, FiReNetConfig
-from hybrid.learn.network import FilmNet, FilmNetConfig
-from hybrid.learn.presets import PRESETS
-from hybrid.learn.samples import truth_at
-from hybrid.learn.weights import save_weights
+from hybrid.learn.datasets.samples import truth_at
+from hybrid.learn.networks.filmnet import FilmNet, FilmNetConfig
+from hybrid.learn.networks.weights import save_weights
+from hybrid.learn.paper.baselines import recover
+from hybrid.learn.paper.dewarpnet import DewarpNetConfig
+from hybrid.learn.paper.firenet import FiReNet, FiReNetConfig
+from hybrid.learn.training.presets import PRESETS
 from hybrid.looks import see
 from hybrid.pipeline import Rectifier
 from hybrid.pyramid import Pyramid

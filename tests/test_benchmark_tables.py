@@ -16,9 +16,9 @@ from benchmarks.tables import Options, main, run, score_methods
 from hybrid.backward import BackwardMap, Orientation
 from hybrid.errors import ConfigError, DataError, PhotoError
 from hybrid.image_io import write_rgb
-from hybrid.learn.network import FilmNetConfig
-from hybrid.learn.presets import PRESETS, Preset
-from hybrid.learn.weights import packaged_path, save_weights
+from hybrid.learn.networks.filmnet import FilmNetConfig
+from hybrid.learn.networks.weights import packaged_path, save_weights
+from hybrid.learn.training.presets import PRESETS, Preset
 
 EXACT_PX = 1e-6
 

@@ -12,10 +12,10 @@ from hybrid.backward import BackwardMap
 from hybrid.borders import GROUP, INSIDE, REACH, border_strips, inner_lines, strip_across
 from hybrid.coords import film_centres_1d, film_nodes
 from hybrid.film_view import view_film
-from hybrid.learn.border_data import BorderAugment, border_view, open_borders
-from hybrid.learn.edges import strip_reader
-from hybrid.learn.inference import ready
-from hybrid.learn.weights import packaged_border_net
+from hybrid.learn.datasets.borders import BorderAugment, border_view, open_borders
+from hybrid.learn.networks.edgenet import strip_reader
+from hybrid.learn.networks.inference import ready
+from hybrid.learn.networks.weights import packaged_border_net
 from hybrid.pyramid import Pyramid
 from hybrid.records import SliceGrid
 from hybrid.rectify.grid.borders import BorderConfig, borders_shown, held_to, places_along, read_borders

@@ -18,7 +18,7 @@ from data_gen.sample import SampleConfig
 from data_gen.sources import SourceConfig
 from hybrid.coords import film_nodes
 from hybrid.errors import DataError
-from hybrid.learn.shards import open_dataset, read_description
+from hybrid.learn.datasets.shards import open_dataset, read_description
 from hybrid.mesh.recipes import BendConfig
 
 SAMPLE = SampleConfig(photos_per_film=4, bend=BendConfig(frames=3, keep_from=1))

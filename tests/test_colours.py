@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from hybrid.learn import colours
+from hybrid.learn.datasets import colours
 
 
 @pytest.fixture

@@ -14,8 +14,9 @@ from torch.utils.flop_counter import FlopCounterMode
 from hybrid.backward import BackwardMap
 from hybrid.coords import film_centres, film_nodes
 from hybrid.errors import ConfigError
-from hybrid.learn.baselines import corrected, dewarpnet_map, published_image, published_points
-from hybrid.learn.dewarpnet import (
+from hybrid.learn.networks.weights import parameter_count
+from hybrid.learn.paper.baselines import corrected, dewarpnet_map, published_image, published_points
+from hybrid.learn.paper.dewarpnet import (
     NODES,
     BackwardNet,
     DewarpNet,
@@ -26,16 +27,15 @@ from hybrid.learn.dewarpnet import (
     coordinate_code,
     joined,
 )
-from hybrid.learn.paper_losses import (
+from hybrid.learn.paper.losses import (
     backward_net_losses,
     dewarpnet_losses,
     net_bw_losses,
     net_uv_losses,
     shape_net_losses,
 )
-from hybrid.learn.presets import preset
-from hybrid.learn.uvbw import NetBw, NetUv, UvBwConfig
-from hybrid.learn.weights import parameter_count
+from hybrid.learn.paper.uvbw import NetBw, NetUv, UvBwConfig
+from hybrid.learn.training.presets import preset
 
 NARROW = DewarpNetConfig(width=0.1, halvings=5, latent=16, input_px=64, layers="read")
 

@@ -12,9 +12,9 @@ from data_gen.own_photos import OwnPhotosConfig, make_dataset
 from hybrid.backward import Orientation, end_point_error, film_as_seen
 from hybrid.errors import DataError
 from hybrid.image_io import write_rgb
-from hybrid.learn.edge_data import EdgeAugment, edge_view, open_edges
-from hybrid.learn.samples import film_of
-from hybrid.learn.shards import FILM_MAPS
+from hybrid.learn.datasets.edges import EdgeAugment, edge_view, open_edges
+from hybrid.learn.datasets.samples import film_of
+from hybrid.learn.datasets.shards import FILM_MAPS
 from hybrid.strips import SIDES, StripConfig
 
 FOUND = EdgeAugment(found_share=1.0, found_error=(1e-6, 2e-6), far_share=0.0, colours=False)

@@ -9,10 +9,10 @@ import torch
 from paper_case import assert_a_few_steps_lower_the_loss, flat_case
 from torch.utils.flop_counter import FlopCounterMode
 
-from hybrid.learn.firenet import MULTI_MAP, UV_ONLY, FiReNet, FiReNetConfig
-from hybrid.learn.paper_losses import firenet_losses
-from hybrid.learn.presets import preset
-from hybrid.learn.weights import parameter_count
+from hybrid.learn.networks.weights import parameter_count
+from hybrid.learn.paper.firenet import MULTI_MAP, UV_ONLY, FiReNet, FiReNetConfig
+from hybrid.learn.paper.losses import firenet_losses
+from hybrid.learn.training.presets import preset
 
 NARROW = 0.05  # 8 channels at the finest levels, 48 at the coarsest
 

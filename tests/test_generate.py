@@ -30,7 +30,7 @@ from data_gen.sources import SourceConfig, draw_environment, draw_volume, loaded
 from data_gen.volumes import CtVolume, load_volumes, with_left_out
 from data_gen.work import Workers, film_bytes, workers
 from hybrid.errors import ConfigError, DataError, HybridError
-from hybrid.learn.shards import open_dataset
+from hybrid.learn.datasets.shards import open_dataset
 from hybrid.mesh.recipes import BendConfig
 
 ROOT = Path(__file__).parents[1]

@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from hybrid.rectify import FOLDERS
+import hybrid.learn
+import hybrid.rectify
 
 ROOT = Path(__file__).parents[1]
 ROOMS = ("hybrid.mesh", "hybrid.learn", "hybrid.rectify")
@@ -56,11 +57,16 @@ def test_rooms_import_neither_each_other_nor_outwards(module: str) -> None:
     assert not wrong, f"{module} imports {sorted(wrong)}"
 
 
-@pytest.mark.parametrize("module", [m for m in MODULES if within(m, ("hybrid.rectify",)) and m != "hybrid.rectify"])
-def test_the_folders_of_rectify_import_one_way(module: str) -> None:
+FOLDERS = {"hybrid.learn": hybrid.learn.FOLDERS, "hybrid.rectify": hybrid.rectify.FOLDERS}
+IN_FOLDERS = [(room, module) for room in FOLDERS for module in MODULES if within(module, (room,)) and module != room]
+
+
+@pytest.mark.parametrize(("room", "module"), IN_FOLDERS)
+def test_the_folders_of_a_room_import_one_way(room: str, module: str) -> None:
     """Each imports only itself and those before it in FOLDERS."""
-    own = FOLDERS.index(module.split(".")[2])
-    later = tuple(f"hybrid.rectify.{folder}" for folder in FOLDERS[own + 1 :])
+    folders = FOLDERS[room]
+    own = folders.index(module.removeprefix(f"{room}.").split(".")[0])
+    later = tuple(f"{room}.{folder}" for folder in folders[own + 1 :])
     wrong = {name for name in imported_by(MODULES[module]) if within(name, later)}
     assert not wrong, f"{module} imports {sorted(wrong)}"
 
@@ -111,5 +117,5 @@ def test_rectifying_loads_neither_open3d_nor_the_trainer() -> None:
         "ramp = np.linspace(0, 255, 128 * 128 * 3).reshape(128, 128, 3).astype(np.uint8)\n"
         "hybrid.rectify(ramp)"
     )
-    wrong = {m for m in modules if within(m, ("open3d", "hybrid.learn.train", "hybrid.mesh", "data_gen", "kornia"))}
-    assert not wrong
+    others = ("open3d", "kornia", "data_gen", "hybrid.mesh", *(f"hybrid.learn.{x}" for x in hybrid.learn.FOLDERS[2:]))
+    assert not {m for m in modules if within(m, others)}

@@ -20,11 +20,12 @@ from data_gen.viewpoint import ViewConfig
 from hybrid.backward import BackwardMap, Orientation, orientation
 from hybrid.coords import film_centres, film_nodes, pixel_centres, rescale_points
 from hybrid.errors import ConfigError, DataError
-from hybrid.learn import behind
-from hybrid.learn import train as train_module
-from hybrid.learn.data import AugmentConfig, grid_along, random_view, training_view
-from hybrid.learn.inference import PackedConv, fast_bfloat16, ready
-from hybrid.learn.losses import (
+from hybrid.learn.datasets import behind
+from hybrid.learn.datasets.film import AugmentConfig, grid_along, random_view, training_view
+from hybrid.learn.datasets.samples import film_of, open_places, photo_of, truth_at
+from hybrid.learn.networks.filmnet import STRIDE, FilmNet, FilmNetConfig, FilmNetOutput
+from hybrid.learn.networks.inference import PackedConv, fast_bfloat16, ready
+from hybrid.learn.networks.losses import (
     LossWeights,
     Targets,
     cell_phases,
@@ -37,15 +38,8 @@ from hybrid.learn.losses import (
     slope_loss,
     uv_loss,
 )
-from hybrid.learn.network import STRIDE, FilmNet, FilmNetConfig, FilmNetOutput
-from hybrid.learn.paper_data import PaperView, paper_batch
-from hybrid.learn.predict import as_in_view, look, look_from_sides
-from hybrid.learn.presets import PRESETS, weighted_sum
-from hybrid.learn.samples import film_of, open_places, photo_of, truth_at
-from hybrid.learn.train import TrainConfig, train
-from hybrid.learn.upright import UprightNet, UprightNetConfig
-from hybrid.learn.views import film_from_view, film_view, output_points, square_view, view_image
-from hybrid.learn.weights import (
+from hybrid.learn.networks.uprightnet import UprightNet, UprightNetConfig
+from hybrid.learn.networks.weights import (
     load_into,
     load_weights,
     packaged_slice_net,
@@ -53,6 +47,12 @@ from hybrid.learn.weights import (
     parameter_count,
     save_weights,
 )
+from hybrid.learn.paper.views import PaperView, paper_batch
+from hybrid.learn.reading.predict import as_in_view, look, look_from_sides
+from hybrid.learn.reading.views import film_from_view, film_view, output_points, square_view, view_image
+from hybrid.learn.training import train as train_module
+from hybrid.learn.training.presets import PRESETS, weighted_sum
+from hybrid.learn.training.train import TrainConfig, train
 from hybrid.pipeline import Rectifier
 from hybrid.pyramid import Pyramid
 from hybrid.records import CoarseMaps

@@ -17,18 +17,7 @@ from data_gen.sources import SourceConfig
 from hybrid.coords import linear_from_srgb, linear_from_srgb_tensor, srgb_from_linear
 from hybrid.errors import ConfigError, DataError
 from hybrid.gsdf import light_through
-from hybrid.learn.light import (
-    SURE_STEP,
-    Attention,
-    LightNet,
-    LightNetConfig,
-    LightNetOutput,
-    LightTargets,
-    film_error,
-    films_tensor,
-    light_losses,
-)
-from hybrid.learn.light_data import (
+from hybrid.learn.datasets.light import (
     UNDISTURBED,
     LightAugment,
     LitPlace,
@@ -40,7 +29,18 @@ from hybrid.learn.light_data import (
     split_films,
     toned,
 )
-from hybrid.learn.weights import packaged_light_net, parameter_count
+from hybrid.learn.networks.lightnet import (
+    SURE_STEP,
+    Attention,
+    LightNet,
+    LightNetConfig,
+    LightNetOutput,
+    LightTargets,
+    film_error,
+    films_tensor,
+    light_losses,
+)
+from hybrid.learn.networks.weights import packaged_light_net, parameter_count
 from hybrid.levels import LEAST_CONTRAST, USUAL_ROOT_SHARE, grey_table
 
 PX = 128

@@ -8,14 +8,14 @@ from synthetic_film import FilmDrawing, make_photo
 
 from hybrid.backward import BackwardMap
 from hybrid.coords import film_nodes
-from hybrid.learn import near_edges as edges
-from hybrid.learn.behind import ground_of, size_in_photo, with_shade
-from hybrid.learn.edge_data import EdgeAugment, EdgePlace, edge_view, sides_far, true_rows
-from hybrid.learn.edges import strip_reader
-from hybrid.learn.inference import ready
-from hybrid.learn.near_edges import margins_some, near_edges, near_shadow, reaching, with_band, with_margins
-from hybrid.learn.samples import Place, open_places
-from hybrid.learn.weights import packaged_edge_net
+from hybrid.learn.datasets import near_edges as edges
+from hybrid.learn.datasets.behind import ground_of, size_in_photo, with_shade
+from hybrid.learn.datasets.edges import EdgeAugment, EdgePlace, edge_view, sides_far, true_rows
+from hybrid.learn.datasets.near_edges import margins_some, near_edges, near_shadow, reaching, with_band, with_margins
+from hybrid.learn.datasets.samples import Place, open_places
+from hybrid.learn.networks.edgenet import strip_reader
+from hybrid.learn.networks.inference import ready
+from hybrid.learn.networks.weights import packaged_edge_net
 from hybrid.pyramid import Pyramid
 from hybrid.rectify.edges.paths import EdgeConfig, look_across, read_edges
 from hybrid.strips import StripConfig

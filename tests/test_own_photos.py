@@ -15,14 +15,14 @@ from hybrid.backward import BackwardMap, Orientation
 from hybrid.coords import film_centres, film_nodes, pixel_centres, rescale_points
 from hybrid.errors import ConfigError, DataError, PhotoError
 from hybrid.image_io import write_rgb
-from hybrid.learn.data import AugmentConfig, batch_of, training_view
-from hybrid.learn.losses import loss_terms
-from hybrid.learn.network import STRIDE, FilmNet, FilmNetConfig
-from hybrid.learn.paper_data import PaperView, paper_batch
-from hybrid.learn.presets import PRESETS
-from hybrid.learn.samples import film_of, open_places, photo_of, truth_at
-from hybrid.learn.shards import open_dataset
-from hybrid.learn.train import TrainConfig, train
+from hybrid.learn.datasets.film import AugmentConfig, batch_of, training_view
+from hybrid.learn.datasets.samples import film_of, open_places, photo_of, truth_at
+from hybrid.learn.datasets.shards import open_dataset
+from hybrid.learn.networks.filmnet import STRIDE, FilmNet, FilmNetConfig
+from hybrid.learn.networks.losses import loss_terms
+from hybrid.learn.paper.views import PaperView, paper_batch
+from hybrid.learn.training.presets import PRESETS
+from hybrid.learn.training.train import TrainConfig, train
 
 SIZE = (150, 200)
 UV_STEP = 1 / 65535  # rounding of stored uv, and float32 arithmetic on it

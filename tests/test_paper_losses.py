@@ -10,9 +10,9 @@ import pytest
 import torch
 from paper_case import flat_case
 
-from hybrid.learn.dewarpnet import BackwardOutput, DewarpNetOutput, ShapeOutput, coordinate_code
-from hybrid.learn.firenet import FiReNetOutput
-from hybrid.learn.paper_losses import (
+from hybrid.learn.paper.dewarpnet import BackwardOutput, DewarpNetOutput, ShapeOutput, coordinate_code
+from hybrid.learn.paper.firenet import FiReNetOutput
+from hybrid.learn.paper.losses import (
     ALPHA,
     BETA,
     backward_net_losses,
@@ -30,7 +30,7 @@ from hybrid.learn.paper_losses import (
     shift_loss,
     transformation_terms,
 )
-from hybrid.learn.uvbw import UvOutput
+from hybrid.learn.paper.uvbw import UvOutput
 
 ERROR = torch.tensor([0.0, 0.0, 0.0, 4.0]).reshape(1, 1, 2, 2)
 """mu = 1, sigma = sqrt((1 + 1 + 1 + 9) / 4) = sqrt(3); e - mu = -1, -1, -1, 3."""

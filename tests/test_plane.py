@@ -12,9 +12,9 @@ from told_cells import even_grid, told_of
 
 from hybrid.backward import BackwardMap, end_point_error
 from hybrid.coords import film_nodes, opencv_from_photo, pixel_centres, pixel_from_film
-from hybrid.learn.edges import strip_reader
-from hybrid.learn.inference import ready
-from hybrid.learn.weights import packaged_border_net
+from hybrid.learn.networks.edgenet import strip_reader
+from hybrid.learn.networks.inference import ready
+from hybrid.learn.networks.weights import packaged_border_net
 from hybrid.rectify.coarse.homography import apply_homography
 from hybrid.rectify.refine.glance import glance
 from hybrid.rectify.refine.plane import PlaneConfig, edge_line, film_corners, flat_film, plane_by_edges

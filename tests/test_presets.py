@@ -10,10 +10,10 @@ from paper_case import flat_case
 
 from hybrid.coords import film_nodes
 from hybrid.errors import ConfigError
-from hybrid.learn.blocks import in_single_precision
-from hybrid.learn.losses import Targets
-from hybrid.learn.network import FilmNetConfig
-from hybrid.learn.presets import PRESETS, preset, weighted_sum
+from hybrid.learn.networks.filmnet import FilmNetConfig
+from hybrid.learn.networks.losses import Targets
+from hybrid.learn.paper.blocks import in_single_precision
+from hybrid.learn.training.presets import PRESETS, preset, weighted_sum
 
 PAPERS = [name for name in PRESETS if name not in ("filmnet", "upright", "slices", "edges", "borders", "light")]
 

@@ -10,10 +10,10 @@ import pytest
 from data_gen.sample import SampleConfig, corners_of, film_samples
 from hybrid.backward import BackwardMap, Orientation
 from hybrid.coords import film_nodes
-from hybrid.learn import rounded
-from hybrid.learn.data import AugmentConfig, training_view
-from hybrid.learn.edge_data import EdgeAugment, EdgePlace, edge_view, true_rows
-from hybrid.learn.samples import film_of, open_places, round_corners_of, truth_at
+from hybrid.learn.datasets import rounded
+from hybrid.learn.datasets.edges import EdgeAugment, EdgePlace, edge_view, true_rows
+from hybrid.learn.datasets.film import AugmentConfig, training_view
+from hybrid.learn.datasets.samples import film_of, open_places, round_corners_of, truth_at
 from hybrid.round_corners import RoundCorners
 from hybrid.strips import StripConfig
 
@@ -162,7 +162,7 @@ def test_the_corners_of_a_stored_sample_are_not_covered_and_turn_with_it(
     assert covered[~cut].any()
 
     seen = []
-    monkeypatch.setattr("hybrid.learn.edge_data.true_rows", lambda *args: seen.append(args) or np.zeros((4, 2)))
+    monkeypatch.setattr("hybrid.learn.datasets.edges.true_rows", lambda *args: seen.append(args) or np.zeros((4, 2)))
     for seed in range(12):
         edge_view(EdgePlace(place, None), STRIP, np.random.default_rng(seed), EdgeAugment())
     rows = film_of(place).nodes[[0, -1]]

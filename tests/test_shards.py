@@ -16,8 +16,8 @@ from data_gen.manifest import describe_dataset, write_manifest, write_shard
 from data_gen.shards import members, sample_bytes
 from hybrid.coords import CONVENTIONS_VERSION
 from hybrid.errors import ConfigError, DataError
-from hybrid.learn import coding
-from hybrid.learn.shards import FORMAT, open_dataset, read_index
+from hybrid.learn.datasets import coding
+from hybrid.learn.datasets.shards import FORMAT, open_dataset, read_index
 
 MAPS = ("mask", "uv", "xyz", "normal", "albedo", "glare", "backward")
 

@@ -6,8 +6,8 @@ import pytest
 from data_gen.phantom import head_phantom
 from data_gen.prints import PrintConfig, make_print
 from hybrid.coords import film_nodes
-from hybrid.learn.slice_order import LEAST_CELLS, UNORDERED, order_chances, order_signs
-from hybrid.learn.upright import WAYS
+from hybrid.learn.networks.uprightnet import WAYS
+from hybrid.learn.reading.slice_order import LEAST_CELLS, UNORDERED, order_chances, order_signs
 
 ROWS, COLS = 5, 4
 PX = 16

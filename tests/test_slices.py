@@ -16,19 +16,26 @@ from data_gen.prints import PrintConfig, make_print
 from data_gen.sources import SourceConfig
 from hybrid.coords import film_nodes
 from hybrid.errors import DataError
-from hybrid.learn.inference import ready
-from hybrid.learn.orientation import (
+from hybrid.learn.datasets.slices import SliceAugment, grid_of, slice_view, sliced_prints
+from hybrid.learn.datasets.upright import PrintAugment
+from hybrid.learn.networks.inference import ready
+from hybrid.learn.networks.slicenet import (
+    SliceNet,
+    SliceNetConfig,
+    cell_squares,
+    least_side,
+    slice_pictures,
+    standardised,
+)
+from hybrid.learn.networks.uprightnet import WAYS
+from hybrid.learn.networks.weights import packaged_slice_net, packaged_upright_net
+from hybrid.learn.reading.orientation import (
     TURNS_OF_WAYS,
     OrientationReader,
     UprightConfig,
     orientation_chances,
     upright_way,
 )
-from hybrid.learn.slice_data import SliceAugment, grid_of, slice_view, sliced_prints
-from hybrid.learn.slices import SliceNet, SliceNetConfig, cell_squares, least_side, slice_pictures, standardised
-from hybrid.learn.upright import WAYS
-from hybrid.learn.upright_data import PrintAugment
-from hybrid.learn.weights import packaged_slice_net, packaged_upright_net
 
 PX = 48
 

@@ -24,19 +24,19 @@ from data_gen.generate import GenerateConfig, generate
 from data_gen.sample import SampleConfig
 from hybrid.errors import ConfigError, DataError
 from hybrid.image_io import read_photo
-from hybrid.learn import train as train_module
-from hybrid.learn.data import batch_of, training_view
-from hybrid.learn.dewarpnet import DewarpNetConfig, ShapeNet
-from hybrid.learn.edges import EdgeNet, EdgeNetConfig
-from hybrid.learn.feeds import FILM_FEED, Feed
-from hybrid.learn.firenet import FiReNet, FiReNetConfig
-from hybrid.learn.losses import masked_mean
-from hybrid.learn.network import FilmNet, FilmNetConfig
-from hybrid.learn.presets import PRESETS
-from hybrid.learn.samples import film_of, photo_of
-from hybrid.learn.shards import FILM_MAPS, data_digest
-from hybrid.learn.train import Plan, Rank, TrainConfig, train
-from hybrid.learn.weights import images_shown, load_weights, notes_of, save_weights
+from hybrid.learn.datasets.film import batch_of, training_view
+from hybrid.learn.datasets.samples import film_of, photo_of
+from hybrid.learn.datasets.shards import FILM_MAPS, data_digest
+from hybrid.learn.networks.edgenet import EdgeNet, EdgeNetConfig
+from hybrid.learn.networks.filmnet import FilmNet, FilmNetConfig
+from hybrid.learn.networks.losses import masked_mean
+from hybrid.learn.networks.weights import images_shown, load_weights, notes_of, save_weights
+from hybrid.learn.paper.dewarpnet import DewarpNetConfig, ShapeNet
+from hybrid.learn.paper.firenet import FiReNet, FiReNetConfig
+from hybrid.learn.training import train as train_module
+from hybrid.learn.training.feeds import FILM_FEED, Feed
+from hybrid.learn.training.presets import PRESETS
+from hybrid.learn.training.train import Plan, Rank, TrainConfig, train
 
 ROOT = Path(__file__).parents[1]
 TINY = FilmNetConfig(widths=(4, 8, 8, 8), blocks=(1, 1, 1), input_px=64)

@@ -9,8 +9,8 @@ import pytest
 from simple_samples import simple_dataset
 
 from hybrid.coords import film_nodes, pixel_centres
-from hybrid.learn.samples import open_places, truth_at
-from hybrid.learn.shards import Shard
+from hybrid.learn.datasets.samples import open_places, truth_at
+from hybrid.learn.datasets.shards import Shard
 
 
 class OneSample(Shard):

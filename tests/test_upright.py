@@ -11,13 +11,13 @@ from synthetic_film import FilmDrawing, draw_print
 
 from hybrid.backward import Orientation
 from hybrid.errors import DataError
-from hybrid.learn.inference import ready
-from hybrid.learn.orientation import OrientationReader, UprightConfig, orientation_chances, upright_way
-from hybrid.learn.slices import SliceNet, SliceNetConfig
-from hybrid.learn.upright import WAYS, PatchVotes, UprightNet, UprightNetConfig, joined, upright_losses
-from hybrid.learn.upright_data import PrintAugment, print_paths, upright_view
-from hybrid.learn.upright_patches import PatchConfig, standardised, text_patches, text_places
-from hybrid.learn.weights import packaged_upright_net, parameter_count
+from hybrid.learn.datasets.upright import PrintAugment, print_paths, upright_view
+from hybrid.learn.networks.inference import ready
+from hybrid.learn.networks.slicenet import SliceNet, SliceNetConfig
+from hybrid.learn.networks.upright_patches import PatchConfig, standardised, text_patches, text_places
+from hybrid.learn.networks.uprightnet import WAYS, PatchVotes, UprightNet, UprightNetConfig, joined, upright_losses
+from hybrid.learn.networks.weights import packaged_upright_net, parameter_count
+from hybrid.learn.reading.orientation import OrientationReader, UprightConfig, orientation_chances, upright_way
 
 RIGHT, TURNED = WAYS[0], WAYS[1]
 

@@ -11,9 +11,9 @@ from torch import nn
 
 from hybrid.coords import film_centres, film_nodes
 from hybrid.errors import PhotoError
-from hybrid.learn.baselines import recover
-from hybrid.learn.firenet import FiReNet, FiReNetConfig, FiReNetOutput
-from hybrid.learn.uv_recovery import (
+from hybrid.learn.paper.baselines import recover
+from hybrid.learn.paper.firenet import FiReNet, FiReNetConfig, FiReNetOutput
+from hybrid.learn.paper.uv_recovery import (
     MASK_LEVEL,
     ScatteredPoints,
     interpolated,

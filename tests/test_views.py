@@ -5,7 +5,7 @@ import pytest
 
 from hybrid.backward import BackwardMap, end_point_error
 from hybrid.coords import film_centres, film_nodes, pixel_centres
-from hybrid.learn.views import (
+from hybrid.learn.reading.views import (
     film_from_view,
     film_view,
     near_views,

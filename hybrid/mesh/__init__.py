@@ -1,0 +1,1 @@
+"""Film meshes: made, bent by a mass-spring solver, and seen by rays."""

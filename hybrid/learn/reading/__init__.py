@@ -1,0 +1,1 @@
+"""What the networks make of a photo or of a flat film."""
