@@ -13,12 +13,12 @@ from PIL.ExifTags import IFD, Base
 
 from hybrid.backward import BackwardMap
 from hybrid.camera import told_focal
+from hybrid.cli.rectify_files import rectify_files
 from hybrid.effort import RectifyConfig
 from hybrid.errors import ConfigError
 from hybrid.pipeline import Rectifier, _with_lens, rectify
 from hybrid.records import RectifyResult, Status, StatusCode
 from hybrid.rectify.film.size import FilmSizeConfig, known_by_plane, snap_aspect
-from hybrid.rectify_files import rectify_files
 
 SIZE = 400, 300
 """Width and height of the photos."""

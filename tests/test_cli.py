@@ -19,13 +19,13 @@ from PIL import Image
 import hybrid
 from hybrid import cli
 from hybrid.backward import BackwardMap, Orientation
-from hybrid.cli_options import made_by
+from hybrid.cli.options import made_by
+from hybrid.cli.rectify_files import rectify_files, warnings_of
 from hybrid.coords import film_nodes
 from hybrid.errors import ConfigError
 from hybrid.image_io import read_photo, write_rgb
 from hybrid.outputs import is_result, result_record, write_result
 from hybrid.records import LeftOut, RectifyResult, SliceGrid, StageReport, Status, StatusCode
-from hybrid.rectify_files import rectify_files, warnings_of
 
 Effort = Literal["fast", "default"]
 ROWS = {"fast": 1, "default": 2}
@@ -87,10 +87,10 @@ def _stand_in(monkeypatch: pytest.MonkeyPatch) -> None:
     module = types.ModuleType("hybrid.pipeline")
     module.__dict__.update(Effort=Effort, Rectifier=StandIn, RectifyConfig=StandInConfig)
     monkeypatch.setitem(sys.modules, "hybrid.pipeline", module)
-    for command in ("hybrid.cli_rectify", "hybrid.cli_fuse"):
+    for command in ("hybrid.cli.rectify", "hybrid.cli.fuse"):
         monkeypatch.delitem(sys.modules, command, raising=False)
     yield
-    for command in ("hybrid.cli_rectify", "hybrid.cli_fuse"):
+    for command in ("hybrid.cli.rectify", "hybrid.cli.fuse"):
         sys.modules.pop(command, None)
 
 

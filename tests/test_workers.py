@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hybrid.cli.rectify_files import rectify_files
 from hybrid.errors import DataError, HybridError
 from hybrid.image_io import write_rgb
 from hybrid.records import RectifyResult, Status, StatusCode
-from hybrid.rectify_files import rectify_files
 from hybrid.workers import shared_out
 
 

@@ -73,13 +73,13 @@ def _guarded(name: str, command: Callable[[], int]) -> int:
 
 
 def _rectify(arguments: list[str]) -> int:
-    from hybrid.cli_rectify import run
+    from hybrid.cli.rectify import run
 
     return run(arguments)
 
 
 def _fuse(arguments: list[str]) -> int:
-    from hybrid.cli_fuse import run
+    from hybrid.cli.fuse import run
 
     return run(arguments)
 
@@ -93,10 +93,6 @@ def _train(arguments: list[str]) -> int:
 
 
 def _info(arguments: list[str]) -> int:
-    from hybrid.cli_info import run
+    from hybrid.cli.info import run
 
     return run(arguments)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -8,12 +8,12 @@ from typing import Annotated
 
 import tyro
 
-from hybrid.cli_options import PhotoOptions, made_by, parse, photos_among
+from hybrid.cli.options import PhotoOptions, made_by, parse, photos_among
+from hybrid.cli.rectify_files import further_pictures, left_out_photos, report_lines, warnings_of
 from hybrid.files import make_folder
 from hybrid.image_io import read_photo
 from hybrid.outputs import write_result
 from hybrid.pipeline import Rectifier, RectifyConfig
-from hybrid.rectify_files import further_pictures, left_out_photos, report_lines, warnings_of
 
 
 @dataclass(frozen=True)

@@ -12,10 +12,10 @@ from typing import Annotated
 import tyro
 from tqdm import tqdm
 
-from hybrid.cli_options import PhotoOptions, made_by, parse, photos_among
+from hybrid.cli.options import PhotoOptions, made_by, parse, photos_among
+from hybrid.cli.rectify_files import Rectify, rectify_files
 from hybrid.errors import ConfigError, describe
 from hybrid.pipeline import Rectifier, RectifyConfig
-from hybrid.rectify_files import Rectify, rectify_files
 
 Point = tuple[float, float]
 
