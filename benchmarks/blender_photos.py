@@ -27,7 +27,7 @@ from tqdm import tqdm
 
 from benchmarks.command import GOES_ON, run_command
 from data_gen.manifest import deciding, describe_dataset, described_sources, generator_digest
-from data_gen.prints import FilmPrint, make_print
+from data_gen.prints.prints import FilmPrint, make_print
 from data_gen.sources import SourceConfig, draw_volume, loaded
 from data_gen.work import source_names
 from hybrid.errors import ConfigError, DataError, describe, require_at_least

@@ -1,8 +1,8 @@
 """A film scene for Mitsuba 3: the mesh, the thin sheet's BSDF, lamps, room and camera; and its linear radiance.
 
 The BSDF is written a second time here, in Mitsuba's own terms (its microfacet distribution and Fresnel equations), so
-that it shares only the equations with data_gen/shade.py. Needs the extra ``bench`` and LLVM 17 or newer, which Mitsuba
-loads (15 fails on some processors: "Cannot select fminimum"); DRJIT_LIBLLVM_PATH names its library if need be.
+that it shares only the equations with data_gen/render/shade.py. Needs the extra ``bench`` and LLVM 17 or newer, which
+Mitsuba loads (15 fails on some processors: "Cannot select fminimum"); DRJIT_LIBLLVM_PATH names its library if need be.
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from data_gen.gloss import ALBEDO_COSINES, gloss
-from data_gen.lamps import Lamp
-from data_gen.lighting import Material, room_from_film
-from data_gen.rooms import Environment, sample_environment
-from data_gen.scene import Scene
-from data_gen.shade import light_box_lamp
+from data_gen.light.gloss import ALBEDO_COSINES, gloss
+from data_gen.light.lamps import Lamp
+from data_gen.light.lighting import Material, room_from_film
+from data_gen.light.rooms import Environment, sample_environment
+from data_gen.render.shade import light_box_lamp
+from data_gen.scene.scene import Scene
 from hybrid.coords import film_centres, node_centres_1d
 from hybrid.errors import ConfigError, describe, install_extra
 from hybrid.mesh.camera import Camera
@@ -183,7 +183,7 @@ def _sensor(mi: Any, camera: Camera) -> dict[str, Any]:
 
 
 def _thin_sheet_class(mi: Any, dr: Any) -> type:
-    """The BSDF of data_gen/shade.py as a Mitsuba plug-in (its base class exists once a variant is set)."""
+    """The BSDF of data_gen/render/shade.py as a Mitsuba plug-in (its base class exists once a variant is set)."""
 
     class ThinSheet(mi.BSDF):
         def __init__(self, props: Any) -> None:

@@ -24,11 +24,11 @@ from jaxtyping import Bool, Float
 
 from benchmarks.command import require_picture, run_command, write_figures, write_picture
 from benchmarks.path_tracer import TraceConfig, mitsuba, trace
-from data_gen.lamps import Lamp
-from data_gen.lighting import Light, LightBox, Material
-from data_gen.rooms import Environment, load_environments, prefilter, procedural_room
-from data_gen.scene import Scene, SceneConfig, sample_scene
-from data_gen.shade import film_light
+from data_gen.light.lamps import Lamp
+from data_gen.light.lighting import Light, LightBox, Material
+from data_gen.light.rooms import Environment, load_environments, prefilter, procedural_room
+from data_gen.render.shade import film_light
+from data_gen.scene.scene import Scene, SceneConfig, sample_scene
 from data_gen.work import check_open3d
 from hybrid.coords import pixel_from_film, sample_bilinear, srgb_from_linear
 from hybrid.errors import ConfigError, describe, require_at_least

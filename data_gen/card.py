@@ -16,8 +16,8 @@ from jaxtyping import Float
 from PIL import Image
 from scipy.interpolate import make_interp_spline
 
-from data_gen._card_text import card_text
-from data_gen._charts import bars, histogram, sheet
+from data_gen.card_text import card_text
+from data_gen.charts import bars, histogram, sheet
 from data_gen.manifest import write_file
 from data_gen.work import run_command
 from hybrid.coords import rgb_from_bgr

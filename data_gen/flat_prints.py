@@ -12,7 +12,7 @@ import numpy as np
 import tyro
 
 from data_gen.manifest import deciding, describe_dataset, described_sources, generator_digest, sole_writer
-from data_gen.prints import FilmPrint, make_print
+from data_gen.prints.prints import FilmPrint, make_print
 from data_gen.sources import SourceConfig, draw_volume
 from data_gen.work import run_command, source_names, start_worker, write_missing
 from hybrid.errors import require_at_least

@@ -14,6 +14,7 @@ import tyro
 from tqdm import tqdm
 
 from data_gen.card import write_card
+from data_gen.ct.volumes import with_left_out
 from data_gen.manifest import (
     deciding,
     describe_dataset,
@@ -27,7 +28,6 @@ from data_gen.manifest import (
 )
 from data_gen.sample import SampleConfig
 from data_gen.sources import SourceConfig
-from data_gen.volumes import with_left_out
 from data_gen.work import check_open3d, film_bytes, run_command, source_names, workers
 from hybrid.errors import ConfigError, DataError, describe, require_at_least
 

@@ -16,14 +16,14 @@ import numpy as np
 import tyro
 from jaxtyping import Float, UInt8
 
-from data_gen.composite import print_levels
-from data_gen.develop import REFERENCE_SIDE, develop, local_tone, scattered
+from data_gen.camera.develop import REFERENCE_SIDE, develop, local_tone, scattered
+from data_gen.light.rooms import prefilter
 from data_gen.manifest import deciding, describe_dataset, described_sources, generator_digest, sole_writer
-from data_gen.prints import make_print
-from data_gen.rooms import prefilter
+from data_gen.prints.prints import make_print
+from data_gen.render.composite import print_levels
+from data_gen.render.shade import FilmLight
 from data_gen.sample import SampleConfig, black_and_white, densest_of, metered, on_sensor, scene_light, sheet_of
-from data_gen.scene import Scene, passes, placed, sample_scene
-from data_gen.shade import FilmLight
+from data_gen.scene.scene import Scene, passes, placed, sample_scene
 from data_gen.sources import SourceConfig, draw_environment, draw_volume
 from data_gen.work import check_open3d, run_command, source_names, start_worker, write_missing
 from hybrid.coords import linear_from_srgb, rgb_from_bgr, srgb_from_linear

@@ -23,7 +23,7 @@ from hybrid.learn.datasets.shards import FORMAT, ShardEntry, read_description, r
 PART = ".part"
 
 SIMULATING = (
-    *("data_gen/*.py", "hybrid/mesh/*.py", "hybrid/backward.py", "hybrid/coords.py", "hybrid/levels.py"),
+    *("data_gen/**/*.py", "hybrid/mesh/*.py", "hybrid/backward.py", "hybrid/coords.py", "hybrid/levels.py"),
     *("hybrid/gsdf.py", "hybrid/round_corners.py", "hybrid/learn/datasets/coding.py"),
 )
 """Sources that decide what is simulated and how it is stored."""

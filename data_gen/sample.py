@@ -10,18 +10,18 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float
 
-from data_gen.composite import PrintLevels, at_photo_scale, composite, on_film, print_levels
-from data_gen.develop import NO_LOCAL_TONE, develop, displayed, local_tone, vignetting
-from data_gen.ground_shadows import NEAR_MM
-from data_gen.patches import hidden_share, put_over, shading_only
-from data_gen.prints import FilmPrint, PrintConfig, make_print
-from data_gen.rooms import FilteredEnvironment, prefilter
-from data_gen.scene import Scene, SceneConfig, passes, placed, sample_scene
-from data_gen.shade import FilmLight, light_before, light_through, lit_film, room_behind
+from data_gen.camera.develop import NO_LOCAL_TONE, develop, displayed, local_tone, vignetting
+from data_gen.camera.viewpoint import view_parameters
+from data_gen.light.rooms import FilteredEnvironment, prefilter
+from data_gen.prints.prints import FilmPrint, PrintConfig, make_print
+from data_gen.render.composite import PrintLevels, at_photo_scale, composite, on_film, print_levels
+from data_gen.render.ground_shadows import NEAR_MM
+from data_gen.render.shade import FilmLight, light_before, light_through, lit_film, room_behind
+from data_gen.render.surroundings import Surroundings, surroundings
+from data_gen.render.through import behind_film
+from data_gen.scene.patches import hidden_share, put_over, shading_only
+from data_gen.scene.scene import Scene, SceneConfig, passes, placed, sample_scene
 from data_gen.sources import SourceConfig, draw_environment, draw_volume
-from data_gen.surroundings import Surroundings, surroundings
-from data_gen.through import behind_film
-from data_gen.viewpoint import view_parameters
 from hybrid.backward import BackwardMap
 from hybrid.coords import film_centres_1d, opencv_from_photo
 from hybrid.gsdf import USUAL_DENSITIES

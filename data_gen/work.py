@@ -23,7 +23,7 @@ import cv2
 from threadpoolctl import threadpool_limits
 from tqdm import tqdm
 
-from data_gen._clutter import draw_sprites
+from data_gen.render.clutter import draw_sprites
 from data_gen.sample import SampleConfig, film_samples
 from data_gen.shards import sample_bytes
 from data_gen.sources import SourceConfig, loaded

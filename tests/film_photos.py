@@ -10,8 +10,8 @@ import numpy as np
 from synthetic_film import RolledFilm
 
 from benchmarks.cases import read_alike
-from data_gen.phantom import head_phantom
-from data_gen.prints import FilmPrint, PrintConfig, make_print
+from data_gen.ct.phantom import head_phantom
+from data_gen.prints.prints import FilmPrint, PrintConfig, make_print
 from hybrid.backward import BackwardMap
 from hybrid.coords import (
     film_nodes,

@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from data_gen.backdrop import sample_backdrop
-from data_gen.develop import sample_lens
-from data_gen.lighting import Light, sample_material
-from data_gen.rooms import Environment, prefilter
-from data_gen.scene import Scene
+from data_gen.camera.develop import sample_lens
+from data_gen.light.lighting import Light, sample_material
+from data_gen.light.rooms import Environment, prefilter
+from data_gen.scene.backdrop import sample_backdrop
+from data_gen.scene.scene import Scene
 from hybrid.mesh.camera import Camera, look_at
 from hybrid.mesh.film import film_mesh
 

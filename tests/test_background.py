@@ -6,17 +6,17 @@ import numpy as np
 import pytest
 from surroundings_case import FILM, SIZE, camera, even_room, scene
 
-from data_gen._clutter import _SIZE_MM, sprite
-from data_gen._materials import _PAINTED, TILE, tile
-from data_gen.backdrop import KINDS, sample_backdrop
-from data_gen.background import background
-from data_gen.ground import Ground, ground_below, ground_light, place_things
-from data_gen.ground_shadows import lit_ground, through
-from data_gen.lamps import Lamp
-from data_gen.lighting import Light, LightBox, sample_light
-from data_gen.patches import filled
-from data_gen.rooms import prefilter, procedural_room
-from data_gen.shadows import Shadow
+from data_gen.light.lamps import Lamp
+from data_gen.light.lighting import Light, LightBox, sample_light
+from data_gen.light.rooms import prefilter, procedural_room
+from data_gen.render.background import background
+from data_gen.render.clutter import _SIZE_MM, sprite
+from data_gen.render.ground import Ground, ground_below, ground_light, place_things
+from data_gen.render.ground_shadows import lit_ground, through
+from data_gen.scene.backdrop import KINDS, sample_backdrop
+from data_gen.scene.materials import _PAINTED, TILE, tile
+from data_gen.scene.patches import filled
+from data_gen.scene.shadows import Shadow
 from hybrid.coords import film_centres, pixel_centres
 
 BASE = np.array([0.02, 0.02, 0.021])

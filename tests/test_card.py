@@ -10,9 +10,9 @@ import pytest
 import tyro
 from simple_samples import SIZE_MM, cylinder
 
-from data_gen._card_text import _same, command
-from data_gen._charts import ticks
 from data_gen.card import LABELS, bend_of, label_values, main, write_card
+from data_gen.card_text import _same, command
+from data_gen.charts import ticks
 from data_gen.generate import GenerateConfig, generate
 from data_gen.sample import SampleConfig
 from data_gen.sources import SourceConfig

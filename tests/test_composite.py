@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from test_raycast import SHAPES, SIZE, camera, film
 
-from data_gen.composite import at_photo_scale, composite, film_radiance_at, on_film, print_levels
-from data_gen.shade import FilmLight
+from data_gen.render.composite import at_photo_scale, composite, film_radiance_at, on_film, print_levels
+from data_gen.render.shade import FilmLight
 from hybrid.mesh.raycast import FilmCaster, true_backward_map
 
 

@@ -12,7 +12,7 @@ from test_deilluminate import everywhere, light, print_of_cells, uneven
 
 import hybrid
 from data_gen.sample import SampleConfig, film_samples
-from data_gen.scene import SceneConfig
+from data_gen.scene.scene import SceneConfig
 from hybrid.backward import BackwardMap, Orientation
 from hybrid.coords import film_centres, rescale_points, rgb_from_bgr, sample_bilinear
 from hybrid.effort import RectifyConfig

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from data_gen.develop import Lens, _streak, develop, displayed, tone, vignetting
+from data_gen.camera.develop import Lens, _streak, develop, displayed, tone, vignetting
 
 PLAIN = Lens(0.18, 0.0, 0.0, "srgb", 0.0, 0.0, 0.0, 0.1, 0.0, 0.0, 0.0, 1e-4, 96)
 

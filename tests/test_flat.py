@@ -10,7 +10,7 @@ import pytest
 from film_photos import film_print
 from synthetic_film import FilmDrawing, make_photo
 
-from data_gen.prints import FilmPrint
+from data_gen.prints.prints import FilmPrint
 from hybrid.backward import BackwardMap
 from hybrid.pyramid import Pyramid
 from hybrid.records import CoarseMaps, SliceGrid

@@ -21,13 +21,13 @@ from simple_samples import CONFIG, generate_simple, simple_film
 import data_gen.generate
 import data_gen.work
 from data_gen import manifest
+from data_gen.ct.volumes import CtVolume, load_volumes, with_left_out
 from data_gen.generate import GenerateConfig, generate
+from data_gen.light.rooms import Environment
 from data_gen.manifest import sole_writer
-from data_gen.prints import PrintConfig
-from data_gen.rooms import Environment
+from data_gen.prints.prints import PrintConfig
 from data_gen.sample import SampleConfig
 from data_gen.sources import SourceConfig, draw_environment, draw_volume, loaded
-from data_gen.volumes import CtVolume, load_volumes, with_left_out
 from data_gen.work import Workers, film_bytes, workers
 from hybrid.errors import ConfigError, DataError, HybridError
 from hybrid.learn.datasets.shards import open_dataset
@@ -227,17 +227,17 @@ def test_a_data_set_of_other_sources_is_read_and_not_gone_on_with(simple, tmp_pa
 
 
 def test_each_source_that_simulates_counts(tmp_path, monkeypatch):
-    for name in ("data_gen/scene.py", "hybrid/mesh/film.py", "hybrid/coords.py", "hybrid/cli.py"):
+    for name in ("data_gen/scene/scene.py", "hybrid/mesh/film.py", "hybrid/coords.py", "hybrid/cli.py"):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text("a = 1\n")
     monkeypatch.setattr(manifest, "__file__", str(tmp_path / "data_gen/manifest.py"))
     digests = [manifest.generator_digest.__wrapped__()]
-    for name in ("hybrid/cli.py", "hybrid/coords.py", "hybrid/mesh/film.py", "data_gen/scene.py"):
+    for name in ("hybrid/cli.py", "hybrid/coords.py", "hybrid/mesh/film.py", "data_gen/scene/scene.py"):
         (tmp_path / name).write_text("a = 2\n")
         digests.append(manifest.generator_digest.__wrapped__())
     assert digests[0] == digests[1]
     assert len(set(digests)) == 4
-    (tmp_path / "data_gen/new.py").write_text("")
+    (tmp_path / "data_gen/scene/new.py").write_text("")
     assert manifest.generator_digest.__wrapped__() not in digests
 
 

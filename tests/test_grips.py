@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from data_gen.phantom import head_phantom
-from data_gen.prints import PrintConfig, make_print
+from data_gen.ct.phantom import head_phantom
+from data_gen.prints.prints import PrintConfig, make_print
 from data_gen.sample import SIMULATION_VERTICES, sheet_of
 from hybrid.mesh.film import film_mesh
 from hybrid.mesh.grips import edge_part, film_points, flat_points, near_point, rigid

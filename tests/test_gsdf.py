@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from data_gen.composite import print_levels
+from data_gen.render.composite import print_levels
 from data_gen.sample import SampleConfig, densest_of, film_samples
 from hybrid.coords import linear_from_srgb
 from hybrid.gsdf import CLEAR_DENSITY, LAST_INDEX, LIGHT_BOX, ROOM, light_through, luminance

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from data_gen.gloss import fresnel, gloss, smith
-from data_gen.lamps import Lamp, highlight, lamp_seen, planckian, surface_irradiance, vector_irradiance
+from data_gen.light.gloss import fresnel, gloss, smith
+from data_gen.light.lamps import Lamp, highlight, lamp_seen, planckian, surface_irradiance, vector_irradiance
 
 FLOAT32 = 2e-4  # relative: sums over edges nearly cancel
 UP = np.array([[0.0, 0.0, 1.0]], np.float32)

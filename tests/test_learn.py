@@ -13,10 +13,10 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
+from data_gen.camera.viewpoint import ViewConfig
 from data_gen.generate import GenerateConfig, generate
 from data_gen.sample import SampleConfig
-from data_gen.scene import SceneConfig
-from data_gen.viewpoint import ViewConfig
+from data_gen.scene.scene import SceneConfig
 from hybrid.backward import BackwardMap, Orientation, orientation
 from hybrid.coords import film_centres, film_nodes, pixel_centres, rescale_points
 from hybrid.errors import ConfigError, DataError

@@ -9,10 +9,10 @@ import torch
 from light_reader import READER
 from surroundings_case import scene
 
-from data_gen.develop import Lens
+from data_gen.camera.develop import Lens
 from data_gen.lit_films import LitFilmsConfig, _photographed, lit_film, lit_films
+from data_gen.render.shade import FilmLight
 from data_gen.sample import SampleConfig, densest_of
-from data_gen.shade import FilmLight
 from data_gen.sources import SourceConfig
 from hybrid.coords import linear_from_srgb, linear_from_srgb_tensor, srgb_from_linear
 from hybrid.errors import ConfigError, DataError

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from surroundings_case import FILM, camera, scene
 
-from data_gen.lamps import Lamp, lamp_seen, vector_irradiance
-from data_gen.lighting import Light, over_table, room_from_film, some_mirrored
-from data_gen.rooms import prefilter, procedural_room
-from data_gen.scene import SceneConfig, sample_scene
-from data_gen.shade import film_light
-from data_gen.viewpoint import ViewConfig
+from data_gen.camera.viewpoint import ViewConfig
+from data_gen.light.lamps import Lamp, lamp_seen, vector_irradiance
+from data_gen.light.lighting import Light, over_table, room_from_film, some_mirrored
+from data_gen.light.rooms import prefilter, procedural_room
+from data_gen.render.shade import film_light
+from data_gen.scene.scene import SceneConfig, sample_scene
 from hybrid.mesh.camera import Camera, look_at
 
 BULB = Lamp("sphere", (300.0, 100.0, -800.0), (0.0, 0.0, 1.0), (1.0, 0.0, 0.0), (30.0, 30.0), (400.0, 400.0, 400.0))

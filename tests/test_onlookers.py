@@ -7,10 +7,10 @@ import pytest
 from surroundings_case import FILM, camera
 from test_develop import PLAIN
 
-from data_gen.develop import develop, local_tone, sample_lens
-from data_gen.lamps import Lamp
-from data_gen.lighting import BLUE_BASE, Light, sample_material, some_mirrored
-from data_gen.onlookers import Billboard, left_free, mirrored_onlookers, sample_onlookers
+from data_gen.camera.develop import develop, local_tone, sample_lens
+from data_gen.light.lamps import Lamp
+from data_gen.light.lighting import BLUE_BASE, Light, sample_material, some_mirrored
+from data_gen.light.onlookers import Billboard, left_free, mirrored_onlookers, sample_onlookers
 from hybrid.mesh.camera import Camera
 
 CAMERA = Camera(np.diag([1000.0, 1000.0, 1.0]), np.eye(4), (0.0, 0.0), (100, 100))

@@ -4,12 +4,12 @@ import cv2
 import numpy as np
 import pytest
 
-from data_gen._scanner import Rest, Scanner, draw_rest, scan
-from data_gen._shapes import Blob, Solid, Tube, paint, random_warp
-from data_gen._slices import random_look
-from data_gen.phantom import body_phantom, head_phantom
-from data_gen.prints import PrintConfig
-from data_gen.volumes import is_body, reformatted, tissue_width_mm
+from data_gen.ct.phantom import body_phantom, head_phantom
+from data_gen.ct.scanner import Rest, Scanner, draw_rest, scan
+from data_gen.ct.shapes import Blob, Solid, Tube, paint, random_warp
+from data_gen.ct.volumes import is_body, reformatted, tissue_width_mm
+from data_gen.prints.prints import PrintConfig
+from data_gen.prints.slices import random_look
 from hybrid.coords import centres_1d
 
 PHANTOMS = [head_phantom, body_phantom]

@@ -6,12 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from data_gen._layout import FORMATS_MM, GRIDS, STYLES, coverage, random_layout
-from data_gen._slices import deal_slices
-from data_gen._typeset import FAMILIES, TEXT_STYLES, Font, stamp, stamp_text, text_sprite, wedge_greys
-from data_gen.phantom import head_phantom
-from data_gen.prints import FilmPrint, PrintConfig, choose_slices, make_print
-from data_gen.volumes import CtVolume
+from data_gen.ct.phantom import head_phantom
+from data_gen.ct.volumes import CtVolume
+from data_gen.prints.layout import FORMATS_MM, GRIDS, STYLES, coverage, random_layout
+from data_gen.prints.prints import FilmPrint, PrintConfig, choose_slices, make_print
+from data_gen.prints.slices import deal_slices
+from data_gen.prints.typeset import FAMILIES, TEXT_STYLES, Font, stamp, stamp_text, text_sprite, wedge_greys
 from hybrid.coords import centres_1d, pixel_from_film
 from hybrid.errors import ConfigError
 
@@ -325,8 +325,8 @@ def test_nothing_of_the_patient_is_printed_or_recorded(tmp_path: Path, monkeypat
     from pydicom._dicom_dict import DicomDictionary
     from test_dicom import anatomy, write
 
-    from data_gen import _labels, prints
-    from data_gen.dicom import read_all
+    from data_gen.ct.dicom import read_all
+    from data_gen.prints import labels, prints
 
     names = {}
     for tag, (kind, _, _, _, keyword) in DicomDictionary.items():
@@ -337,7 +337,7 @@ def test_nothing_of_the_patient_is_printed_or_recorded(tmp_path: Path, monkeypat
         write(tmp_path / f"{z}.dcm", anatomy(z) + 1024, 4.0 * z, SeriesInstanceUID=MARKERS["UI"], **names)
     reading = read_all(tmp_path)
     written: list[str] = []
-    for module in (_labels, prints):
+    for module in (labels, prints):
         monkeypatch.setattr(module, "text_sprite", lambda text, font: written.append(text) or text_sprite(text, font))
     said = [str(reading.notes), *(refusal.reason for refusal in reading.refusals)]
     for seed in range(12):

@@ -19,8 +19,8 @@ from film_photos import GUTTERS, PHOTO_PX, RULES, Photographed, Shot, film_print
 
 from benchmarks.cases import read_alike
 from benchmarks.soak import MEMORY_BOUND, digest, soak
-from data_gen.prints import FilmPrint
-from data_gen.rooms import procedural_room
+from data_gen.light.rooms import procedural_room
+from data_gen.prints.prints import FilmPrint
 from hybrid.backward import BackwardMap
 from hybrid.coords import film_centres, film_nodes, linear_from_srgb, pixel_centres, sample_bilinear, srgb_from_linear
 from hybrid.draw import resized

@@ -7,8 +7,8 @@ import cv2
 import numpy as np
 import pytest
 
-from data_gen.lighting import Light, room_from_film
-from data_gen.rooms import (
+from data_gen.light.lighting import Light, room_from_film
+from data_gen.light.rooms import (
     Environment,
     directions,
     load_environments,

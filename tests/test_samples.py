@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from surroundings_case import FILM
 
-from data_gen.lighting import smallest_rotation
+from data_gen.light.lighting import smallest_rotation
 from data_gen.lit_films import lit_film
 from data_gen.sample import SampleConfig, film_samples
-from data_gen.scene import placed
+from data_gen.scene.scene import placed
 from data_gen.sources import SourceConfig
 from hybrid.coords import pixel_centres, rescale_points
 from hybrid.mesh.recipes import bend

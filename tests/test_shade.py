@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from data_gen.gloss import ALBEDO_COSINES, GRAZING_MEAN, fresnel, gloss, smith
-from data_gen.lamps import Lamp, highlight
-from data_gen.lighting import (
+from data_gen.light.gloss import ALBEDO_COSINES, GRAZING_MEAN, fresnel, gloss, smith
+from data_gen.light.lamps import Lamp, highlight
+from data_gen.light.lighting import (
     LAMP_SHARE,
     Light,
     LightBox,
@@ -20,12 +20,12 @@ from data_gen.lighting import (
     sample_light,
     sample_material,
 )
-from data_gen.reflections import lamp_highlight, reflection, wide_reflection
-from data_gen.rooms import Environment, directions, prefilter, procedural_room
-from data_gen.scene import Scene, SceneConfig, sample_scene
-from data_gen.seen_film import seen_film
-from data_gen.shade import FilmLight, film_light, glossy_lattice
-from data_gen.shadows import Shadow
+from data_gen.light.rooms import Environment, directions, prefilter, procedural_room
+from data_gen.render.reflections import lamp_highlight, reflection, wide_reflection
+from data_gen.render.seen_film import seen_film
+from data_gen.render.shade import FilmLight, film_light, glossy_lattice
+from data_gen.scene.scene import Scene, SceneConfig, sample_scene
+from data_gen.scene.shadows import Shadow
 from hybrid.coords import film_centres_1d
 from hybrid.mesh.camera import Camera, look_at
 from hybrid.mesh.film import FilmMesh, film_mesh

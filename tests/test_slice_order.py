@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from data_gen.phantom import head_phantom
-from data_gen.prints import PrintConfig, make_print
+from data_gen.ct.phantom import head_phantom
+from data_gen.prints.prints import PrintConfig, make_print
 from hybrid.coords import film_nodes
 from hybrid.learn.networks.uprightnet import WAYS
 from hybrid.learn.reading.slice_order import LEAST_CELLS, UNORDERED, order_chances, order_signs

@@ -10,9 +10,9 @@ import pytest
 import torch
 from synthetic_film import FilmDrawing, draw_print
 
+from data_gen.ct.phantom import body_phantom, head_phantom
 from data_gen.flat_prints import FlatPrintsConfig, flat_prints
-from data_gen.phantom import body_phantom, head_phantom
-from data_gen.prints import PrintConfig, make_print
+from data_gen.prints.prints import PrintConfig, make_print
 from data_gen.sources import SourceConfig
 from hybrid.coords import film_nodes
 from hybrid.errors import DataError

@@ -7,20 +7,20 @@ import numpy as np
 import pytest
 from surroundings_case import FILM, SIZE, camera, even_room, scene
 
-from data_gen._hand_model import GRIPS, VARIANTS, hand_model
-from data_gen._relief import MIDDLE, coded_shape, decoded_normals
-from data_gen.clips import HIDING_OPACITY, KINDS, Clip, sample_clips
-from data_gen.hands import Hand, sample_hands, skin_reflectance
-from data_gen.lamps import Lamp
-from data_gen.lighting import Light
-from data_gen.lit_sphere import ball_normals, lit_sphere, look_up, with_lamps
-from data_gen.patches import Patch, blurred, hidden_share, put_over, shading_only
-from data_gen.rooms import prefilter, procedural_room
-from data_gen.scene import SceneConfig, sample_scene
-from data_gen.shadows import KINDS as SHADOWS
-from data_gen.shadows import Shadow, film_shadow, sample_shadows
-from data_gen.surroundings import surroundings
-from data_gen.things import patches_before, patches_behind, rim_place, sample_things
+from data_gen.light.lamps import Lamp
+from data_gen.light.lighting import Light
+from data_gen.light.lit_sphere import ball_normals, lit_sphere, look_up, with_lamps
+from data_gen.light.rooms import prefilter, procedural_room
+from data_gen.render.surroundings import surroundings
+from data_gen.scene.clips import HIDING_OPACITY, KINDS, Clip, sample_clips
+from data_gen.scene.hand_model import GRIPS, VARIANTS, hand_model
+from data_gen.scene.hands import Hand, sample_hands, skin_reflectance
+from data_gen.scene.patches import Patch, blurred, hidden_share, put_over, shading_only
+from data_gen.scene.relief import MIDDLE, coded_shape, decoded_normals
+from data_gen.scene.scene import SceneConfig, sample_scene
+from data_gen.scene.shadows import KINDS as SHADOWS
+from data_gen.scene.shadows import Shadow, film_shadow, sample_shadows
+from data_gen.scene.things import patches_before, patches_behind, rim_place, sample_things
 from hybrid.coords import centres_1d
 
 LIGHT = Light(front=1.0, turn_deg=0.0, lying=False)

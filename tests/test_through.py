@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 from surroundings_case import FILM, SIZE, camera, even_room, scene
 
-from data_gen.background import background
-from data_gen.lamps import Lamp
-from data_gen.lighting import Light, LightBox, Material
-from data_gen.rooms import Environment, prefilter, procedural_room
+from data_gen.light.lamps import Lamp
+from data_gen.light.lighting import Light, LightBox, Material
+from data_gen.light.rooms import Environment, prefilter, procedural_room
+from data_gen.render.background import background
+from data_gen.render.seen_film import seen_film
+from data_gen.render.shade import light_before, light_through, lit_film, room_behind
+from data_gen.render.surroundings import Surroundings
+from data_gen.render.through import behind_film
 from data_gen.sample import scene_light
-from data_gen.seen_film import seen_film
-from data_gen.shade import light_before, light_through, lit_film, room_behind
-from data_gen.surroundings import Surroundings
-from data_gen.through import behind_film
 from hybrid.coords import pixel_from_film, sample_bilinear
 from hybrid.mesh.camera import look_at
 

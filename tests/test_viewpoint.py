@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from data_gen.viewpoint import LEAST_COSINE, ViewConfig, mean_cosine, sample_camera, view_parameters
+from data_gen.camera.viewpoint import LEAST_COSINE, ViewConfig, mean_cosine, sample_camera, view_parameters
 from hybrid.backward import Orientation
 from hybrid.coords import node_centres_1d
 from hybrid.mesh.film import film_mesh

@@ -1,0 +1,1 @@
+"""CT volumes: read from files, or made up."""

@@ -1,0 +1,1 @@
+"""What lights a film: rooms, lamps, and how its surface answers."""

@@ -1,0 +1,1 @@
+"""The flat prints of films: slices, texts and rules in a grid."""
