@@ -324,12 +324,13 @@ def _lit_anew(
 
 def _drawn_curve(rng: np.random.Generator, augment: LightAugment) -> Callable[[np.ndarray], np.ndarray]:
     """A further tone curve of the camera."""
-    if rng.random() < augment.shouldered:
+    drawn, share = rng.random(), augment.shouldered
+    if drawn < share:
         clip = np.exp(rng.uniform(*np.log(augment.clips)))
         power, middle = rng.uniform(*augment.powers), rng.uniform(*augment.middles)
         return partial(shouldered, power=power, middle=middle, clip=clip)
     least, most = augment.tones
-    return partial(toned, strength=least + (most - least) * rng.random() ** 2)
+    return partial(toned, strength=least + (most - least) * ((drawn - share) / (1 - share)) ** 2)
 
 
 def shouldered(light: Float[np.ndarray, "*n"], power: float, middle: float, clip: float) -> Float[np.ndarray, "*n"]:
