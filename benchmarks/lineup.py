@@ -28,7 +28,7 @@ from hybrid.rectify.edges.paths import EdgeConfig, PathConfig
 from hybrid.rectify.film.deilluminate import DeilluminateConfig
 from hybrid.rectify.grid.borders import BorderConfig
 from hybrid.rectify.grid.repeat import RepeatConfig
-from hybrid.rectify.refine.refine import RefineConfig
+from hybrid.rectify.refine.config import RefineConfig
 
 Maker = Callable[[Path | None], Method | None]
 """Makes a method from a folder of weights; None where it needs weights that are not there."""

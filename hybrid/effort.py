@@ -19,8 +19,8 @@ from hybrid.rectify.film.resample import ResampleConfig
 from hybrid.rectify.film.size import FilmSizeConfig
 from hybrid.rectify.margins.clear import ClearMarginsConfig
 from hybrid.rectify.margins.ground import FalseMarginsConfig
+from hybrid.rectify.refine.config import RefineConfig
 from hybrid.rectify.refine.plane import PlaneConfig
-from hybrid.rectify.refine.refine import RefineConfig
 from hybrid.rectify.sheet.shape import SheetConfig
 from hybrid.rectify.verdict.survey import SurveyConfig
 from hybrid.rectify.verdict.trust import ErrorConfig, TrustConfig

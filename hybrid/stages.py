@@ -48,4 +48,21 @@ class Clock:
         )
 
 
-__all__ = ["Clock", "Decision", "Report"]
+class Stopwatch:
+    """Seconds spent in each stage."""
+
+    def __init__(self) -> None:
+        self._last = time.perf_counter()
+        self._spent: dict[str, float] = {}
+
+    def lap(self, stage: str) -> None:
+        """Adds the time since the last call to a stage."""
+        now = time.perf_counter()
+        self._spent[stage] = self._spent.get(stage, 0.0) + now - self._last
+        self._last = now
+
+    def __getitem__(self, stage: str) -> float:
+        return self._spent.get(stage, 0.0)
+
+
+__all__ = ["Clock", "Decision", "Report", "Stopwatch"]

@@ -24,7 +24,8 @@ from hybrid.rectify.grid.layout import Layout, find_lines
 from hybrid.rectify.grid.lines import Borders, Comb, GridConfig
 from hybrid.rectify.grid.repeat import Repeats
 from hybrid.rectify.refine import course
-from hybrid.rectify.refine.refine import RefineConfig, refine
+from hybrid.rectify.refine.config import RefineConfig
+from hybrid.rectify.refine.refine import refine
 from hybrid.rectify.splines.sightings import SplineConfig, fit_displacement
 from hybrid.strips import StripConfig, StripReader
 

@@ -12,7 +12,8 @@ from hybrid.coords import film_nodes, node_centres_1d
 from hybrid.rectify.coarse.foreshortening import ForeshorteningConfig, bent, even, spacing
 from hybrid.rectify.edges.outline import edge_sightings
 from hybrid.rectify.grid.phases import CellPhases
-from hybrid.rectify.refine.refine import RefineConfig, refine
+from hybrid.rectify.refine.config import RefineConfig
+from hybrid.rectify.refine.refine import refine
 from hybrid.rectify.splines.sightings import Sightings
 from hybrid.strips import SIDES
 

@@ -27,7 +27,7 @@ from hybrid.rectify.grid.cells import CellsConfig
 from hybrid.rectify.grid.congeal import CongealConfig
 from hybrid.rectify.grid.lines import GridConfig
 from hybrid.rectify.grid.match import MatchConfig
-from hybrid.rectify.refine.course import RefineConfig
+from hybrid.rectify.refine.config import RefineConfig
 from hybrid.rectify.refine.plane import PlaneConfig
 from hybrid.rectify.sheet.shape import SheetConfig
 from hybrid.rectify.splines.sightings import SplineConfig

@@ -11,7 +11,7 @@ from hybrid.backward import BackwardMap
 from hybrid.coords import film_centres_1d, film_nodes
 from hybrid.rectify.edges.curves import best_paths, smooth_curve_weights
 from hybrid.rectify.edges.outline import OutlineConfig, edge_sightings, find_outline
-from hybrid.rectify.refine.course import RefineConfig
+from hybrid.rectify.refine.config import RefineConfig
 from hybrid.strips import SIDES
 
 CONFIG = OutlineConfig(band=0.03)

@@ -16,9 +16,9 @@ from hybrid.learn.networks.edgenet import strip_reader
 from hybrid.learn.networks.inference import ready
 from hybrid.learn.networks.weights import packaged_border_net
 from hybrid.rectify.coarse.homography import apply_homography
+from hybrid.rectify.refine.config import RefineConfig
 from hybrid.rectify.refine.glance import glance
 from hybrid.rectify.refine.plane import PlaneConfig, edge_line, film_corners, flat_film, plane_by_edges
-from hybrid.rectify.refine.refine import RefineConfig
 from hybrid.rectify.splines.sightings import Sightings
 
 HOMOGRAPHY = np.array([[560.0, 60.0, 90.0], [-70.0, 700.0, 110.0], [0.08, -0.05, 1.0]])

@@ -12,8 +12,9 @@ from synthetic_film import FilmDrawing, disturbed, make_photo
 from hybrid.backward import BackwardMap, end_point_error
 from hybrid.coords import film_nodes
 from hybrid.rectify.grid.layout import Layout
-from hybrid.rectify.refine.course import Course, Progress, Stopwatch, unstretched
-from hybrid.rectify.refine.refine import RefineConfig, _apart, _better, refine
+from hybrid.rectify.refine.config import RefineConfig
+from hybrid.rectify.refine.course import Course, Progress, unstretched
+from hybrid.rectify.refine.refine import _apart, _better, refine
 from hybrid.rectify.refine.scene import half_view, scene_of, view_of
 from hybrid.rectify.splines.sightings import (
     Displacement,
@@ -24,6 +25,7 @@ from hybrid.rectify.splines.sightings import (
     highest_near,
     no_displacement,
 )
+from hybrid.stages import Stopwatch
 
 CONFIG = RefineConfig()
 

@@ -15,8 +15,9 @@ from hybrid.records import StageReport
 from hybrid.rectify.grid.borders import places_along
 from hybrid.rectify.grid.layout import Layout, find_lines, find_repeating
 from hybrid.rectify.grid.phases import CellPhases
+from hybrid.rectify.refine.config import RefineConfig
 from hybrid.rectify.refine.course import read_view, told_borders
-from hybrid.rectify.refine.refine import RefineConfig, Refinement
+from hybrid.rectify.refine.refine import Refinement
 
 VIEW_PX = 500
 """Longer side of the film in this look: half of that in refinement, enough to count slices."""

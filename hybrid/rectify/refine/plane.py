@@ -16,8 +16,9 @@ from hybrid.records import StageReport
 from hybrid.rectify.coarse.homography import apply_homography, fit_homography, survey_plane
 from hybrid.rectify.edges.outline import find_outline
 from hybrid.rectify.grid.phases import CellPhases
+from hybrid.rectify.refine.config import RefineConfig
 from hybrid.rectify.refine.glance import glance
-from hybrid.rectify.refine.refine import RefineConfig, Refinement
+from hybrid.rectify.refine.refine import Refinement
 from hybrid.rectify.splines.sightings import Sightings, carried
 from hybrid.rectify.splines.tps import mad_sigma, tukey_weights
 from hybrid.strips import SIDES

@@ -19,11 +19,10 @@ from hybrid.records import SliceGrid, StageReport
 from hybrid.rectify.edges.outline import find_outline
 from hybrid.rectify.edges.paths import EdgesRead
 from hybrid.rectify.grid.phases import CellPhases
+from hybrid.rectify.refine.config import RefineConfig
 from hybrid.rectify.refine.course import (
     Course,
     Progress,
-    RefineConfig,
-    Stopwatch,
     agreement,
     begin,
     ended,
@@ -34,6 +33,7 @@ from hybrid.rectify.refine.course import (
 from hybrid.rectify.refine.scene import phases_along, scene_of
 from hybrid.rectify.sheet.fit import FittedSheet
 from hybrid.rectify.splines.sightings import Sightings
+from hybrid.stages import Stopwatch
 
 
 @dataclass(frozen=True)
@@ -237,4 +237,4 @@ def _unchanged(coarse: BackwardMap, reason: str, watch: Stopwatch) -> Refinement
     return Refinement(coarse, None, stages)
 
 
-__all__ = ["RefineConfig", "Refinement", "refine"]
+__all__ = ["Refinement", "refine"]
