@@ -14,7 +14,7 @@ import tyro
 from tqdm import tqdm
 
 from data_gen.card import write_card
-from data_gen.ct.volumes import with_left_out
+from data_gen.ct.folder import with_left_out
 from data_gen.manifest import (
     deciding,
     describe_dataset,

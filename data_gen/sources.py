@@ -10,8 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
+from data_gen.ct.folder import load_volumes
 from data_gen.ct.phantom import body_phantom, head_phantom
-from data_gen.ct.volumes import CtVolume, load_volumes, reformatted, within_patient
+from data_gen.ct.volumes import CtVolume, reformatted, within_patient
 from data_gen.light.rooms import Environment, load_environments, procedural_room
 from hybrid.errors import ConfigError, DataError, describe
 

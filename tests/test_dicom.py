@@ -12,7 +12,8 @@ from hybrid.errors import DataError
 pydicom = pytest.importorskip("pydicom", reason="pydicom is not installed")
 
 from data_gen.ct.dicom import read_all  # noqa: E402
-from data_gen.ct.volumes import CtVolume, load_volumes  # noqa: E402
+from data_gen.ct.folder import load_volumes  # noqa: E402
+from data_gen.ct.volumes import CtVolume  # noqa: E402
 
 SHARED = os.environ.get("HYBRID_SHARED_DATA")
 AXIAL = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0)

@@ -21,7 +21,8 @@ from simple_samples import CONFIG, generate_simple, simple_film
 import data_gen.generate
 import data_gen.work
 from data_gen import manifest
-from data_gen.ct.volumes import CtVolume, load_volumes, with_left_out
+from data_gen.ct.folder import load_volumes, with_left_out
+from data_gen.ct.volumes import CtVolume
 from data_gen.generate import GenerateConfig, generate
 from data_gen.light.rooms import Environment
 from data_gen.manifest import sole_writer

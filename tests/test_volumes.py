@@ -12,17 +12,9 @@ import pytest
 
 nibabel = pytest.importorskip("nibabel", reason="nibabel is not installed")
 
+from data_gen.ct.folder import load_volumes, read_npz, with_left_out  # noqa: E402
 from data_gen.ct.nifti import NotCtError, read_nifti  # noqa: E402
-from data_gen.ct.volumes import (  # noqa: E402
-    CtVolume,
-    is_body,
-    load_volumes,
-    read_npz,
-    reformatted,
-    tissue_width_mm,
-    with_left_out,
-    within_patient,
-)
+from data_gen.ct.volumes import CtVolume, is_body, reformatted, tissue_width_mm, within_patient  # noqa: E402
 from data_gen.prints.prints import PrintConfig, make_print  # noqa: E402
 from hybrid.errors import DataError  # noqa: E402
 
@@ -218,7 +210,7 @@ def folder_with_odd_files(folder: Path, odd: int) -> Path:
 
 def test_what_is_left_out_is_told_with_reasons_in_a_process_that_sets_nothing_up(tmp_path: Path):
     folder = folder_with_odd_files(tmp_path, 2)
-    code = f"from data_gen.ct.volumes import load_volumes; print(len(load_volumes({str(folder)!r})))"
+    code = f"from data_gen.ct.folder import load_volumes; print(len(load_volumes({str(folder)!r})))"
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert run.stdout == "1\n"
     first, *reasons = run.stderr.splitlines()
