@@ -1,8 +1,8 @@
 """Photos by another renderer, other physics: ``python -m benchmarks.blender_photos --out DIR --python PYTHON``.
 
 Blender bends sheets as soft bodies or cloth, which stretch and twist as the mass-spring films of data_gen do not, and
-traces their light with Cycles (benchmarks/blender_scene.py). The result is a folder for benchmarks.photos; every
-benchmark takes it by ``--photos DIR``, and no network was trained on its like. The prints are data_gen's.
+traces their light with Cycles (benchmarks/scenes/blender_scene.py). The result is a folder for benchmarks.photos.truth;
+every benchmark takes it by ``--photos DIR``, and no network was trained on its like. The prints are data_gen's.
 
 PYTHON is one that has ``bpy`` (Python 3.11, ``pip install bpy==5.0.1``), which cannot share an environment with this
 project, as it needs an older NumPy. A photo takes half a minute on two cores. Photos that already exist are kept, so a
@@ -34,7 +34,7 @@ from hybrid.errors import ConfigError, DataError, describe, require_at_least
 from hybrid.files import make_folder
 from hybrid.image_io import write_rgb
 
-SCENE = Path(__file__).with_name("blender_scene.py")
+SCENE = Path(__file__).parent / "scenes" / "blender_scene.py"
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ class Options:
 
 @dataclass(frozen=True)
 class Job:
-    """One photo, as benchmarks/blender_scene.py reads it. Lengths in units of half the film's longer side.
+    """One photo, as benchmarks/scenes/blender_scene.py reads it. Lengths in units of half the film's longer side.
 
     photo, texture: files. size: (height, width) of the film. cuts: of each side, between simulated quads.
     kind: soft or cloth. pins: vertices held. strength, noise, field_at: of the force that pushes (< 0 pulls) from a
@@ -194,7 +194,7 @@ def _desk(rng: np.random.Generator) -> dict[str, Any]:
 
 
 def write_print(folder: Path, number: int, film_print: FilmPrint) -> Path:
-    """Write the print among the textures, under a name that benchmarks.photos can read."""
+    """Write the print among the textures, under a name that benchmarks.photos.truth can read."""
     margin = round(max(film_print.parameters["margins_px"]))
     name = f"film_{number:03d}_{film_print.rows}x{film_print.cols}_{film_print.style}_m{margin}.png"
     grey = np.rint(film_print.image * 255).astype(np.uint8)

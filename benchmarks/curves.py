@@ -10,8 +10,8 @@ from pathlib import Path
 
 import tyro
 
-from benchmarks.charts import Axis, Chart, Points, page_of, scatter
 from benchmarks.command import require_picture, run_command, write_picture
+from benchmarks.report.charts import Axis, Chart, Points, page_of, scatter
 from hybrid.errors import DataError, describe
 
 Curve = tuple[tuple[float, float], ...]

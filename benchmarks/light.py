@@ -24,9 +24,9 @@ import tyro
 from jaxtyping import Bool, Float, UInt8
 from scipy.optimize import isotonic_regression
 
-from benchmarks.cases import read_alike
 from benchmarks.command import run_command, write_figures
-from benchmarks.photos import TruePhoto, load_photos
+from benchmarks.photos.cases import read_alike
+from benchmarks.photos.truth import TruePhoto, load_photos
 from hybrid.backward import BackwardMap
 from hybrid.coords import pixel_from_film, sample_bilinear
 from hybrid.draw import contact_sheet, fitted, rgb_from_film, side_by_side

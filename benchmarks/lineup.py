@@ -1,8 +1,8 @@
 """The methods in ``benchmarks.run``: the floor, the scanner, the paper's networks, ``hybrid`` and its parts.
 
 The paper's networks run twice. As wide as published, with random weights: this gives their run time, and no error
-(``benchmarks.published``). With trained weights, from the named folder or the package: this gives their error, and the
-run time of a network of that width. Each row says which it is.
+(``benchmarks.rivals.published``). With trained weights, from the named folder or the package: this gives their error,
+and the run time of a network of that width. Each row says which it is.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from benchmarks.cases import Case
 from benchmarks.methods import METHODS, Flattened, Method, configured, path_in
-from benchmarks.published import full_dewarpnet, full_dewarpnet_published, full_firenet
-from benchmarks.scanner import map_of_corners, scan, true_corners
+from benchmarks.photos.cases import Case
+from benchmarks.rivals.published import full_dewarpnet, full_dewarpnet_published, full_firenet
+from benchmarks.rivals.scanner import map_of_corners, scan, true_corners
 from hybrid.coords import opencv_from_photo
 from hybrid.errors import ConfigError, describe
 from hybrid.learn.reading.predict import PredictConfig

@@ -15,11 +15,11 @@ import numpy as np
 import torch
 from jaxtyping import Float
 
-from benchmarks.cases import Case, read_alike
 from benchmarks.machine import memory_mib, use_threads
 from benchmarks.methods import Flattened, Method, flattened
-from benchmarks.photos import load_photo
-from benchmarks.results import FilmScore, Forward, Measured, Memory
+from benchmarks.photos.cases import Case, read_alike
+from benchmarks.photos.truth import load_photo
+from benchmarks.report.results import FilmScore, Forward, Measured, Memory
 from benchmarks.scores import score_map
 from hybrid.learn.networks.weights import parameter_count
 from hybrid.metrics import psnr_after_gain_offset

@@ -25,8 +25,8 @@ import torch
 from jaxtyping import Float, UInt8
 from torch import nn
 
-from benchmarks.cases import Case, TrueShape, true_shape
 from benchmarks.claims import Claim, claim_of
+from benchmarks.photos.cases import Case, TrueShape, true_shape
 from hybrid.backward import BackwardMap
 from hybrid.errors import DataError, PhotoError, describe
 from hybrid.learn.networks.tensors import first_map

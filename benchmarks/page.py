@@ -13,14 +13,14 @@ from pathlib import Path
 
 from benchmarks.command import run_command
 from benchmarks.lineup import CONFIGURATIONS, MAIN
-from benchmarks.page_tables import number, table
-from benchmarks.page_text import Results, page_text
-from benchmarks.pictures import write_pictures
-from benchmarks.results import Report
-from benchmarks.schema import Record, read_record
-from benchmarks.stress_records import SoakReport, StabilityReport
-from benchmarks.summary import FLOOR, rows_of, split_rows
-from benchmarks.surroundings_records import SurroundingsReport
+from benchmarks.report.pictures import write_pictures
+from benchmarks.report.results import Report
+from benchmarks.report.schema import Record, read_record
+from benchmarks.report.stress_records import SoakReport, StabilityReport
+from benchmarks.report.summary import FLOOR, rows_of, split_rows
+from benchmarks.report.surroundings_records import SurroundingsReport
+from benchmarks.report.tables import number, table
+from benchmarks.report.text import Results, page_text
 from hybrid.files import make_folder, write_bytes
 
 BEGIN, END = "<!-- figures: begin -->", "<!-- figures: end -->"

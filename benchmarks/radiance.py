@@ -1,10 +1,10 @@
 """The shading against a path tracer: ``python -m benchmarks.radiance --json OUT [--hdri DIR] [--picture PNG]``.
 
-For each scene the same bent film, lamps, room, camera and BSDF (benchmarks/path_tracer.py) are traced by Mitsuba and
-shaded by data_gen. The benchmark compares linear RGB of the pixels well inside the film: the mean of |model - traced| /
-traced. ``shading``: traced with light straight from lamps and room, as if the film cast no shadow on itself: the error
-of the shading. ``shadows``: with the film's shadows on itself. ``full``: with light between parts of the film too.
-``noise``: the same figure between the means of two halves of the trace, to show how much of ``shading`` is noise.
+For each scene the same bent film, lamps, room, camera and BSDF (benchmarks/scenes/path_tracer.py) are traced by Mitsuba
+and shaded by data_gen. The benchmark compares linear RGB of the pixels well inside the film: the mean of |model -
+traced| / traced. ``shading``: traced with light straight from lamps and room, as if the film cast no shadow on itself:
+the error of the shading. ``shadows``: with the film's shadows on itself. ``full``: with light between parts of the film
+too. ``noise``: the same figure between the means of two halves of the trace, to show how much of ``shading`` is noise.
 Needs the extras ``data`` and ``bench``.
 """
 
@@ -23,7 +23,7 @@ import tyro
 from jaxtyping import Bool, Float
 
 from benchmarks.command import require_picture, run_command, write_figures, write_picture
-from benchmarks.path_tracer import TraceConfig, mitsuba, trace
+from benchmarks.scenes.path_tracer import TraceConfig, mitsuba, trace
 from data_gen.light.lamps import Lamp
 from data_gen.light.lighting import Light, LightBox, Material
 from data_gen.light.rooms import Environment, load_environments, prefilter, procedural_room

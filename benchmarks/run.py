@@ -18,20 +18,20 @@ import torch
 from torch import nn
 from tqdm import tqdm
 
-from benchmarks.cases import Case, photo_cases, sample_cases
 from benchmarks.command import GOES_ON, run_command
 from benchmarks.lineup import CONFIGURATIONS, lineup
 from benchmarks.machine import commit, describe_run, shown_contents, shown_data, use_threads, used_machine
 from benchmarks.measure import forward_time, measure, peak_memory
 from benchmarks.methods import Method
-from benchmarks.own_photos import make_photos
 from benchmarks.page import write_page
-from benchmarks.page_tables import figures_text
-from benchmarks.pictures import write_gallery, write_pictures
-from benchmarks.results import Forward, Measured, Memory, MethodNote, Report, Settings
-from benchmarks.schema import keep_settings, kept, write_record
-from benchmarks.summary import spread
-from benchmarks.traits import note_of
+from benchmarks.photos.cases import Case, photo_cases, sample_cases
+from benchmarks.photos.own import make_photos
+from benchmarks.report.pictures import write_gallery, write_pictures
+from benchmarks.report.results import Forward, Measured, Memory, MethodNote, Report, Settings
+from benchmarks.report.schema import keep_settings, kept, write_record
+from benchmarks.report.summary import spread
+from benchmarks.report.tables import figures_text
+from benchmarks.report.traits import note_of
 from hybrid.errors import ConfigError, describe, require_at_least, require_at_most
 from hybrid.learn.networks.filmnet import FilmNet, FilmNetConfig
 from hybrid.learn.paper.dewarpnet import DewarpNet, DewarpNetConfig

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from benchmarks.cases import Case, read_alike
 from benchmarks.methods import Method
+from benchmarks.photos.cases import Case, read_alike
 from hybrid.backward import BackwardMap, Orientation, end_point_error
 from hybrid.coords import rescale_points
 from hybrid.metrics import PAPER_SIZE, ImageScores, PaperScores, image_scores, local_distortion, paper_protocol

@@ -22,9 +22,9 @@ import tyro
 from tqdm import tqdm
 
 from benchmarks.command import require_picture, run_command, write_figures, write_picture
-from benchmarks.mechanics import SZE_TIP, heavy_strip, lattice_sheet, sheared_cantilever
-from benchmarks.recipe_picture import contact_sheet, picture_of
-from benchmarks.stress import StressResult, outcomes, run_scene
+from benchmarks.scenes.mechanics import SZE_TIP, heavy_strip, lattice_sheet, sheared_cantilever
+from benchmarks.scenes.recipe_picture import contact_sheet, picture_of
+from benchmarks.scenes.stress import StressResult, outcomes, run_scene
 from hybrid.errors import require_at_least
 from hybrid.mesh.contact import Plane
 from hybrid.mesh.film import FilmMesh, film_mesh

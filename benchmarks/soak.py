@@ -16,12 +16,12 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
-from benchmarks.cases import sample_cases
 from benchmarks.command import run_command
 from benchmarks.machine import describe_run, memory_mib, use_threads
-from benchmarks.own_photos import make_photos
-from benchmarks.schema import write_record
-from benchmarks.stress_records import SoakReport
+from benchmarks.photos.cases import sample_cases
+from benchmarks.photos.own import make_photos
+from benchmarks.report.schema import write_record
+from benchmarks.report.stress_records import SoakReport
 from hybrid.draw import resized
 from hybrid.errors import ConfigError, describe, require_at_least
 from hybrid.pipeline import Rectifier, RectifyConfig

@@ -23,14 +23,14 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
-from benchmarks.cases import Case, read_alike, sample_cases
 from benchmarks.command import GOES_ON, run_command
-from benchmarks.damage import CUT_OFF, Damaged, cut_file, damaged, visible_error_px
 from benchmarks.machine import commit, describe_run, shown_contents, shown_data, use_threads, used_machine
-from benchmarks.own_photos import make_photos
-from benchmarks.problems import PROBLEMS, ended, part_of
-from benchmarks.schema import keep_settings, kept, write_record
-from benchmarks.stress_records import DamagedPhoto, Part, StabilityReport, StressSettings
+from benchmarks.photos.cases import Case, read_alike, sample_cases
+from benchmarks.photos.damage import CUT_OFF, Damaged, cut_file, damaged, visible_error_px
+from benchmarks.photos.own import make_photos
+from benchmarks.report.schema import keep_settings, kept, write_record
+from benchmarks.report.stress_records import DamagedPhoto, Part, StabilityReport, StressSettings
+from benchmarks.scenes.problems import PROBLEMS, ended, part_of
 from hybrid.backward import BackwardMap
 from hybrid.errors import ConfigError, PhotoError, describe, require_at_least
 from hybrid.files import write_bytes

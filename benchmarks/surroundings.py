@@ -1,9 +1,9 @@
 """What a film lies on, what is stuck on it, and what that costs.
 
 ``python -m benchmarks.surroundings --photos DIR [DIR ...] --json OUT`` changes photos with truth around their film
-(grounds.py) or on it (marks.py) and flattens them again: by the network alone, as refinement starts from it, and by the
-whole pipeline. Errors are mean end-point errors in pixels of the original photo, scaled to 1080. The JSON file, named
-surroundings.json, may lie beside run.json for ``benchmarks.page``.
+(photos/grounds.py) or on it (photos/marks.py) and flattens them again: by the network alone, as refinement starts from
+it, and by the whole pipeline. Errors are mean end-point errors in pixels of the original photo, scaled to 1080. The
+JSON file, named surroundings.json, may lie beside run.json for ``benchmarks.page``.
 """
 
 from __future__ import annotations
@@ -20,17 +20,17 @@ import numpy as np
 import tyro
 from tqdm import tqdm
 
-from benchmarks.cases import Case, photo_cases, read_alike, sample_cases
 from benchmarks.command import run_command
-from benchmarks.damage import Damaged
-from benchmarks.grounds import CHANGES as AROUND
-from benchmarks.grounds import Sheet
 from benchmarks.machine import describe_run
-from benchmarks.marks import MARKS
-from benchmarks.page_tables import surroundings_table
-from benchmarks.schema import write_record
+from benchmarks.photos.cases import Case, photo_cases, read_alike, sample_cases
+from benchmarks.photos.damage import Damaged
+from benchmarks.photos.grounds import CHANGES as AROUND
+from benchmarks.photos.grounds import Sheet
+from benchmarks.photos.marks import MARKS
+from benchmarks.report.schema import write_record
+from benchmarks.report.surroundings_records import ChangeCount, Ended, SurroundingsReport
+from benchmarks.report.tables import surroundings_table
 from benchmarks.scores import LATTICE
-from benchmarks.surroundings_records import ChangeCount, Ended, SurroundingsReport
 from hybrid.backward import BackwardMap, end_point_error
 from hybrid.draw import annotated, contact_sheet, fitted
 from hybrid.effort import Effort, RectifyConfig

@@ -17,10 +17,10 @@ from typing import Annotated, Any
 import tyro
 from tqdm import tqdm
 
-from benchmarks.cases import Case, photo_cases, sample_cases
 from benchmarks.command import run_command, write_figures
 from benchmarks.methods import METHODS, Method
 from benchmarks.paper_tables import TABLES, table_text
+from benchmarks.photos.cases import Case, photo_cases, sample_cases
 from benchmarks.scores import CaseScore, score, summarise
 from hybrid.errors import ConfigError, describe
 

@@ -19,9 +19,9 @@ import numpy as np
 import tyro
 from tqdm import tqdm
 
-from benchmarks.cases import Case, read_alike, sample_cases
 from benchmarks.command import run_command, write_figures
 from benchmarks.machine import shown_sources
+from benchmarks.photos.cases import Case, read_alike, sample_cases
 from benchmarks.scores import LATTICE
 from benchmarks.verdict_fit import Judged, fit_chance, fit_error, trust_of_others
 from hybrid.backward import end_point_error

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from synthetic_film import RolledFilm
 
-from benchmarks.cases import read_alike
+from benchmarks.photos.cases import read_alike
 from data_gen.ct.phantom import head_phantom
 from data_gen.prints.prints import FilmPrint, PrintConfig, make_print
 from hybrid.backward import BackwardMap

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from benchmarks.blender_photos import Job, Options, draw_job, main, room_files, write_print
-from benchmarks.photos import load_photos
+from benchmarks.photos.truth import load_photos
 from data_gen.prints.prints import PrintConfig, make_print
 from data_gen.sources import SourceConfig, draw_volume
 

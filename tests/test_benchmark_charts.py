@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from PIL import Image, ImageDraw
 
-from benchmarks import charts
-from benchmarks.charts import COLOURS, Axis, Chart, Points, scatter
+from benchmarks.report import charts
+from benchmarks.report.charts import COLOURS, Axis, Chart, Points, scatter
 
 
 def overlap(a: tuple[float, ...], b: tuple[float, ...]) -> bool:

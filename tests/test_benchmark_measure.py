@@ -12,13 +12,13 @@ import cv2
 import numpy as np
 import pytest
 
-from benchmarks.cases import Case, photo_cases
 from benchmarks.claims import Claim
 from benchmarks.machine import describe_run, relative_command
 from benchmarks.measure import measure, peak_memory
 from benchmarks.methods import Method, of_rectifier
-from benchmarks.photos import load_photo, load_photos
-from benchmarks.traits import note_of
+from benchmarks.photos.cases import Case, photo_cases
+from benchmarks.photos.truth import load_photo, load_photos
+from benchmarks.report.traits import note_of
 from hybrid.backward import BackwardMap, Orientation
 from hybrid.coords import film_nodes, opencv_from_photo, pixel_centres
 from hybrid.errors import DataError

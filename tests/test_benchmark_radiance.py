@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.path_tracer import mitsuba
 from benchmarks.radiance import main
+from benchmarks.scenes.path_tracer import mitsuba
 
 
 def test_without_the_path_tracer_it_is_told_what_to_install(

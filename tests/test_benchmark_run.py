@@ -16,26 +16,26 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 import benchmarks.lineup
 import benchmarks.methods
-import benchmarks.page_tables
-import benchmarks.published
+import benchmarks.report.tables
+import benchmarks.rivals.published
 import benchmarks.run
-from benchmarks.cases import Case, sample_cases
 from benchmarks.claims import Claim
 from benchmarks.lineup import EFFORTS, LINEUP, MAIN, OWN, lineup
 from benchmarks.measure import forward_time, measure, peak_memory
 from benchmarks.methods import Method, flattened
 from benchmarks.page import BEGIN, END, read_results, readme_table, with_table, write_page
-from benchmarks.page_tables import duel_text, losses_text, photos_text, size_section
-from benchmarks.page_text import page_text
-from benchmarks.pictures import best_to_worst, seconds_by_stage
-from benchmarks.published import TIME_ONLY, Prompt, PromptedFiReNet, true_dewarpnet_answer, true_firenet_answer
-from benchmarks.results import Report
+from benchmarks.photos.cases import Case, sample_cases
+from benchmarks.report.pictures import best_to_worst, seconds_by_stage
+from benchmarks.report.results import Report
+from benchmarks.report.schema import kept, problems, read_record, schema_of, write_record
+from benchmarks.report.summary import duels, rows_of, spread
+from benchmarks.report.tables import duel_text, losses_text, photos_text, size_section
+from benchmarks.report.text import page_text
+from benchmarks.report.traits import _coverage
+from benchmarks.rivals.published import TIME_ONLY, Prompt, PromptedFiReNet, true_dewarpnet_answer, true_firenet_answer
+from benchmarks.rivals.scanner import find_corners, map_of_corners, true_corners
 from benchmarks.run import Options, main, make_methods, run
-from benchmarks.scanner import find_corners, map_of_corners, true_corners
-from benchmarks.schema import kept, problems, read_record, schema_of, write_record
 from benchmarks.scores import CaseScore, score_map, summarise
-from benchmarks.summary import duels, rows_of, spread
-from benchmarks.traits import _coverage
 from hybrid.backward import BackwardMap, end_point_error
 from hybrid.coords import film_nodes, pixel_centres
 from hybrid.errors import ConfigError, DataError
@@ -187,8 +187,10 @@ def test_a_network_of_random_weights_is_waited_for_and_answered_for(cases: list[
 def test_networks_of_full_width_have_a_run_time_and_no_error(
     name: str, cases: list[Case], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(benchmarks.published, "FiReNetConfig", lambda: FiReNetConfig(width=0.03, input_px=64))
-    monkeypatch.setattr(benchmarks.published, "DewarpNetConfig", lambda: DewarpNetConfig(width=0.03, input_px=128))
+    monkeypatch.setattr(benchmarks.rivals.published, "FiReNetConfig", lambda: FiReNetConfig(width=0.03, input_px=64))
+    monkeypatch.setattr(
+        benchmarks.rivals.published, "DewarpNetConfig", lambda: DewarpNetConfig(width=0.03, input_px=128)
+    )
     method = LINEUP[name](None)
     assert method is not None
     assert (method.unscored, method.steady, method.training) == (TIME_ONLY, True, "")
@@ -415,8 +417,8 @@ def test_every_loss_is_listed(made: tuple[Options, Report], monkeypatch: pytest.
     """The worse of two methods is taken for ours: losses are listed for both sizes and every kind of photo."""
     _, report = made
     assert losses_text(report) == "`hybrid` was not run."
-    monkeypatch.setattr(benchmarks.page_tables, "EFFORTS", {"middle": None})
-    monkeypatch.setattr(benchmarks.page_tables, "OWN", frozenset({"middle"}))
+    monkeypatch.setattr(benchmarks.report.tables, "EFFORTS", {"middle": None})
+    monkeypatch.setattr(benchmarks.report.tables, "OWN", frozenset({"middle"}))
     lines = losses_text(report).splitlines()
     assert sum(line.endswith(" times its error at 0.003, 0.05 MP") for line in lines) == 1
     assert any("photos of one kind (cell style" in line and "four corners" in line for line in lines)
@@ -429,8 +431,8 @@ def test_a_method_that_wins_everywhere_has_no_losses(
 ) -> None:
     _, report = made
     slow = [replace(m, seconds=(99.0,), cpu_seconds=(99.0,)) if m.method == "middle" else m for m in report.measured]
-    monkeypatch.setattr(benchmarks.page_tables, "EFFORTS", {"scanner_true": None})
-    monkeypatch.setattr(benchmarks.page_tables, "OWN", frozenset({"scanner_true"}))
+    monkeypatch.setattr(benchmarks.report.tables, "EFFORTS", {"scanner_true": None})
+    monkeypatch.setattr(benchmarks.report.tables, "OWN", frozenset({"scanner_true"}))
     assert losses_text(replace(report, measured=tuple(slow))).startswith("Nothing: it is faster than every rival")
 
 

@@ -2,7 +2,7 @@
 
 import json
 
-from benchmarks.recipe_picture import TILE_PX, contact_sheet, picture_of
+from benchmarks.scenes.recipe_picture import TILE_PX, contact_sheet, picture_of
 from benchmarks.simulate import BOUNDS, broken_bounds, developability, main, recipe_frames, speed
 
 

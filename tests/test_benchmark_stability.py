@@ -13,13 +13,13 @@ from kept_results import refused_elsewhere
 
 import benchmarks.soak
 import benchmarks.stability
-from benchmarks.cases import sample_cases
-from benchmarks.damage import DAMAGES, Damaged, cut_file, damaged, visible_error_px
-from benchmarks.problems import PROBLEMS, End, ended, part_of, random_sheet
-from benchmarks.schema import problems, schema_of
+from benchmarks.photos.cases import sample_cases
+from benchmarks.photos.damage import DAMAGES, Damaged, cut_file, damaged, visible_error_px
+from benchmarks.report.schema import problems, schema_of
+from benchmarks.report.stress_records import DamagedPhoto, Part, SoakReport, StabilityReport
+from benchmarks.scenes.problems import PROBLEMS, End, ended, part_of, random_sheet
 from benchmarks.soak import digest, soak
 from benchmarks.stability import TRUTHFUL_PX, Options, _cut_off, _rectified, run
-from benchmarks.stress_records import DamagedPhoto, Part, SoakReport, StabilityReport
 from hybrid.backward import BackwardMap
 from hybrid.coords import sample_bilinear
 from hybrid.errors import ConfigError, DataError, PhotoError

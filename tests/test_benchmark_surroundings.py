@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 import benchmarks.surroundings
-from benchmarks.cases import Case
-from benchmarks.grounds import CHANGES, Sheet
-from benchmarks.marks import MARKS
-from benchmarks.page_tables import surroundings_table
-from benchmarks.schema import read_record
+from benchmarks.photos.cases import Case
+from benchmarks.photos.grounds import CHANGES, Sheet
+from benchmarks.photos.marks import MARKS
+from benchmarks.report.schema import read_record
+from benchmarks.report.surroundings_records import Ended, SurroundingsReport
+from benchmarks.report.tables import surroundings_table
 from benchmarks.surroundings import Options, Rectifiers, Task, counted, main, tasks_of, tried
-from benchmarks.surroundings_records import Ended, SurroundingsReport
 from hybrid.backward import BackwardMap
 from hybrid.coords import film_nodes, sample_bilinear
 from hybrid.effort import RectifyConfig

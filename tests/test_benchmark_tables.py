@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.cases import Case, photo_cases, read_alike, sample_cases, true_shape
 from benchmarks.methods import METHODS, Method, path_in, weights_path
 from benchmarks.paper_tables import TABLES, table_text
+from benchmarks.photos.cases import Case, photo_cases, read_alike, sample_cases, true_shape
 from benchmarks.scores import score, summarise
 from benchmarks.tables import Options, main, run, score_methods
 from hybrid.backward import BackwardMap, Orientation

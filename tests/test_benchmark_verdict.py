@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from simple_samples import simple_dataset
 
-from benchmarks.cases import sample_cases
+from benchmarks.photos.cases import sample_cases
 from benchmarks.verdict import Options, Rectifiers, counted, figures, judge_all, judged, main
 from benchmarks.verdict_fit import FOLDS, Judged, fit_chance, fit_error, trust_of_others
 from hybrid.effort import RectifyConfig

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from film_photos import GUTTERS, PHOTO_PX, RULES, Photographed, Shot, film_print, photographed, table
 
-from benchmarks.cases import read_alike
+from benchmarks.photos.cases import read_alike
 from benchmarks.soak import MEMORY_BOUND, digest, soak
 from data_gen.light.rooms import procedural_room
 from data_gen.prints.prints import FilmPrint

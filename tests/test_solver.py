@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from benchmarks.mechanics import heavy_strip, lattice_sheet, sheared_cantilever
+from benchmarks.scenes.mechanics import heavy_strip, lattice_sheet, sheared_cantilever
 from hybrid.errors import ConfigError, SimulationError
 from hybrid.mesh.contact import Cylinder, Plane, Sphere, TableEdge
 from hybrid.mesh.film import FilmMesh, film_mesh

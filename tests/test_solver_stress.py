@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from benchmarks.stress import random_scene, run_scene
+from benchmarks.scenes.stress import random_scene, run_scene
 from hybrid.errors import ConfigError
 
 

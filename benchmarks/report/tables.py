@@ -6,9 +6,9 @@ import statistics
 from collections.abc import Sequence
 
 from benchmarks.lineup import CONFIGURATIONS, EFFORTS, MAIN, OWN
-from benchmarks.results import Report
-from benchmarks.summary import FLOOR, Duel, Row, duels, rows_of, split_rows, spread
-from benchmarks.surroundings_records import SurroundingsReport
+from benchmarks.report.results import Report
+from benchmarks.report.summary import FLOOR, Duel, Row, duels, rows_of, split_rows, spread
+from benchmarks.report.surroundings_records import SurroundingsReport
 
 PHOTOS_SHOWN = 24
 """Photos that are listed one by one: the best, the worst and those between, evenly."""

@@ -14,8 +14,8 @@ import cv2
 import numpy as np
 from jaxtyping import Float
 
-from benchmarks.stress import run_scene
-from benchmarks.stress_records import Part
+from benchmarks.report.stress_records import Part
+from benchmarks.scenes.stress import run_scene
 from hybrid.backward import BackwardMap
 from hybrid.coords import film_nodes, pixel_centres
 from hybrid.errors import HybridError

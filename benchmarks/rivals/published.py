@@ -17,7 +17,6 @@ import torch
 from jaxtyping import UInt8
 from torch import Tensor, nn
 
-from benchmarks.cases import Case
 from benchmarks.methods import (
     DEWARPNET_DUE,
     DEWARPNET_PUBLISHED,
@@ -27,6 +26,7 @@ from benchmarks.methods import (
     map_as_published,
     millions,
 )
+from benchmarks.photos.cases import Case
 from hybrid.backward import BackwardMap
 from hybrid.coords import film_nodes, rescale_points
 from hybrid.learn.networks.tensors import map_batch

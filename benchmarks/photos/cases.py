@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
-from benchmarks.photos import load_photo, load_photos
+from benchmarks.photos.truth import load_photo, load_photos
 from hybrid.backward import BackwardMap, Orientation
 from hybrid.coords import film_nodes, pixel_centres, rescale_points
 from hybrid.draw import resized

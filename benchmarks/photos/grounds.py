@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from benchmarks.damage import Damaged
+from benchmarks.photos.damage import Damaged
 from hybrid.backward import BackwardMap
 from hybrid.coords import FILM_CORNERS, film_nodes, opencv_from_photo
 from hybrid.learn.datasets.behind import filled, ground_of, mixed

@@ -6,7 +6,11 @@ from dataclasses import dataclass
 from typing import Any
 
 from benchmarks.lineup import MAIN
-from benchmarks.page_tables import (
+from benchmarks.report.results import Report
+from benchmarks.report.stress_records import SoakReport, StabilityReport
+from benchmarks.report.summary import FLOOR, duels, rows_of
+from benchmarks.report.surroundings_records import SurroundingsReport
+from benchmarks.report.tables import (
     configuration_text,
     duel_text,
     efforts_of,
@@ -22,11 +26,7 @@ from benchmarks.page_tables import (
     surroundings_table,
     table,
 )
-from benchmarks.published import TIME_ONLY
-from benchmarks.results import Report
-from benchmarks.stress_records import SoakReport, StabilityReport
-from benchmarks.summary import FLOOR, duels, rows_of
-from benchmarks.surroundings_records import SurroundingsReport
+from benchmarks.rivals.published import TIME_ONLY
 
 
 @dataclass(frozen=True)

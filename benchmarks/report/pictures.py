@@ -8,12 +8,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from benchmarks.cases import Case, read_alike
-from benchmarks.charts import Axis, Chart, Picture, Points, page_of, scatter, stacked_bars
 from benchmarks.lineup import CONFIGURATIONS, MAIN
 from benchmarks.methods import path_in
-from benchmarks.results import MethodNote, Report
-from benchmarks.summary import FLOOR, rows_of
+from benchmarks.photos.cases import Case, read_alike
+from benchmarks.report.charts import Axis, Chart, Picture, Points, page_of, scatter, stacked_bars
+from benchmarks.report.results import MethodNote, Report
+from benchmarks.report.summary import FLOOR, rows_of
 from hybrid.backward import end_point_error
 from hybrid.coords import film_nodes
 from hybrid.draw import annotated, contact_sheet, fitted, rgb_from_film, side_by_side

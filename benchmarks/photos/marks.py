@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 from jaxtyping import Float
 
-from benchmarks.damage import Damaged
-from benchmarks.grounds import Change, Picture, Sheet
+from benchmarks.photos.damage import Damaged
+from benchmarks.photos.grounds import Change, Picture, Sheet
 from hybrid.backward import BackwardMap
 from hybrid.coords import film_nodes, opencv_from_photo
 

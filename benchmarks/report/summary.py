@@ -9,7 +9,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from benchmarks.results import CaseNote, Measured, MethodNote, Report
+from benchmarks.report.results import CaseNote, Measured, MethodNote, Report
 
 Item = TypeVar("Item")
 

@@ -10,9 +10,9 @@ import cv2
 import numpy as np
 from jaxtyping import Float
 
-from benchmarks.cases import Case
-from benchmarks.photos import load_photo
-from benchmarks.results import CaseNote
+from benchmarks.photos.cases import Case
+from benchmarks.photos.truth import load_photo
+from benchmarks.report.results import CaseNote
 from data_gen.card import light_of
 from hybrid.draw import outline_curve
 

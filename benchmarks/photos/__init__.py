@@ -1,0 +1,1 @@
+"""Photos whose truth is known, and changes of them that leave it known."""
