@@ -10,12 +10,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool
 
-from hybrid.backward import BackwardMap, Orientation
+from hybrid.backward import BackwardMap
 from hybrid.camera import FOCALS, TOLD_SIGMA, told_focal
 from hybrid.effort import Effort, RectifyConfig
 from hybrid.errors import ConfigError, FusionError, describe
+from hybrid.finish import FilmReaders, finished, made_anew
 from hybrid.geometry import Readers, beyond_doubt, flat_itself, judged, shape_of, whole_sheet
 from hybrid.grid_edit import GridEdit
 from hybrid.image_io import PhotoSource, as_photo
@@ -32,23 +32,18 @@ from hybrid.learn.networks.weights import (
     packaged_slice_net,
     packaged_upright_net,
 )
-from hybrid.learn.reading.orientation import OrientationReader, orientation_chances, upright_way
-from hybrid.levels import LevelReader
+from hybrid.learn.reading.orientation import OrientationReader
 from hybrid.looks import checked, network_beside, see, see_at, see_from_sides
 from hybrid.pyramid import Photo, Pyramid
-from hybrid.records import CoarseMaps, RectifyResult, SliceGrid, Status, StatusCode
+from hybrid.records import RectifyResult, Status, StatusCode
 from hybrid.rectify.coarse.corners import Corners, film_at
 from hybrid.rectify.coarse.invert import Inversion, agreed
-from hybrid.rectify.film.cover import covered_parts
-from hybrid.rectify.film.deilluminate import Deillumination, deilluminate
 from hybrid.rectify.film.fuse import fuse
-from hybrid.rectify.film.resample import Rectified, read_film
-from hybrid.rectify.film.size import bounded_size, film_size
 from hybrid.rectify.refine.refine import Refinement
 from hybrid.rectify.sheet.shape import SheetConfig
 from hybrid.rectify.verdict.survey import Verdict, survey_photo, survey_print
 from hybrid.rectify.verdict.trust import expected_error_px, largest_error_px
-from hybrid.stages import Clock, Report
+from hybrid.stages import Clock
 from hybrid.threads import one_thread
 
 
@@ -71,8 +66,10 @@ class Rectifier:
         self._readers = Readers(
             ready(network), *(strip_reader(ready(net())) for net in (packaged_edge_net, packaged_border_net))
         )
-        self._reader = OrientationReader(ready(packaged_upright_net()), ready(packaged_slice_net()))
-        self._levels: LevelReader = level_reader(ready(packaged_light_net()))
+        self._film_readers = FilmReaders(
+            OrientationReader(ready(packaged_upright_net()), ready(packaged_slice_net())),
+            level_reader(ready(packaged_light_net())),
+        )
 
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self), (self.config,)
@@ -142,7 +139,8 @@ class Rectifier:
             results = [self._rectified(*one, None, clock) for one, clock in zip(read, clocks, strict=True)]
             photos = [photo for photo, _ in read]
             options = self.config.fuse, self.config.light, self.config.resample
-            return replace(fuse(photos, results, self._levels, *options, names), photos=len(photos))
+            fused = fuse(photos, results, self._film_readers.levels, *options, names)
+            return replace(fused, photos=len(photos))
 
     def edited(self, source: PhotoSource, edit: GridEdit) -> RectifyResult:
         """The film of a photo, made anew through the map and grid that a person edited, at the same size and way up.
@@ -165,35 +163,11 @@ class Rectifier:
         before = edit.result
         if edit.grid is before.grid and edit.backward is before.backward:
             return before
-        assert before.film is not None  # or there would be nothing to edit
-        assert before.covered is not None
         clock = Clock()
         with one_thread():
             photo, _ = _photo_of(source, clock)
             before.of_photo(photo.shape)
-            pyramid = Pyramid(photo)
-            with clock.stage("resample") as report:
-                size = (before.film.shape[0], before.film.shape[1])
-                flat = read_film(pyramid, edit.backward, size, self.config.resample)
-                report.reason = f"to {flat}; corners moved by hand: {len(edit.done)}"
-            light = self._without_light(flat, before.covered, clock)
-        return replace(
-            before,
-            status=Status(StatusCode.UNSURE, ("edited by hand",)),
-            stages=clock.reports,
-            film=light.film,
-            rectified=flat.image,
-            backward=edit.backward,
-            grid=edit.grid,
-            glare=light.glare,
-            confidence=light.confidence,
-            expected_error_px=None,
-            limit_px=None,
-            signs=None,
-            photo=0,
-            photos=1,
-            left_out=(),
-        )
+            return made_anew(Pyramid(photo), edit, self._film_readers, self.config, clock)
 
     def network_map(self, source: PhotoSource) -> BackwardMap | None:
         """The network's own map of a photo, before refinement: that of the film as it lies in the photo.
@@ -247,8 +221,8 @@ class Rectifier:
         if corners is not None and not survey_print(pyramid, found.refinement.backward, config.survey).ok:
             doubts = (*verdict.doubts, "it is printed dark on bright: of a negative, invert the picture first")
             verdict = replace(verdict, code=StatusCode.UNSURE, doubts=doubts)
-        camera = config.refine.sheet
-        result = self._finish(pyramid, seen.maps, found.refinement, None if flat is not None else camera, clock)
+        lens = None if flat is not None else config.refine.sheet
+        result = finished(pyramid, seen.maps, found.refinement, lens, self._film_readers, config, clock)
         return replace(
             result,
             status=Status(verdict.code, verdict.doubts),
@@ -257,71 +231,6 @@ class Rectifier:
             signs=signs,
             photo_size=size,
         )
-
-    def _finish(
-        self, pyramid: Pyramid, maps: CoarseMaps, refinement: Refinement, camera: SheetConfig | None, clock: Clock
-    ) -> RectifyResult:
-        """Read the photo once through the map, turn the film upright, then take the light out.
-
-        camera: what is known of it; None if the photo is the flat film itself: the film then keeps its size, and
-        nothing is stretched.
-        """
-        backward: BackwardMap = refinement.backward
-        grid: SliceGrid | None = refinement.grid
-        with clock.stage("resample") as report:
-            if camera is None:
-                down, across = backward.mean_film_pixels()
-                size = bounded_size(backward, down / across, self.config.size)
-            else:
-                aspect, sigma = refinement.aspect, refinement.aspect_sigma
-                size = film_size(backward, pyramid.size, grid, self.config.size, aspect, camera, sigma)
-            flat = read_film(pyramid, backward, size, self.config.resample)
-            report.reason = f"to {flat}"
-        with clock.stage("upright") as report:
-            way, probability = self._read(flat, grid, report)
-            if way.index:
-                flat, backward, grid = flat.turned(way), backward.turned(way), grid and grid.turned(way)
-        with clock.stage("cover") as report:
-            covered = covered_parts(maps, backward, flat.valid, self.config.cover)
-            report.ran = bool(covered.any())
-            seen_before = f"something lies in front of {covered.mean():.1%} of the film"
-            report.reason = seen_before if report.ran else "nothing is seen in front of the film"
-        light = self._without_light(flat, covered, clock)
-        return RectifyResult(
-            status=Status(StatusCode.OK),
-            stages=clock.reports,
-            film=light.film,
-            rectified=flat.image,
-            backward=backward,
-            grid=grid,
-            orientation=way,
-            upright_probability=probability,
-            glare=light.glare,
-            covered=covered,
-            confidence=light.confidence,
-        )
-
-    def _without_light(self, flat: Rectified, covered: Bool[np.ndarray, "h w"], clock: Clock) -> Deillumination:
-        """The flat film without its light."""
-        with clock.stage("light") as report:
-            light = deilluminate(flat.image, flat.valid, self._levels, self.config.light, covered)
-            report.ran, report.reason = light.ran, light.reason
-        return light
-
-    def _read(self, flat: Rectified, grid: SliceGrid | None, report: Report) -> tuple[Orientation, float | None]:
-        """How the flat film must be moved to read right, by what it shows, and the probability that it then does."""
-        config = self.config.upright
-        if config.given is not None:
-            report.reason = f"turned by {config.turn} degrees{' after mirroring' * config.mirror}, as requested"
-            return config.given, None
-        vertices = None if grid is None else grid.vertices
-        chances, read = orientation_chances(self._reader, flat.image, vertices, config)
-        if chances is None:
-            report.ran, report.reason = False, "left as it lies: the film is too small to be read"
-            return Orientation(0, False), None
-        way, said = upright_way(chances, config)
-        report.reason = f"{said} ({read})"
-        return way, float(chances[way.index])
 
 
 def _photo_of(source: PhotoSource, clock: Clock, focal: float | None = None) -> tuple[Photo, float | None]:

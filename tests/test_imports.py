@@ -17,6 +17,7 @@ ROOT = Path(__file__).parents[1]
 ROOMS = ("hybrid.mesh", "hybrid.learn", "hybrid.rectify")
 OUTER = (
     "hybrid.pipeline",
+    "hybrid.finish",
     "hybrid.geometry",
     "hybrid.looks",
     "hybrid.effort",
