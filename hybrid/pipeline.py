@@ -13,10 +13,11 @@ import numpy as np
 
 from hybrid.backward import BackwardMap
 from hybrid.camera import FOCALS, TOLD_SIGMA, told_focal
+from hybrid.doubt import beyond_doubt, judged
 from hybrid.effort import Effort, RectifyConfig
 from hybrid.errors import ConfigError, FusionError, describe
 from hybrid.finish import FilmReaders, finished, made_anew
-from hybrid.geometry import Readers, beyond_doubt, flat_itself, judged, shape_of, whole_sheet
+from hybrid.geometry import flat_itself, shape_of
 from hybrid.grid_edit import GridEdit
 from hybrid.image_io import PhotoSource, as_photo
 from hybrid.learn.networks.edgenet import strip_reader
@@ -33,7 +34,7 @@ from hybrid.learn.networks.weights import (
     packaged_upright_net,
 )
 from hybrid.learn.reading.orientation import OrientationReader
-from hybrid.looks import checked, network_beside, see, see_at, see_from_sides
+from hybrid.looks import Readers, checked, network_beside, see, see_at, see_from_sides
 from hybrid.pyramid import Photo, Pyramid
 from hybrid.records import RectifyResult, Status, StatusCode
 from hybrid.rectify.coarse.corners import Corners, film_at
@@ -45,6 +46,7 @@ from hybrid.rectify.verdict.survey import Verdict, survey_photo, survey_print
 from hybrid.rectify.verdict.trust import expected_error_px, largest_error_px
 from hybrid.stages import Clock
 from hybrid.threads import one_thread
+from hybrid.whole_sheet import whole_sheet
 
 
 class Rectifier:

@@ -236,7 +236,7 @@ def test_print_that_moves_edges_is_left_free_where_that_makes_them_sure(monkeypa
         outwards = 0.0 if config.refine.grid.snug == 0.0 else -0.02
         return Refinement(moved_edges(film, outwards), None, (), expected_px=2.0, stands=True)
 
-    monkeypatch.setattr(geometry, "_exactly", exactly)
+    monkeypatch.setattr(geometry, "refine_once", exactly)
     config = RectifyConfig(edges=replace(CONFIG, sure=sure))
     first = Refinement(moved_edges(film, -0.02), None, (), expected_px=1.0)
     found = reread(Pyramid(photo), None, first, STEPS, config, Report())

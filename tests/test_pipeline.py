@@ -22,8 +22,9 @@ import hybrid
 import hybrid.records
 from data_gen.sample import SampleConfig, film_samples
 from hybrid.backward import Orientation, end_point_error, film_as_seen, mean_move
+from hybrid.doubt import Judged, beyond_doubt, judged
 from hybrid.errors import ConfigError, DataError, PhotoError
-from hybrid.geometry import Judged, beyond_doubt, judged, shape_of
+from hybrid.geometry import shape_of
 from hybrid.looks import checked, see
 from hybrid.pipeline import Effort, Rectifier, RectifyConfig
 from hybrid.pyramid import Pyramid
@@ -124,7 +125,7 @@ def judging(monkeypatch) -> list[Judged]:
         found.append(judged(*given))
         return found[-1]
 
-    monkeypatch.setattr("hybrid.geometry.judged", noted)
+    monkeypatch.setattr("hybrid.doubt.judged", noted)
     return found
 
 
@@ -157,7 +158,7 @@ def test_a_film_is_not_lost_by_being_refined_again(doubted, monkeypatch):
     """A refinement that shows nothing of a film does not count, however probable its other signs make it."""
     readers, pyramid, seen, first, config = doubted
     signs = replace(first.signs, grid=False, corrected=False, support=0.0, seen_beside=1e-4)
-    monkeypatch.setattr("hybrid.geometry.judged", lambda *_: replace(first, signs=signs))
+    monkeypatch.setattr("hybrid.doubt.judged", lambda *_: replace(first, signs=signs))
     found = beyond_doubt(readers, pyramid, seen, first, True, config, Clock())
     assert found.refinement is first.refinement
     assert found.verdict.code is StatusCode.UNSURE

@@ -1,0 +1,133 @@
+"""Where the sheet ends: margins that were taken for the background, and background that was taken for margins."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from hybrid.backward import BackwardMap
+from hybrid.effort import RectifyConfig
+from hybrid.geometry import exact, refine_once
+from hybrid.pyramid import Pyramid
+from hybrid.rectify.edges.paths import EdgesRead, look_across
+from hybrid.rectify.grid.phases import CellPhases
+from hybrid.rectify.margins.clear import LongerSheet, with_margins
+from hybrid.rectify.margins.ground import without_margins
+from hybrid.rectify.refine.refine import Refinement
+from hybrid.stages import Clock
+from hybrid.strips import StripReader
+
+MOST_MARGINS = 2
+"""How often margins are looked for: at one end they may show only once the sheet is made longer at the other."""
+
+
+def whole_sheet(
+    pyramid: Pyramid,
+    phases: CellPhases | None,
+    refined: Refinement,
+    reader: StripReader,
+    beside: Callable[[BackwardMap], float],
+    config: RectifyConfig,
+    clock: Clock,
+) -> Refinement:
+    """A refinement, or one of a longer sheet with margins that had been taken for the background, if its edges are
+    likely to be there, its print lies in its middle, and the network sees it there, too; or one of a shorter sheet
+    without margins that were background.
+
+    reader: reads the film's edges. beside: how far beside a map the network sees the film (``seen_beside``).
+    """
+    with clock.stage("margins") as report:
+        found: list[str] = []
+        while len(found) < MOST_MARGINS:
+            wider = _with_margins(pyramid, phases, refined, reader, beside, config)
+            if wider is None:
+                break
+            refined = wider[0]
+            found.append(wider[1])
+        if shorter := _without_margins(pyramid, phases, refined, reader, config):
+            refined = shorter[0]
+            found.append(shorter[1])
+        report.ran = bool(found)
+        report.reason = "; ".join(found) or "the sheet ends where its map does"
+    return refined
+
+
+def _with_margins(
+    pyramid: Pyramid,
+    phases: CellPhases | None,
+    refined: Refinement,
+    reader: StripReader,
+    beside: Callable[[BackwardMap], float],
+    config: RectifyConfig,
+) -> tuple[Refinement, str] | None:
+    """The first refinement with such margins that is believed, and what the margins are."""
+    options = config.margins
+    before = np.inf if refined.expected_px is None else refined.expected_px
+    grid_before = _grid_chance(refined)
+    for longer in with_margins(pyramid, refined.backward, reader, config.edges, options):
+        wider = refine_once(pyramid, phases, longer.read, config, longer.read.through)
+        most_px = options.most_expected * max(wider.backward.mean_film_pixels())
+        if wider.expected_px is None or wider.expected_px > most_px:
+            continue
+        if wider.grid is not None and wider.grid.lopsided > options.most_lopsided:
+            continue
+        across = look_across(pyramid, wider.backward, reader, config.edges)
+        chance = longer.chance(across)
+        if chance < options.sure or across.support.min() < options.least_support:
+            continue
+        larger = wider.expected_px > options.most_growth * before
+        fits = _grid_chance(wider) - grid_before >= (options.grid_changed if larger else -options.grid_changed)
+        if not (fits or _blank(pyramid, longer, wider, config)):
+            continue
+        surely = fits or chance >= options.blank_sure
+        if not surely and edges_of(pyramid, refined, reader, config).support.min() >= config.edges.sure:
+            continue
+        if beside(wider.backward) <= options.most_beside:
+            return replace(wider, across=across), str(longer)
+    return None
+
+
+def _without_margins(
+    pyramid: Pyramid, phases: CellPhases | None, refined: Refinement, reader: StripReader, config: RectifyConfig
+) -> tuple[Refinement, str] | None:
+    """A refinement of the sheet without margins that were background, and what these were."""
+    options, grid, across = config.false_margins, refined.grid, refined.across
+    if grid is None:
+        return None
+    unseen = across is not None and across.support.min() < options.unseen  # a plane has straight edges that are seen
+    may_gain = grid.confidence + options.grid_gained <= 1.0
+    if not (unseen or may_gain or grid.lopsided >= options.unlike - options.most_lopsided):
+        return None  # whatever were cut off, nothing would tell it from a margin
+    shorter = without_margins(pyramid, refined.backward, grid, reader, config.edges, options)
+    if shorter is None:
+        return None
+    is_ground = unseen or shorter.unlike >= options.unlike
+    if not (is_ground or may_gain):
+        return None
+    within = exact(pyramid, shorter.read.through, phases, shorter.read, reader, config, Clock())
+    if within.grid is None or within.grid.lopsided > options.most_lopsided:
+        return None
+    if not (is_ground or within.grid.confidence >= grid.confidence + options.grid_gained):
+        return None
+    sure = edges_of(pyramid, within, reader, config).support.min() >= options.sure
+    return (within, str(shorter)) if sure else None
+
+
+def _grid_chance(refinement: Refinement) -> float:
+    """How probable the grid is; 0 where there is none."""
+    return 0.0 if refinement.grid is None else refinement.grid.confidence
+
+
+def edges_of(pyramid: Pyramid, refinement: Refinement, reader: StripReader, config: RectifyConfig) -> EdgesRead:
+    """The edges as read across a refinement's map; they are read now if they have not been."""
+    return refinement.across or look_across(pyramid, refinement.backward, reader, config.edges)
+
+
+def _blank(pyramid: Pyramid, longer: LongerSheet, wider: Refinement, config: RectifyConfig) -> bool:
+    """Whether what a sheet gains is blank and alike on both sides of the print: margins, however the print fits."""
+    options, lopsided = config.margins, longer.lopsided if wider.grid is None else wider.grid.lopsided
+    if lopsided > options.blank_lopsided:
+        return False
+    return longer.detail_gained(pyramid, wider.backward, config.refine.cells) <= options.blank
