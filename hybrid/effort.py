@@ -14,9 +14,9 @@ from hybrid.rectify.coarse.invert import InvertConfig
 from hybrid.rectify.edges.paths import EdgeConfig
 from hybrid.rectify.film.cover import CoverConfig
 from hybrid.rectify.film.deilluminate import DeilluminateConfig
-from hybrid.rectify.film.fuse import FuseConfig
 from hybrid.rectify.film.resample import ResampleConfig
 from hybrid.rectify.film.size import FilmSizeConfig
+from hybrid.rectify.fusion.register import FuseConfig
 from hybrid.rectify.margins.clear import ClearMarginsConfig
 from hybrid.rectify.margins.ground import FalseMarginsConfig
 from hybrid.rectify.refine.config import RefineConfig

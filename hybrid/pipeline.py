@@ -39,7 +39,7 @@ from hybrid.pyramid import Photo, Pyramid
 from hybrid.records import RectifyResult, Status, StatusCode
 from hybrid.rectify.coarse.corners import Corners, film_at
 from hybrid.rectify.coarse.invert import Inversion, agreed
-from hybrid.rectify.film.fuse import fuse
+from hybrid.rectify.fusion.fuse import fuse
 from hybrid.rectify.refine.refine import Refinement
 from hybrid.rectify.sheet.shape import SheetConfig
 from hybrid.rectify.verdict.survey import Verdict, survey_photo, survey_print

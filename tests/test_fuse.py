@@ -24,9 +24,10 @@ from hybrid.metrics import psnr_after_gain_offset
 from hybrid.outputs import photo_digest
 from hybrid.pipeline import Rectifier
 from hybrid.records import RectifyResult, Signs, SliceGrid, Status, StatusCode
-from hybrid.rectify.film.fuse import FuseConfig, fuse, phase_shift, register
-from hybrid.rectify.film.merge import MergeConfig, _blurred, merge
 from hybrid.rectify.film.resample import rectify_photo
+from hybrid.rectify.fusion.fuse import fuse
+from hybrid.rectify.fusion.merge import MergeConfig, _blurred, merge
+from hybrid.rectify.fusion.register import FuseConfig, phase_shift, register
 
 SIZE = (600, 480)
 MARGIN = 12

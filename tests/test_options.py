@@ -21,8 +21,8 @@ from hybrid.rectify.coarse.invert import InvertConfig
 from hybrid.rectify.edges.outline import OutlineConfig
 from hybrid.rectify.edges.paths import PathConfig
 from hybrid.rectify.film.deilluminate import DeilluminateConfig
-from hybrid.rectify.film.fuse import FuseConfig
 from hybrid.rectify.film.size import FilmSizeConfig
+from hybrid.rectify.fusion.register import FuseConfig
 from hybrid.rectify.grid.cells import CellsConfig
 from hybrid.rectify.grid.congeal import CongealConfig
 from hybrid.rectify.grid.lines import GridConfig

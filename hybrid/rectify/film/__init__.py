@@ -1,1 +1,1 @@
-"""From the exact map to the film: the photo is read, its light removed, several photos fused."""
+"""From the exact map to the film: the photo is read, its light removed."""

@@ -1,0 +1,1 @@
+"""Several photos of one film become one: registered on the flat film, then merged."""
