@@ -21,7 +21,6 @@ from hybrid.learn.datasets.light import (
     UNDISTURBED,
     LightAugment,
     LitPlace,
-    drawn_pattern,
     light_batch,
     light_view,
     open_lit_films,
@@ -30,6 +29,7 @@ from hybrid.learn.datasets.light import (
     split_films,
     toned,
 )
+from hybrid.learn.datasets.patterns import drawn_pattern
 from hybrid.learn.networks.lightnet import (
     SURE_STEP,
     Attention,

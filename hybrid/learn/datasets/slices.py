@@ -12,7 +12,7 @@ from jaxtyping import Float, Float32, UInt8
 
 from hybrid.coords import film_centres, opencv_from_photo
 from hybrid.errors import DataError, describe
-from hybrid.learn.datasets.light import pattern_cell, pattern_kinds
+from hybrid.learn.datasets.patterns import pattern_cell, pattern_kinds
 from hybrid.learn.datasets.upright import PrintAugment, photographed, print_paths, read_print
 from hybrid.learn.networks.slicenet import SliceNetConfig, cell_squares, standardised
 
