@@ -26,7 +26,7 @@ from hybrid.rectify.grid.repeat import Repeats
 from hybrid.rectify.refine import course
 from hybrid.rectify.refine.config import RefineConfig
 from hybrid.rectify.refine.refine import refine
-from hybrid.rectify.splines.sightings import SplineConfig, fit_displacement
+from hybrid.rectify.splines.displacement import SplineConfig, fit_displacement
 from hybrid.strips import StripConfig, StripReader
 
 STRIP = StripConfig()

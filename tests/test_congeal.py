@@ -13,7 +13,8 @@ from hybrid.rectify.grid.layout import Layout
 from hybrid.rectify.grid.lines import Comb
 from hybrid.rectify.grid.repeat import Repeats
 from hybrid.rectify.grid.rim import RimConfig, without_background
-from hybrid.rectify.splines.sightings import Sightings, SplineConfig, fit_displacement
+from hybrid.rectify.splines.displacement import SplineConfig, fit_displacement
+from hybrid.rectify.splines.sightings import Sightings
 
 CONFIG = CongealConfig()
 SIDE = 96

@@ -30,7 +30,7 @@ from hybrid.rectify.grid.match import MatchConfig
 from hybrid.rectify.refine.config import RefineConfig
 from hybrid.rectify.refine.plane import PlaneConfig
 from hybrid.rectify.sheet.shape import SheetConfig
-from hybrid.rectify.splines.sightings import SplineConfig
+from hybrid.rectify.splines.displacement import SplineConfig
 from hybrid.rectify.verdict.trust import TrustConfig
 
 NAN = float("nan")

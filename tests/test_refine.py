@@ -16,15 +16,14 @@ from hybrid.rectify.refine.config import RefineConfig
 from hybrid.rectify.refine.course import Course, Progress, unstretched
 from hybrid.rectify.refine.refine import _apart, _better, refine
 from hybrid.rectify.refine.scene import half_view, scene_of, view_of
-from hybrid.rectify.splines.sightings import (
+from hybrid.rectify.splines.displacement import (
     Displacement,
-    Sightings,
     SplineConfig,
     fit_displacement,
-    group_medians,
     highest_near,
     no_displacement,
 )
+from hybrid.rectify.splines.sightings import Sightings, group_medians
 from hybrid.stages import Stopwatch
 
 CONFIG = RefineConfig()

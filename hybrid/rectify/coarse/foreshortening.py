@@ -20,7 +20,8 @@ from hybrid.backward import BackwardMap
 from hybrid.coords import node_centres_1d
 from hybrid.errors import require_at_least, require_at_most
 from hybrid.rectify.grid.phases import MIDDLES, AxisPhases, CellPhases
-from hybrid.rectify.splines.sightings import Sightings, SplineConfig, carried, fit_displacement
+from hybrid.rectify.splines.displacement import SplineConfig, fit_displacement
+from hybrid.rectify.splines.sightings import Sightings, carried
 
 Bend = tuple[float, float]
 """A spacing along one axis, a and b of ``t + t (1 - t) (a + b (1 - 2 t))``."""

@@ -19,7 +19,8 @@ from hybrid.errors import require_at_least, require_at_most
 from hybrid.pyramid import Pyramid
 from hybrid.rectify.edges.curves import best_paths
 from hybrid.rectify.edges.outline import edge_sightings
-from hybrid.rectify.splines.sightings import Sightings, SplineConfig, carried, fit_displacement
+from hybrid.rectify.splines.displacement import SplineConfig, fit_displacement
+from hybrid.rectify.splines.sightings import Sightings, carried
 from hybrid.strips import SIDES, StripConfig, StripReader, edge_strips, strip_copy
 
 SUPPORT_ROWS = 2

@@ -15,7 +15,8 @@ from hybrid.rectify.grid.cells import SAME_PLACE, Reading
 from hybrid.rectify.grid.follow import follow_comb
 from hybrid.rectify.grid.lines import Borders, Comb, GridConfig, find_comb
 from hybrid.rectify.grid.repeat import RepeatConfig, Repeats, find_repeats
-from hybrid.rectify.splines.sightings import Displacement, Sightings
+from hybrid.rectify.splines.displacement import Displacement
+from hybrid.rectify.splines.sightings import Sightings
 
 GOOD_SHARE = 0.0025
 """Expected error of the map, as a fraction of the film, above which a grid is trusted less: about 2 px of a photo."""

@@ -16,7 +16,7 @@ from hybrid.rectify.grid.repeat import RepeatConfig
 from hybrid.rectify.grid.rim import RimConfig
 from hybrid.rectify.margins.placing import MarginsConfig
 from hybrid.rectify.sheet.shape import SheetConfig
-from hybrid.rectify.splines.sightings import SplineConfig
+from hybrid.rectify.splines.displacement import SplineConfig
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,6 @@
 """From one map to start from, round by round, to a map that is supported by what is seen on the film.
 
-The start is kept and corrected by a smooth displacement of the film plane (splines/sightings.py). Sightings are the
+The start is kept and corrected by a smooth displacement of the film plane (splines/displacement.py). Sightings are the
 sheet's edges (edges/outline.py), the rules or gutters between the slices (grid/lines.py) or else the borders that
 BorderNet reads there (grid/borders.py), and what the cells have in common (grid/match.py in the first round, then
 grid/congeal.py). All are looked for again through the improved map, and count only if they agree: the spline is fitted
@@ -42,15 +42,9 @@ from hybrid.rectify.margins.placing import (
 from hybrid.rectify.refine.config import RefineConfig
 from hybrid.rectify.refine.scene import Scene, half_view, phases_along, view_of
 from hybrid.rectify.sheet.fit import FittedSheet, fit_sheet
+from hybrid.rectify.splines.displacement import Displacement, SplineConfig, fit_displacement, no_displacement
 from hybrid.rectify.splines.held_out import held_out_residuals
-from hybrid.rectify.splines.sightings import (
-    Displacement,
-    Sightings,
-    SplineConfig,
-    carried,
-    fit_displacement,
-    no_displacement,
-)
+from hybrid.rectify.splines.sightings import Sightings, carried
 from hybrid.stages import Stopwatch
 
 COUNTED_WHOLE_PX = 500

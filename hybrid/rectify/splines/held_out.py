@@ -7,7 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from hybrid.rectify.splines.sightings import Sightings, SplineConfig, fit_displacement, lattice_rows
+from hybrid.rectify.splines.displacement import SplineConfig, fit_displacement, lattice_rows
+from hybrid.rectify.splines.sightings import Sightings
 
 MOST_RESIDUAL = 20.0
 """Residuals are clipped to this many stated deviations."""
