@@ -25,7 +25,6 @@ from hybrid.learn.datasets.light import (
     light_view,
     open_lit_films,
     read_lit_film,
-    shouldered,
     split_films,
     toned,
 )
@@ -178,7 +177,7 @@ def test_parts_of_prints_lie_in_the_same_light_exactly(places: list[LitPlace]) -
 
 def test_a_further_tone_curve_moves_levels_and_film_alike(places: list[LitPlace]) -> None:
     for strength in (-0.5, 2.0):
-        augment = replace(UNDISTURBED, toned=1.0, shouldered=0.0, tones=(strength, strength))
+        augment = replace(UNDISTURBED, toned=1.0, tones=(strength, strength))
         plain, view = (light_view(places[0], PX, np.random.default_rng(1), a) for a in (UNDISTURBED, augment))
         np.testing.assert_allclose(view.black, toned(plain.black, strength), atol=1e-5)
         np.testing.assert_allclose(view.white, toned(plain.white, strength), atol=1e-5)
@@ -193,29 +192,6 @@ def test_tone_curves_by_hand() -> None:
     np.testing.assert_allclose(toned(light, 1.0), [0, 0.4, 1], atol=1e-6)
     np.testing.assert_allclose(toned(light, -1.0), [0, 1 / 7, 1], atol=1e-6)
     np.testing.assert_allclose(toned(light, 0.0), light)
-
-
-def test_a_curve_with_a_shoulder_moves_levels_and_film_alike(places: list[LitPlace]) -> None:
-    always = replace(UNDISTURBED, toned=1.0, shouldered=1.0)
-    augment = replace(always, powers=(0.8, 0.8), middles=(0.45, 0.45), clips=(2.0, 2.0))
-    plain, view = (light_view(places[0], PX, np.random.default_rng(1), a) for a in (UNDISTURBED, augment))
-    for before, after in ((plain.black, view.black), (plain.white, view.white)):  # they may lie in different ways
-        np.testing.assert_allclose(np.sort(after, None), np.sort(shouldered(before, 0.8, 0.45, 2.0), None), atol=1e-5)
-    np.testing.assert_array_equal(np.sort(view.flat, None), np.sort(plain.flat, None))
-
-
-@pytest.mark.parametrize("clip", [1.0, 2.0, 5.0])
-@pytest.mark.parametrize("power", [0.6, 1.1])
-def test_curves_with_a_shoulder_by_hand(power: float, clip: float) -> None:
-    """Black and white stay, 18 % of the white on the camera comes out as asked, and a brighter white flattens more."""
-    light = np.linspace(0, 1, 101)
-    shown = shouldered(light, power, 0.45, clip)
-    np.testing.assert_allclose(shown[[0, -1]], [0, 1], atol=1e-12)
-    assert (np.diff(shown) > 0).all()
-    middle = shouldered(np.array([0.18 / clip]), power, 0.45, clip)
-    np.testing.assert_allclose(srgb_from_linear(middle), 0.45, atol=1e-9)
-    flatter = shouldered(light, power, 0.45, 2 * clip)
-    assert (1 - flatter[50:-1] < 1 - shown[50:-1]).all()
 
 
 def test_a_view_depends_on_its_numbers_alone(places: list[LitPlace]) -> None:

@@ -7,9 +7,8 @@ cannot learn prints by heart.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 
 import cv2
@@ -64,9 +63,7 @@ class LightAugment:
     uneven, reflected: share of views with a further smooth factor, or veil, and the most of the factor's log, or of the
     veil as a fraction of white.
     toned: share of views with a further tone curve; tones, least and most of its strength, above 0 where it brightens
-    middle greys, as cameras do that expose for the dark parts of a film. Strengths near the most are rare. shouldered:
-    how many of these curves have a shoulder instead, as cameras' and renderers' do that let nothing clip abruptly;
-    powers, middles, clips: ranges of its arguments (``shouldered``).
+    middle greys, as cameras do that expose for the dark parts of a film. Strengths near the most are rare.
     spots, bars: shares of views with a small bright reflection, sharp or soft, that mostly clips, and with parallel
     bars, possibly faint, as of lamps, windows and blinds.
     exposure, cast: one sigma of the log of all light and of each channel. noise: largest sigma (linear).
@@ -88,10 +85,6 @@ class LightAugment:
     reflected: tuple[float, float] = (0.35, 0.5)
     toned: float = 0.6
     tones: tuple[float, float] = (-0.5, 6.0)
-    shouldered: float = 0.5
-    powers: tuple[float, float] = (0.6, 1.1)
-    middles: tuple[float, float] = (0.36, 0.58)
-    clips: tuple[float, float] = (1.0, 5.0)
     spots: float = 0.25
     bars: float = 0.25
     exposure: float = 0.25
@@ -269,34 +262,12 @@ def _lit_anew(
     lit = (light * factor[..., None] + added[..., None]) * cast
     lit, black, white = (np.clip(x, 0, 1) for x in (lit, black * factor + added, white * factor + added))
     if rng.random() < augment.toned:
-        curve = _drawn_curve(rng, augment)
+        least, most = augment.tones
+        strength = least + (most - least) * rng.random() ** 2
         grey = np.maximum(lit @ np.array(CHANNEL_SHARES, np.float32), 1e-6)
-        lit = lit * (curve(grey) / grey)[..., None]
-        black, white = curve(black), curve(white)
+        lit = lit * (toned(grey, strength) / grey)[..., None]
+        black, white = toned(black, strength), toned(white, strength)
     return tuple(np.clip(x, 0, 1).astype(np.float32) for x in (lit + noise, black, white))  # type: ignore[return-value]
-
-
-def _drawn_curve(rng: np.random.Generator, augment: LightAugment) -> Callable[[np.ndarray], np.ndarray]:
-    """A further tone curve of the camera."""
-    drawn, share = rng.random(), augment.shouldered
-    if drawn < share:
-        clip = np.exp(rng.uniform(*np.log(augment.clips)))
-        power, middle = rng.uniform(*augment.powers), rng.uniform(*augment.middles)
-        return partial(shouldered, power=power, middle=middle, clip=clip)
-    least, most = augment.tones
-    return partial(toned, strength=least + (most - least) * ((drawn - share) / (1 - share)) ** 2)
-
-
-def shouldered(light: Float[np.ndarray, "*n"], power: float, middle: float, clip: float) -> Float[np.ndarray, "*n"]:
-    """Light in [0, 1] as a camera shows it whose tone curve has a shoulder (Naka and Rushton, J. Physiol. 185, 1966).
-
-    On the camera, the light is ``clip`` times as bright, and comes out at display grey ``x^p / (x^p + c)``, times what
-    makes 1 of ``clip``; c is such that 18 % of white comes out at ``middle``. The result is linear light again.
-    """
-    dark, bright = 0.18**power, clip**power
-    half = dark * (1 - middle) / (middle - dark / bright)
-    seen = (light * clip) ** power
-    return linear_from_srgb(seen / (seen + half) * (1 + half / bright))
 
 
 def toned(light: Float[np.ndarray, "*n"], strength: float) -> Float[np.ndarray, "*n"]:
