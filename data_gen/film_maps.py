@@ -25,7 +25,7 @@ from hybrid.learn.datasets.shards import FILM_MAPS
 from hybrid.learn.networks.filmnet import FilmNet
 from hybrid.learn.networks.inference import ready
 from hybrid.learn.networks.weights import packaged_film_net
-from hybrid.looks import see
+from hybrid.pipeline.looks import see
 from hybrid.pyramid import Pyramid
 from hybrid.rectify.coarse.invert import NotInverted
 from hybrid.stages import Clock

@@ -47,8 +47,8 @@ from hybrid.learn.paper.baselines import recover
 from hybrid.learn.paper.dewarpnet import DewarpNetConfig
 from hybrid.learn.paper.firenet import FiReNet, FiReNetConfig
 from hybrid.learn.training.presets import PRESETS
-from hybrid.looks import see
 from hybrid.pipeline import Rectifier
+from hybrid.pipeline.looks import see
 from hybrid.pyramid import Pyramid
 from hybrid.rectify.coarse.invert import Inversion
 from hybrid.rectify.film.resample import rectify_photo

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from test_edges import CONFIG, STEPS, sheet_photo
 
-import hybrid.whole_sheet
+import hybrid.pipeline.whole_sheet
 from hybrid.backward import BackwardMap
 from hybrid.coords import film_nodes
 from hybrid.effort import RectifyConfig
+from hybrid.pipeline.whole_sheet import MOST_MARGINS, whole_sheet
 from hybrid.pyramid import Pyramid
 from hybrid.records import SliceGrid
 from hybrid.rectify.edges.paths import EdgesRead
@@ -18,7 +19,6 @@ from hybrid.rectify.margins.clear import ClearMarginsConfig, LongerSheet, _toget
 from hybrid.rectify.refine.refine import Refinement
 from hybrid.stages import Clock
 from hybrid.strips import SIDES
-from hybrid.whole_sheet import MOST_MARGINS, whole_sheet
 
 MARGINS = ClearMarginsConfig()
 PHOTO, SHEET = sheet_photo()
@@ -143,7 +143,7 @@ def sheet_of(
         assert read.through is start
         return replace(refined(start, expected_px), grid=grid)
 
-    monkeypatch.setattr(hybrid.whole_sheet, "refine_once", exactly)
+    monkeypatch.setattr(hybrid.pipeline.whole_sheet, "refine_once", exactly)
     config, clock = replace(RectifyConfig(), margins=margins), Clock()
     sheet = whole_sheet(Pyramid(photo), None, before, STEPS, lambda _: beside, config, clock)
     (report,) = clock.reports

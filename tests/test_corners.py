@@ -135,7 +135,7 @@ def test_given_corners_are_a_film_even_where_the_verdict_would_be_that_there_is_
     rectifier: Rectifier, monkeypatch: pytest.MonkeyPatch
 ):
     nothing = Verdict(StatusCode.NO_FILM, "nothing that makes a film is seen", ("nothing is seen",))
-    monkeypatch.setattr("hybrid.doubt.film_verdict", lambda *_: nothing)
+    monkeypatch.setattr("hybrid.pipeline.doubt.film_verdict", lambda *_: nothing)
     result = rectifier(
         np.rint(table()).astype(np.uint8), [[100.0, 100.0], [600.0, 120.0], [620.0, 600.0], [90.0, 580.0]]
     )

@@ -8,15 +8,15 @@ import pytest
 import torch
 from synthetic_film import FilmDrawing, make_photo
 
-from hybrid import geometry
 from hybrid.backward import BackwardMap
 from hybrid.coords import film_nodes
 from hybrid.effort import RectifyConfig
-from hybrid.geometry import reread
 from hybrid.learn.datasets.edges import true_rows
 from hybrid.learn.networks.edgenet import EdgeNet, EdgeNetConfig, EdgeTargets, edge_losses, strip_reader
 from hybrid.learn.networks.inference import ready
 from hybrid.learn.networks.weights import packaged_edge_net, parameter_count
+from hybrid.pipeline import geometry
+from hybrid.pipeline.geometry import reread
 from hybrid.pyramid import Pyramid
 from hybrid.rectify.edges.paths import EdgeConfig, look_across, put_on_edges, read_edges, read_paths
 from hybrid.rectify.refine.refine import Refinement

@@ -6,17 +6,17 @@ import numpy as np
 import pytest
 from test_edges import CONFIG, STEPS, sheet_photo
 
-import hybrid.whole_sheet
+import hybrid.pipeline.whole_sheet
 from hybrid.backward import BackwardMap
 from hybrid.coords import film_nodes
 from hybrid.effort import RectifyConfig
+from hybrid.pipeline.whole_sheet import whole_sheet
 from hybrid.pyramid import Pyramid
 from hybrid.records import SliceGrid
 from hybrid.rectify.edges.paths import look_across
 from hybrid.rectify.margins.ground import FalseMarginsConfig, ShorterSheet, without_margins
 from hybrid.rectify.refine.refine import Refinement
 from hybrid.stages import Clock
-from hybrid.whole_sheet import whole_sheet
 
 OPTIONS = FalseMarginsConfig()
 ALIKE = {"left": 60, "right": 60}
@@ -106,7 +106,7 @@ def sheet_of(
         grid = replace(print_in(start, *printed), confidence=0.4 + gained) if printed else None
         return Refinement(start, grid, (), expected_px=0.5, stands=True)
 
-    monkeypatch.setattr(hybrid.whole_sheet, "exact", exact)
+    monkeypatch.setattr(hybrid.pipeline.whole_sheet, "exact", exact)
     options = replace(RectifyConfig(), false_margins=config, margins=replace(RectifyConfig().margins, beyond=()))
     clock = Clock()
     after = whole_sheet(Pyramid(photo), None, before, STEPS, lambda _: 0.0, options, clock)
@@ -155,6 +155,8 @@ def test_nothing_is_read_where_nothing_could_tell_what_is_cut_off_from_a_margin(
     photo, film = before_its_shadow(**out)
     before = Refinement(film, replace(print_in(film), confidence=confidence), (), expected_px=0.5, stands=True)
     asked: list[BackwardMap] = []
-    monkeypatch.setattr(hybrid.whole_sheet, "without_margins", lambda pyramid, film, *others: asked.append(film))
+    monkeypatch.setattr(
+        hybrid.pipeline.whole_sheet, "without_margins", lambda pyramid, film, *others: asked.append(film)
+    )
     whole_sheet(Pyramid(photo), None, before, STEPS, lambda _: 0.0, RectifyConfig(), Clock())
     assert len(asked) == looks

@@ -17,11 +17,6 @@ ROOT = Path(__file__).parents[1]
 ROOMS = ("hybrid.mesh", "hybrid.learn", "hybrid.rectify")
 OUTER = (
     "hybrid.pipeline",
-    "hybrid.doubt",
-    "hybrid.finish",
-    "hybrid.geometry",
-    "hybrid.looks",
-    "hybrid.whole_sheet",
     "hybrid.effort",
     "hybrid.cli",
     "data_gen",

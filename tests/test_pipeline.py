@@ -22,11 +22,11 @@ import hybrid
 import hybrid.records
 from data_gen.sample import SampleConfig, film_samples
 from hybrid.backward import Orientation, end_point_error, film_as_seen, mean_move
-from hybrid.doubt import Judged, beyond_doubt, judged
 from hybrid.errors import ConfigError, DataError, PhotoError
-from hybrid.geometry import shape_of
-from hybrid.looks import checked, see
 from hybrid.pipeline import Effort, Rectifier, RectifyConfig
+from hybrid.pipeline.doubt import Judged, beyond_doubt, judged
+from hybrid.pipeline.geometry import shape_of
+from hybrid.pipeline.looks import checked, see
 from hybrid.pyramid import Pyramid
 from hybrid.records import StageReport, StatusCode
 from hybrid.rectify.coarse.invert import Inversion, NotInverted
@@ -125,7 +125,7 @@ def judging(monkeypatch) -> list[Judged]:
         found.append(judged(*given))
         return found[-1]
 
-    monkeypatch.setattr("hybrid.doubt.judged", noted)
+    monkeypatch.setattr("hybrid.pipeline.doubt.judged", noted)
     return found
 
 
@@ -158,7 +158,7 @@ def test_a_film_is_not_lost_by_being_refined_again(doubted, monkeypatch):
     """A refinement that shows nothing of a film does not count, however probable its other signs make it."""
     readers, pyramid, seen, first, config = doubted
     signs = replace(first.signs, grid=False, corrected=False, support=0.0, seen_beside=1e-4)
-    monkeypatch.setattr("hybrid.doubt.judged", lambda *_: replace(first, signs=signs))
+    monkeypatch.setattr("hybrid.pipeline.doubt.judged", lambda *_: replace(first, signs=signs))
     found = beyond_doubt(readers, pyramid, seen, first, True, config, Clock())
     assert found.refinement is first.refinement
     assert found.verdict.code is StatusCode.UNSURE
@@ -352,7 +352,7 @@ class OwnRectifier(Rectifier):
 def test_copies_load_no_network_and_what_is_sent_stays_what_it_is(rectifier, monkeypatch):
     own = OwnRectifier()
     assert type(pickle.loads(pickle.dumps(own))) is OwnRectifier
-    monkeypatch.setattr("hybrid.pipeline.packaged_film_net", None)
+    monkeypatch.setattr("hybrid.pipeline.rectifier.packaged_film_net", None)
     for it in (rectifier, own):
         assert copy.copy(it) is it
         assert copy.deepcopy([it])[0] is it

@@ -9,7 +9,7 @@ import numpy as np
 
 from hybrid.backward import BackwardMap
 from hybrid.effort import RectifyConfig
-from hybrid.geometry import exact, refine_once
+from hybrid.pipeline.geometry import exact, refine_once
 from hybrid.pyramid import Pyramid
 from hybrid.rectify.edges.paths import EdgesRead, look_across
 from hybrid.rectify.grid.phases import CellPhases

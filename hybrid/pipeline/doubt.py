@@ -8,8 +8,9 @@ from functools import partial
 
 from hybrid.backward import BackwardMap
 from hybrid.effort import RectifyConfig
-from hybrid.geometry import evened, exact
-from hybrid.looks import LastLook, Readers, network_beside, see_from_sides, seen_through
+from hybrid.pipeline.geometry import evened, exact
+from hybrid.pipeline.looks import LastLook, Readers, network_beside, see_from_sides, seen_through
+from hybrid.pipeline.whole_sheet import edges_of, whole_sheet
 from hybrid.pyramid import Pyramid
 from hybrid.records import CoarseMaps, Signs, StageReport, StatusCode
 from hybrid.rectify.coarse.invert import Inversion
@@ -20,7 +21,6 @@ from hybrid.rectify.refine.refine import Refinement
 from hybrid.rectify.verdict.survey import Verdict
 from hybrid.rectify.verdict.trust import chance_right, film_verdict, floored, signs_of
 from hybrid.stages import Clock
-from hybrid.whole_sheet import edges_of, whole_sheet
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,7 +11,7 @@ import numpy as np
 
 from hybrid.backward import BackwardMap, mean_move
 from hybrid.effort import RectifyConfig
-from hybrid.looks import LastLook
+from hybrid.pipeline.looks import LastLook
 from hybrid.pyramid import Photo, Pyramid
 from hybrid.rectify.coarse.foreshortening import even
 from hybrid.rectify.coarse.invert import Inversion

@@ -1,4 +1,4 @@
-"""The whole way from a photo to the flat film, as a sequence of stages that each report what they did and why."""
+"""Rectifies photos: runs all stages of the way from a photo to the flat film, each only where it is needed."""
 
 from __future__ import annotations
 
@@ -13,11 +13,8 @@ import numpy as np
 
 from hybrid.backward import BackwardMap
 from hybrid.camera import FOCALS, TOLD_SIGMA, told_focal
-from hybrid.doubt import beyond_doubt, judged
 from hybrid.effort import Effort, RectifyConfig
 from hybrid.errors import ConfigError, FusionError, describe
-from hybrid.finish import FilmReaders, finished, made_anew
-from hybrid.geometry import flat_itself, shape_of
 from hybrid.grid_edit import GridEdit
 from hybrid.image_io import PhotoSource, as_photo
 from hybrid.learn.networks.edgenet import strip_reader
@@ -34,7 +31,11 @@ from hybrid.learn.networks.weights import (
     packaged_upright_net,
 )
 from hybrid.learn.reading.orientation import OrientationReader
-from hybrid.looks import Readers, checked, network_beside, see, see_at, see_from_sides
+from hybrid.pipeline.doubt import beyond_doubt, judged
+from hybrid.pipeline.finish import FilmReaders, finished, made_anew
+from hybrid.pipeline.geometry import flat_itself, shape_of
+from hybrid.pipeline.looks import Readers, checked, network_beside, see, see_at, see_from_sides
+from hybrid.pipeline.whole_sheet import whole_sheet
 from hybrid.pyramid import Photo, Pyramid
 from hybrid.records import RectifyResult, Status, StatusCode
 from hybrid.rectify.coarse.corners import Corners, film_at
@@ -46,7 +47,6 @@ from hybrid.rectify.verdict.survey import Verdict, survey_photo, survey_print
 from hybrid.rectify.verdict.trust import expected_error_px, largest_error_px
 from hybrid.stages import Clock
 from hybrid.threads import one_thread
-from hybrid.whole_sheet import whole_sheet
 
 
 class Rectifier:
