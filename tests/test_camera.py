@@ -16,7 +16,8 @@ from hybrid.camera import told_focal
 from hybrid.cli.rectify_files import rectify_files
 from hybrid.effort import RectifyConfig
 from hybrid.errors import ConfigError
-from hybrid.pipeline import Rectifier, _with_lens, rectify
+from hybrid.pipeline import Rectifier, rectify
+from hybrid.pipeline.rectifier import _with_lens
 from hybrid.records import RectifyResult, Status, StatusCode
 from hybrid.rectify.film.size import FilmSizeConfig, known_by_plane, snap_aspect
 

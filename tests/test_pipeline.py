@@ -22,8 +22,9 @@ import hybrid
 import hybrid.records
 from data_gen.sample import SampleConfig, film_samples
 from hybrid.backward import Orientation, end_point_error, film_as_seen, mean_move
+from hybrid.effort import Effort
 from hybrid.errors import ConfigError, DataError, PhotoError
-from hybrid.pipeline import Effort, Rectifier, RectifyConfig
+from hybrid.pipeline import Rectifier, RectifyConfig
 from hybrid.pipeline.doubt import Judged, beyond_doubt, judged
 from hybrid.pipeline.geometry import shape_of
 from hybrid.pipeline.looks import checked, see
