@@ -9,10 +9,6 @@ from pathlib import Path
 
 import pytest
 
-import data_gen
-import hybrid.learn
-import hybrid.rectify
-
 ROOT = Path(__file__).parents[1]
 ROOMS = ("hybrid.mesh", "hybrid.learn", "hybrid.rectify")
 OUTER = (
@@ -56,28 +52,50 @@ def test_rooms_import_neither_each_other_nor_outwards(module: str) -> None:
     assert not wrong, f"{module} imports {sorted(wrong)}"
 
 
-FOLDERS = {
-    "hybrid.learn": hybrid.learn.FOLDERS,
-    "hybrid.rectify": hybrid.rectify.FOLDERS,
-    "data_gen": data_gen.FOLDERS,
+ORDERS = {
+    "hybrid.learn": ("networks", "reading", "datasets", "paper", "training"),
+    "hybrid.rectify": (
+        "splines",
+        "edges",
+        "grid",
+        "coarse",
+        "sheet",
+        "margins",
+        "refine",
+        "film",
+        "fusion",
+        "verdict",
+    ),
+    "hybrid.pipeline": ("looks", "geometry", "whole_sheet", "doubt", "finish", "rectifier"),
+    "data_gen": ("ct", "prints", "light", "camera", "scene", "render"),
 }
-IN_FOLDERS = [
-    (room, module)
-    for room, folders in FOLDERS.items()
+"""The parts of these packages, each of which imports only itself and those before it."""
+ORDERED = [
+    (package, module)
+    for package, parts in ORDERS.items()
     for module in MODULES
-    if within(module, tuple(f"{room}.{folder}" for folder in folders))
+    if within(module, tuple(f"{package}.{part}" for part in parts))
 ]
 
 
-@pytest.mark.parametrize(("room", "module"), IN_FOLDERS)
-def test_the_folders_of_a_room_import_one_way(room: str, module: str) -> None:
-    """Each imports only itself and those before it in FOLDERS."""
-    folders = FOLDERS[room]
-    own = folders.index(module.removeprefix(f"{room}.").split(".")[0])
-    before = tuple(f"{room}.{folder}" for folder in folders[: own + 1])
-    imported = {name for name in imported_by(MODULES[module]) if within(name, (room,)) and name != room}
+def part_of(module: str, package: str) -> str:
+    """The part of a package that a module belongs to."""
+    return module.removeprefix(f"{package}.").split(".")[0]
+
+
+@pytest.mark.parametrize(("package", "module"), ORDERED)
+def test_the_parts_of_a_package_import_one_way(package: str, module: str) -> None:
+    parts = ORDERS[package]
+    before = tuple(f"{package}.{part}" for part in parts[: parts.index(part_of(module, package)) + 1])
+    imported = {name for name in imported_by(MODULES[module]) if within(name, (package,)) and name != package}
     wrong = {name for name in imported if not within(name, before)}
     assert not wrong, f"{module} imports {sorted(wrong)}"
+
+
+@pytest.mark.parametrize("package", ORDERS)
+def test_every_folder_has_its_place_in_the_order(package: str) -> None:
+    folders = {name for name, path in MODULES.items() if path.name == "__init__.py" and within(name, (package,))}
+    assert {part_of(folder, package) for folder in folders - {package}} <= set(ORDERS[package])
 
 
 CORE = ("records", "coords", "errors", "backward", "files", "image_io", "metrics", "draw", "pyramid")
@@ -126,5 +144,5 @@ def test_rectifying_loads_neither_open3d_nor_the_trainer() -> None:
         "ramp = np.linspace(0, 255, 128 * 128 * 3).reshape(128, 128, 3).astype(np.uint8)\n"
         "hybrid.rectify(ramp)"
     )
-    others = ("open3d", "kornia", "data_gen", "hybrid.mesh", *(f"hybrid.learn.{x}" for x in hybrid.learn.FOLDERS[2:]))
+    others = ("open3d", "kornia", "data_gen", "hybrid.mesh", *(f"hybrid.learn.{x}" for x in ORDERS["hybrid.learn"][2:]))
     assert not {m for m in modules if within(m, others)}

@@ -2,7 +2,5 @@
 
 ``networks`` are those that users get, ``reading`` what these make of a photo, ``datasets`` what they learn from,
 ``paper`` the paper's networks and its baselines, ``training`` the trainer of all. Each of these imports only those
-before it in ``FOLDERS``, and rectifying needs only the first two.
+before it, and rectifying needs only the first two.
 """
-
-FOLDERS = ("networks", "reading", "datasets", "paper", "training")

@@ -2,8 +2,8 @@
 
 ``coarse`` turns these maps into a backward map, ``refine`` makes it exact by what ``edges`` and ``grid`` find in the
 photo, ``sheet`` and ``margins`` say what sheet that is, ``film`` reads the photo through it and removes the light,
-``fusion`` makes one film of several photos, and ``verdict`` says how far to trust a map. Each of these imports only
-those before it in ``FOLDERS``.
+``fusion`` makes one film of several photos, and ``verdict`` says how far to trust a map. They import one way: splines,
+edges, grid, coarse, sheet, margins, refine, film, fusion, verdict.
 
 ``hybrid.rectify(photo)`` is also the public shortcut. Importing this package sets the attribute of that name to this
 module, so the module itself has to answer the call.
@@ -13,8 +13,6 @@ import importlib
 import sys
 from types import ModuleType
 from typing import Any
-
-FOLDERS = ("splines", "edges", "grid", "coarse", "sheet", "margins", "refine", "film", "fusion", "verdict")
 
 
 class _CallableRoom(ModuleType):
