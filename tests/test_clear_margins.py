@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from test_edges import CONFIG, STEPS, sheet_photo
+from test_edges import CONFIG, STEPS, job_of, sheet_photo
 
 import hybrid.pipeline.whole_sheet
 from hybrid.backward import BackwardMap
@@ -138,14 +138,14 @@ def sheet_of(
     beside: how far from these maps the network sees the film, as a fraction of the film's size."""
     begun: list[BackwardMap] = []
 
-    def exactly(pyramid, phases, read, config, start):
+    def exactly(job, phases, read, start):
         begun.append(start)
         assert read.through is start
         return replace(refined(start, expected_px), grid=grid)
 
     monkeypatch.setattr(hybrid.pipeline.whole_sheet, "refine_once", exactly)
     config, clock = replace(RectifyConfig(), margins=margins), Clock()
-    sheet = whole_sheet(Pyramid(photo), None, before, STEPS, lambda _: beside, config, clock)
+    sheet = whole_sheet(job_of(photo, config), None, before, lambda _: beside, clock)
     (report,) = clock.reports
     assert report.name == "margins"
     return sheet, begun, report.ran

@@ -1,7 +1,7 @@
 """The sheet's edges as EdgeNet reads them: strips, paths through its readings, and maps put onto the edges."""
 
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 
 import numpy as np
 import pytest
@@ -17,6 +17,7 @@ from hybrid.learn.networks.inference import ready
 from hybrid.learn.networks.weights import packaged_edge_net, parameter_count
 from hybrid.pipeline import geometry
 from hybrid.pipeline.geometry import reread
+from hybrid.pipeline.job import Job, Readers
 from hybrid.pyramid import Pyramid
 from hybrid.rectify.edges.paths import EdgeConfig, look_across, put_on_edges, read_edges, read_paths
 from hybrid.rectify.refine.refine import Refinement
@@ -51,6 +52,16 @@ def step_reader(images: np.ndarray, inside: np.ndarray) -> np.ndarray:
 
 
 STEPS = StripReader(STRIP, step_reader)
+
+
+def job_of(photo: np.ndarray, config: RectifyConfig | None = None) -> Job:
+    """A photo to rectify, whose edges ``STEPS`` reads."""
+    return Job(Pyramid(photo), replace(packaged_readers(), edges=STEPS), config or RectifyConfig())
+
+
+@cache
+def packaged_readers() -> Readers:
+    return Readers.packaged()
 
 
 def support_of(pyramid: Pyramid, film: BackwardMap, reader: StripReader = STEPS) -> np.ndarray:
@@ -199,7 +210,7 @@ def test_a_refinement_with_a_wrong_edge_starts_once_more_from_where_edges_are_re
     for outwards in (-0.02, 0.0):
         first = Refinement(moved_edges(film, outwards), None, (), expected_px=1.0)
         report = Report()
-        found = reread(Pyramid(photo), None, first, STEPS, RectifyConfig(), report)
+        found = reread(job_of(photo), None, first, report)
         off = np.linalg.norm(found.backward.photo_from_film(film_nodes((9, 9))) - film.nodes, axis=2)
         assert off.max() < 1.5
         assert found.across is not None
@@ -221,7 +232,7 @@ def test_a_second_refinement_counts_only_if_its_edges_are_surer():
     photo, film = sheet_photo()
     first = Refinement(moved_edges(film, -0.02), None, (), expected_px=1.0)
     never = replace(RectifyConfig().edges, surer=1.0)
-    found = reread(Pyramid(photo), None, first, STEPS, replace(RectifyConfig(), edges=never), Report())
+    found = reread(job_of(photo, replace(RectifyConfig(), edges=never)), None, first, Report())
     np.testing.assert_array_equal(found.backward.nodes, first.backward.nodes)
     assert found.expected_px == 1.0
 
@@ -231,15 +242,15 @@ def test_print_that_moves_edges_is_left_free_where_that_makes_them_sure(monkeypa
     photo, film = sheet_photo()
     tried = []
 
-    def exactly(_pyramid, _phases, _read, config, _start):
-        tried.append(config.refine)
-        outwards = 0.0 if config.refine.grid.snug == 0.0 else -0.02
+    def exactly(job, _phases, _read, _start):
+        tried.append(job.config.refine)
+        outwards = 0.0 if job.config.refine.grid.snug == 0.0 else -0.02
         return Refinement(moved_edges(film, outwards), None, (), expected_px=2.0, stands=True)
 
     monkeypatch.setattr(geometry, "refine_once", exactly)
     config = RectifyConfig(edges=replace(CONFIG, sure=sure))
     first = Refinement(moved_edges(film, -0.02), None, (), expected_px=1.0)
-    found = reread(Pyramid(photo), None, first, STEPS, config, Report())
+    found = reread(job_of(photo, config), None, first, Report())
     assert tried == [config.refine.edges_held, config.refine.edges_held.print_free]
     assert (found.expected_px == 2.0) is counts
     assert bool(support_of(Pyramid(photo), found.backward).min() > 0.9) is counts

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from test_edges import CONFIG, STEPS, sheet_photo
+from test_edges import CONFIG, STEPS, job_of, sheet_photo
 
 import hybrid.pipeline.whole_sheet
 from hybrid.backward import BackwardMap
@@ -100,7 +100,7 @@ def sheet_of(
     grid = replace(print_in(film), confidence=0.4)
     before = Refinement(film, grid, (), expected_px=0.5, stands=True, across=across)
 
-    def exact(pyramid, start, phases, read, reader, options, clock):
+    def exact(job, start, phases, read, clock):
         assert read.through is start
         assert np.ptp(start.nodes[..., 1]) < 510
         grid = replace(print_in(start, *printed), confidence=0.4 + gained) if printed else None
@@ -109,7 +109,7 @@ def sheet_of(
     monkeypatch.setattr(hybrid.pipeline.whole_sheet, "exact", exact)
     options = replace(RectifyConfig(), false_margins=config, margins=replace(RectifyConfig().margins, beyond=()))
     clock = Clock()
-    after = whole_sheet(Pyramid(photo), None, before, STEPS, lambda _: 0.0, options, clock)
+    after = whole_sheet(job_of(photo, options), None, before, lambda _: 0.0, clock)
     (report,) = clock.reports
     return after.backward is not film, report.ran, report.reason
 
@@ -146,7 +146,7 @@ def test_margins_alike_are_ground_only_if_the_grid_or_the_edges_say_so(monkeypat
 def test_where_no_grid_is_seen_nothing_is_cut_off():
     photo, film = before_its_shadow(below=70)
     before = Refinement(film, None, (), expected_px=0.5, stands=True)
-    after = whole_sheet(Pyramid(photo), None, before, STEPS, lambda _: 0.0, RectifyConfig(), Clock())
+    after = whole_sheet(job_of(photo), None, before, lambda _: 0.0, Clock())
     assert after is before
 
 
@@ -158,5 +158,5 @@ def test_nothing_is_read_where_nothing_could_tell_what_is_cut_off_from_a_margin(
     monkeypatch.setattr(
         hybrid.pipeline.whole_sheet, "without_margins", lambda pyramid, film, *others: asked.append(film)
     )
-    whole_sheet(Pyramid(photo), None, before, STEPS, lambda _: 0.0, RectifyConfig(), Clock())
+    whole_sheet(job_of(photo), None, before, lambda _: 0.0, Clock())
     assert len(asked) == looks

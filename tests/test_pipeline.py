@@ -27,6 +27,7 @@ from hybrid.errors import ConfigError, DataError, PhotoError
 from hybrid.pipeline import Rectifier, RectifyConfig
 from hybrid.pipeline.doubt import Judged, beyond_doubt, judged
 from hybrid.pipeline.geometry import shape_of
+from hybrid.pipeline.job import Job
 from hybrid.pipeline.looks import checked, see
 from hybrid.pyramid import Pyramid
 from hybrid.records import StageReport, StatusCode
@@ -107,15 +108,18 @@ def test_efforts_differ_in_what_runs(photo, result):
 @pytest.fixture(scope="module")
 def doubted(rectifier, photo):
     """What is seen of the example, and its refinement, in doubt because the trust options ask for too much."""
-    config, pyramid, clock = rectifier.config, Pyramid(photo), Clock()
-    readers = rectifier._readers
-    seen = see(readers.network, pyramid, config, clock)
-    phases = readers.phases_of(seen.maps, config)
-    refined = shape_of(pyramid, seen.inversion.backward, phases, readers.edges, config, clock)
-    never = replace(config, trust=replace(config.trust, least_chance=1.0))
-    first = judged(readers, pyramid, seen, refined, False, never, clock)
+    config, clock = rectifier.config, Clock()
+    job = Job(Pyramid(photo), rectifier._readers, config)
+    seen = see(job.readers.network, job.pyramid, config, clock)
+    refined = shape_of(job, seen.inversion.backward, job.phases_of(seen.maps), clock)
+    never = replace(job, config=replace(config, trust=replace(config.trust, least_chance=1.0)))
+    first = judged(never, seen, refined, False, clock)
     assert first.verdict.code is StatusCode.UNSURE
-    return readers, pyramid, seen, first, never
+    return never, seen, first
+
+
+def with_options(job: Job, **options) -> Job:
+    return replace(job, config=replace(job.config, **options))
 
 
 def judging(monkeypatch) -> list[Judged]:
@@ -131,51 +135,51 @@ def judging(monkeypatch) -> list[Judged]:
 
 
 def test_what_is_in_doubt_is_refined_from_where_it_ended_and_from_other_sides(doubted, monkeypatch):
-    readers, pyramid, seen, first, config = doubted
+    job, seen, first = doubted
     refined = judging(monkeypatch)
     for tries in (1, 3):
         clock = Clock()
-        found = beyond_doubt(readers, pyramid, seen, first, True, replace(config, tries=tries), clock)
+        found = beyond_doubt(with_options(job, tries=tries), seen, first, True, clock)
         (report,) = clock.reports
         assert (report.name, report.ran) == ("again", True)
         assert len(refined) == tries
-        assert floored(first.doubted(config).chance) in report.reason
+        assert floored(first.doubted(job.config).chance) in report.reason
         refined.clear()
         assert found.signs.doubted
-        assert found.chance >= first.doubted(config).chance
+        assert found.chance >= first.doubted(job.config).chance
         apart = np.linalg.norm(found.refinement.backward.nodes - first.refinement.backward.nodes, axis=-1)
         assert apart.mean() < 1.0  # of 1,400 px: each try ends at the same film
 
 
 def test_the_first_refinement_that_leaves_no_doubt_ends_the_tries(doubted, rectifier, monkeypatch):
-    readers, pyramid, seen, first, config = doubted
-    once = replace(config, tries=3, trust=rectifier.config.trust)
+    job, seen, first = doubted
+    once = with_options(job, tries=3, trust=rectifier.config.trust)
     refined = judging(monkeypatch)
-    assert beyond_doubt(readers, pyramid, seen, first, True, once, Clock()).verdict.ok
+    assert beyond_doubt(once, seen, first, True, Clock()).verdict.ok
     assert len(refined) == 1
 
 
 def test_a_film_is_not_lost_by_being_refined_again(doubted, monkeypatch):
     """A refinement that shows nothing of a film does not count, however probable its other signs make it."""
-    readers, pyramid, seen, first, config = doubted
+    job, seen, first = doubted
     signs = replace(first.signs, grid=False, corrected=False, support=0.0, seen_beside=1e-4)
     monkeypatch.setattr("hybrid.pipeline.doubt.judged", lambda *_: replace(first, signs=signs))
-    found = beyond_doubt(readers, pyramid, seen, first, True, config, Clock())
+    found = beyond_doubt(job, seen, first, True, Clock())
     assert found.refinement is first.refinement
     assert found.verdict.code is StatusCode.UNSURE
-    assert chance_right(replace(signs, doubted=True), config.trust) > found.chance
+    assert chance_right(replace(signs, doubted=True), job.config.trust) > found.chance
 
 
 def test_a_film_is_refined_again_only_if_that_may_help(doubted):
-    readers, pyramid, seen, first, config = doubted
+    job, seen, first = doubted
     hopeless, sure = replace(first, chance=0.05), replace(first, verdict=Verdict(StatusCode.OK, "sure"))
-    for before, options, text in (
-        (first, replace(config, tries=0), "this effort"),
-        (hopeless, config, "too little"),
-        (sure, config, "no doubt"),
+    for before, tried, text in (
+        (first, with_options(job, tries=0), "this effort"),
+        (hopeless, job, "too little"),
+        (sure, job, "no doubt"),
     ):
         clock = Clock()
-        assert beyond_doubt(readers, pyramid, seen, before, True, options, clock) is before
+        assert beyond_doubt(tried, seen, before, True, clock) is before
         assert not clock.reports[0].ran
         assert text in clock.reports[0].reason
 
@@ -353,7 +357,7 @@ class OwnRectifier(Rectifier):
 def test_copies_load_no_network_and_what_is_sent_stays_what_it_is(rectifier, monkeypatch):
     own = OwnRectifier()
     assert type(pickle.loads(pickle.dumps(own))) is OwnRectifier
-    monkeypatch.setattr("hybrid.pipeline.rectifier.packaged_film_net", None)
+    monkeypatch.setattr("hybrid.pipeline.job.packaged_film_net", None)
     for it in (rectifier, own):
         assert copy.copy(it) is it
         assert copy.deepcopy([it])[0] is it

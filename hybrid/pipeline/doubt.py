@@ -9,9 +9,9 @@ from functools import partial
 from hybrid.backward import BackwardMap
 from hybrid.effort import RectifyConfig
 from hybrid.pipeline.geometry import evened, exact
-from hybrid.pipeline.looks import LastLook, Readers, network_beside, see_from_sides, seen_through
-from hybrid.pipeline.whole_sheet import edges_of, whole_sheet
-from hybrid.pyramid import Pyramid
+from hybrid.pipeline.job import Job
+from hybrid.pipeline.looks import LastLook, network_beside, see_from_sides, seen_through
+from hybrid.pipeline.whole_sheet import whole_sheet
 from hybrid.records import CoarseMaps, Signs, StageReport, StatusCode
 from hybrid.rectify.coarse.invert import Inversion
 from hybrid.rectify.edges.paths import EdgesRead, put_on_edges, read_edges
@@ -48,23 +48,16 @@ class Judged:
         return replace(self, signs=signs, verdict=verdict, chance=chance_right(signs, config.trust), stages=stages)
 
 
-def judged(
-    readers: Readers,
-    pyramid: Pyramid,
-    seen: LastLook,
-    refinement: Refinement,
-    flat: bool,
-    config: RectifyConfig,
-    clock: Clock,
-) -> Judged:
+def judged(job: Job, seen: LastLook, refinement: Refinement, flat: bool, clock: Clock) -> Judged:
     """Whether the map is as good as certain, and the evidence for and against it; the networks look once more.
 
     flat: whether the photo was found to be the flat film itself.
     """
+    pyramid, readers, config = job.pyramid, job.readers, job.config
     coarse = seen.inversion.backward if isinstance(seen.inversion, Inversion) else refinement.backward
     with clock.stage("verdict") as report:
         look_again = seen_through(readers.network, seen, config, refinement.backward)
-        across = edges_of(pyramid, refinement, readers.edges, config)
+        across = job.edges_of(refinement)
         film, grid = refinement.backward, refinement.grid
         shown = 0.0 if grid is None else borders_shown(pyramid, film, grid, readers.borders, config.refine.borders)
         signs = signs_of(pyramid, seen.maps, coarse, refinement, look_again, across, shown, flat, seen.near)
@@ -74,20 +67,13 @@ def judged(
     return Judged(refinement, across, look_again, signs, verdict, chance_right(signs, config.trust), stages)
 
 
-def beyond_doubt(
-    readers: Readers,
-    pyramid: Pyramid,
-    seen: LastLook,
-    first: Judged,
-    whole: bool,
-    config: RectifyConfig,
-    clock: Clock,
-) -> Judged:
+def beyond_doubt(job: Job, seen: LastLook, first: Judged, whole: bool, clock: Clock) -> Judged:
     """A refinement or, if in doubt, the surest of it and several more, up to the first that is not in doubt.
 
     They start from where the first ended, with edges and cells as seen through its map, then from what the network sees
     in other orientations. whole: whether to look for margins that were taken for the background.
     """
+    config = job.config
     with clock.stage("again") as report:
         doubtful = first.verdict.code is StatusCode.UNSURE
         hopeful = first.chance >= config.hopeless
@@ -96,13 +82,13 @@ def beyond_doubt(
             some = "too little speaks for it" if config.tries else "one refinement is enough in this effort"
             report.reason = some if doubtful else "no doubt is left that another refinement could remove"
             return first
-        found, beside = [first.doubted(config)], partial(network_beside, readers.network, seen, config)
-        for start in _starts(readers, pyramid, seen, first, config):
+        found, beside = [first.doubted(config)], partial(network_beside, job.readers.network, seen, config)
+        for start in _starts(job, seen, first):
             apart = Clock()
-            refined = exact(pyramid, *start, readers.edges, config, apart)
+            refined = exact(job, *start, apart)
             if whole:
-                refined = whole_sheet(pyramid, start[1], refined, readers.edges, beside, config, apart)
-            found.append(judged(readers, pyramid, seen, refined, False, config, apart).doubted(config))
+                refined = whole_sheet(job, start[1], refined, beside, apart)
+            found.append(judged(job, seen, refined, False, apart).doubted(config))
             if found[-1].verdict.ok or len(found) > config.tries:
                 break
         surest = max(found, key=lambda one: (one.verdict.ok, one.verdict.code is not StatusCode.NO_FILM, one.chance))
@@ -112,13 +98,11 @@ def beyond_doubt(
     return surest
 
 
-def _starts(
-    readers: Readers, pyramid: Pyramid, seen: LastLook, first: Judged, config: RectifyConfig
-) -> Iterator[tuple[BackwardMap, CellPhases | None, EdgesRead]]:
+def _starts(job: Job, seen: LastLook, first: Judged) -> Iterator[tuple[BackwardMap, CellPhases | None, EdgesRead]]:
     """Maps to refine anew, with what the network says of the cells, and with the edges read: where the first refinement
     ended, and then what the network sees in other orientations."""
-    yield first.refinement.backward, readers.phases_of(first.seen, config), first.across
-    phases = readers.phases_of(seen.maps, config)
-    for side in see_from_sides(readers.network, seen, config)[:-1]:
-        read = read_edges(pyramid, side.backward, readers.edges, config.edges)
+    yield first.refinement.backward, job.phases_of(first.seen), first.across
+    phases, config = job.phases_of(seen.maps), job.config
+    for side in see_from_sides(job.readers.network, seen, config)[:-1]:
+        read = read_edges(job.pyramid, side.backward, job.readers.edges, config.edges)
         yield evened(put_on_edges(side.backward, read, config.edges), phases, read, config), phases, read

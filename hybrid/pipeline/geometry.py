@@ -11,38 +11,32 @@ import numpy as np
 
 from hybrid.backward import BackwardMap, mean_move
 from hybrid.effort import RectifyConfig
+from hybrid.pipeline.job import Job
 from hybrid.pipeline.looks import LastLook
 from hybrid.pyramid import Photo, Pyramid
 from hybrid.rectify.coarse.foreshortening import even
 from hybrid.rectify.coarse.invert import Inversion
-from hybrid.rectify.edges.paths import EdgesRead, look_across, put_on_edges, read_edges
+from hybrid.rectify.edges.paths import EdgesRead, put_on_edges, read_edges
 from hybrid.rectify.grid.phases import CellPhases
 from hybrid.rectify.refine.plane import flat_film
 from hybrid.rectify.refine.refine import Refinement, refine
 from hybrid.rectify.verdict.flat import already_flat, is_frame
 from hybrid.rectify.verdict.survey import survey_print
 from hybrid.stages import Clock, Report
-from hybrid.strips import StripReader
 
 
-def shape_of(
-    pyramid: Pyramid,
-    coarse: BackwardMap,
-    phases: CellPhases | None,
-    reader: StripReader,
-    config: RectifyConfig,
-    clock: Clock,
-) -> Refinement:
+def shape_of(job: Job, coarse: BackwardMap, phases: CellPhases | None, clock: Clock) -> Refinement:
     """The exact map of the film and its grid, found by the shortest way that the film allows.
 
-    coarse: the network's map. phases: what the network says of the cells. reader: reads the film's edges.
+    coarse: the network's map. phases: what the network says of the cells.
     """
+    config = job.config
     with clock.stage("edges") as report:
-        read = read_edges(pyramid, coarse, reader, config.edges)
+        read = read_edges(job.pyramid, coarse, job.readers.edges, config.edges)
         start = put_on_edges(coarse, read, config.edges)
         report.reason = f"{len(read.sightings)} of 4 edges read, at most {read.off:.1%} of the film off the network's"
     by_edges = partial(flat_film, edges=read.seen_through(start), refine=config.refine, config=config.plane)
-    flat = _on_copy(pyramid, start, phases, config.refine.working_px, by_edges)
+    flat = _on_copy(job.pyramid, start, phases, config.refine.working_px, by_edges)
     clock.reports += flat.stages
     if flat.believed:
         return flat
@@ -51,23 +45,15 @@ def shape_of(
         start = evened(start, phases, read, config)
         moved = mean_move(before, start)
         report.reason = f"cells moved by {moved:.2%} of the film" if report.ran else "the network predicts no cells"
-    return exact(pyramid, start, phases, read, reader, config, clock)
+    return exact(job, start, phases, read, clock)
 
 
-def exact(
-    pyramid: Pyramid,
-    start: BackwardMap,
-    phases: CellPhases | None,
-    read: EdgesRead,
-    reader: StripReader,
-    config: RectifyConfig,
-    clock: Clock,
-) -> Refinement:
+def exact(job: Job, start: BackwardMap, phases: CellPhases | None, read: EdgesRead, clock: Clock) -> Refinement:
     """Refine a map by what is seen of the film, and once more from where its edges are then read, if that is surer."""
-    first = refine_once(pyramid, phases, read, config, start)
+    first = refine_once(job, phases, read, start)
     clock.reports += first.stages
     with clock.stage("reread") as report:
-        return reread(pyramid, phases, first, reader, config, report)
+        return reread(job, phases, first, report)
 
 
 def evened(film: BackwardMap, phases: CellPhases | None, read: EdgesRead, config: RectifyConfig) -> BackwardMap:
@@ -75,19 +61,12 @@ def evened(film: BackwardMap, phases: CellPhases | None, read: EdgesRead, config
     return film if phases is None else even(film, phases, read.seen_through(film), config.foreshortening)
 
 
-def reread(
-    pyramid: Pyramid,
-    phases: CellPhases | None,
-    first: Refinement,
-    reader: StripReader,
-    config: RectifyConfig,
-    report: Report,
-) -> Refinement:
+def reread(job: Job, phases: CellPhases | None, first: Refinement, report: Report) -> Refinement:
     """A refinement with its edges as read across its map; or a second one, which starts from these edges and is held to
     them, if its edges are then surer; or else one that leaves open where the print ends, if its edges are then as good
     as certain."""
-    options = config.edges
-    read = look_across(pyramid, first.backward, reader, options)
+    options = job.config.edges
+    read = job.look_across(first.backward)
     least = float(read.support.min())
     first = replace(first, across=read)
     report.ran = first.believed and least < options.doubtful and read.off > options.beside
@@ -95,10 +74,10 @@ def reread(
     if not report.ran:
         return first
     on_edges = put_on_edges(first.backward, read, options)
-    held, surer = config.refine.edges_held, least + options.surer
+    held, surer = job.config.refine.edges_held, least + options.surer
     for refining, enough in ((held, surer), (held.print_free, max(surer, options.sure))):
-        second = refine_once(pyramid, phases, read, replace(config, refine=refining), on_edges)
-        again = look_across(pyramid, second.backward, reader, options)
+        second = refine_once(job.refining(refining), phases, read, on_edges)
+        again = job.look_across(second.backward)
         report.reason += f"; {float(again.support.min()):.0%} once refined from there"
         if second.stands and again.support.min() > enough:
             report.reason += ", which counts"
@@ -109,12 +88,11 @@ def reread(
 
 
 def flat_itself(
-    pyramid: Pyramid,
+    job: Job,
     seen: LastLook,
     phases: CellPhases | None,
     refined: Refinement | None,
     told: BackwardMap | None,
-    config: RectifyConfig,
     clock: Clock,
 ) -> Refinement | None:
     """The photo's frame as the film's map, if the photo is a scan or a film that was flattened before.
@@ -122,28 +100,25 @@ def flat_itself(
     refined: what became of the network's map; None if that is not a film's. told: the plane sheet with the corners that
     a person gave; the photo is the film only if these are the photo's own.
     """
+    pyramid = job.pyramid
     coarse = seen.inversion.backward if isinstance(seen.inversion, Inversion) else None
     with clock.stage("flat") as report:
         if told is not None and not is_frame(told, pyramid.size):
             report.ran, report.reason = False, "the given corners are not those of the photo"
             return None
-        refining = partial(refine_once, pyramid, phases, None, config)
+        refining = partial(refine_once, job, phases, None)
         flat, report.reason = already_flat(pyramid, coarse, seen.filled, refined, refining)
         if flat is not None and refined is None:  # where no film was found, its print was not checked
-            printed = survey_print(pyramid, flat.backward, config.survey)
+            printed = survey_print(pyramid, flat.backward, job.config.survey)
             flat, report.reason = (flat if printed.ok else None), f"{report.reason}; {printed.reason}"
         report.ran = flat is not None
     return flat
 
 
-def refine_once(
-    pyramid: Pyramid, phases: CellPhases | None, read: EdgesRead | None, config: RectifyConfig, start: BackwardMap
-) -> Refinement:
+def refine_once(job: Job, phases: CellPhases | None, read: EdgesRead | None, start: BackwardMap) -> Refinement:
     """Refine a map on a copy of the photo that is large enough for it. read: the edges, if they were read."""
-    edges = () if read is None else read.seen_through(start)
-    return _on_copy(
-        pyramid, start, phases, config.refine.working_px, partial(refine, config=config.refine, edges=edges)
-    )
+    edges, options = () if read is None else read.seen_through(start), job.config.refine
+    return _on_copy(job.pyramid, start, phases, options.working_px, partial(refine, config=options, edges=edges))
 
 
 def _on_copy(

@@ -16,28 +16,12 @@ from hybrid.pyramid import Photo, Pyramid
 from hybrid.records import CoarseMaps, StatusCode
 from hybrid.rectify.coarse.corners import put_on_corners
 from hybrid.rectify.coarse.invert import Inversion, NotInverted, change, fit_backward
-from hybrid.rectify.grid.phases import CellPhases
 from hybrid.rectify.verdict.survey import SurveyConfig, Verdict, expected_error, film_share, survey_maps, survey_print
 from hybrid.rectify.verdict.trust import seen_beside
 from hybrid.stages import Clock
-from hybrid.strips import StripReader
 
 WIDER, NEARER = 1.25, 0.7
 """Widths, relative to the photo's, of the first looks that are tried in turn if a look at the whole shows no film."""
-
-
-@dataclass(frozen=True, eq=False)
-class Readers:
-    """The networks that read a photo's film: ``network`` sees it as a whole, the others read strips across the sheet's
-    edges and across the borders between its cells."""
-
-    network: FilmNet
-    edges: StripReader
-    borders: StripReader
-
-    def phases_of(self, maps: CoarseMaps, config: RectifyConfig) -> CellPhases | None:
-        """What the network says of the cells, if the options ask for it."""
-        return CellPhases.of(maps, self.borders) if config.told_cells else None
 
 
 @dataclass(frozen=True, eq=False)

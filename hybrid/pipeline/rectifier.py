@@ -17,24 +17,11 @@ from hybrid.effort import Effort, RectifyConfig
 from hybrid.errors import ConfigError, FusionError, describe
 from hybrid.grid_edit import GridEdit
 from hybrid.image_io import PhotoSource, as_photo
-from hybrid.learn.networks.edgenet import strip_reader
-from hybrid.learn.networks.filmnet import FilmNet, FilmNetConfig
-from hybrid.learn.networks.inference import ready
-from hybrid.learn.networks.lightnet import level_reader
-from hybrid.learn.networks.weights import (
-    load_weights,
-    packaged_border_net,
-    packaged_edge_net,
-    packaged_film_net,
-    packaged_light_net,
-    packaged_slice_net,
-    packaged_upright_net,
-)
-from hybrid.learn.reading.orientation import OrientationReader
 from hybrid.pipeline.doubt import beyond_doubt, judged
-from hybrid.pipeline.finish import FilmReaders, finished, made_anew
+from hybrid.pipeline.finish import finished, made_anew
 from hybrid.pipeline.geometry import flat_itself, shape_of
-from hybrid.pipeline.looks import Readers, checked, network_beside, see, see_at, see_from_sides
+from hybrid.pipeline.job import Job, Readers
+from hybrid.pipeline.looks import checked, network_beside, see, see_at, see_from_sides
 from hybrid.pipeline.whole_sheet import whole_sheet
 from hybrid.pyramid import Photo, Pyramid
 from hybrid.records import RectifyResult, Status, StatusCode
@@ -63,15 +50,7 @@ class Rectifier:
         if not isinstance(self.config, RectifyConfig):
             do = 'For an effort: Rectifier(RectifyConfig.of("fast")).'
             raise ConfigError(describe(what="Rectifier", got=repr(config), allowed="a RectifyConfig or None", do=do))
-        weights = self.config.weights
-        network = packaged_film_net() if weights is None else load_weights(weights, FilmNet, FilmNetConfig)
-        self._readers = Readers(
-            ready(network), *(strip_reader(ready(net())) for net in (packaged_edge_net, packaged_border_net))
-        )
-        self._film_readers = FilmReaders(
-            OrientationReader(ready(packaged_upright_net()), ready(packaged_slice_net())),
-            level_reader(ready(packaged_light_net())),
-        )
+        self._readers = Readers.packaged(self.config.weights)
 
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self), (self.config,)
@@ -141,7 +120,7 @@ class Rectifier:
             results = [self._rectified(*one, None, clock) for one, clock in zip(read, clocks, strict=True)]
             photos = [photo for photo, _ in read]
             options = self.config.fuse, self.config.light, self.config.resample
-            fused = fuse(photos, results, self._film_readers.levels, *options, names)
+            fused = fuse(photos, results, self._readers.levels, *options, names)
             return replace(fused, photos=len(photos))
 
     def edited(self, source: PhotoSource, edit: GridEdit) -> RectifyResult:
@@ -169,7 +148,7 @@ class Rectifier:
         with one_thread():
             photo, _ = _photo_of(source, clock)
             before.of_photo(photo.shape)
-            return made_anew(Pyramid(photo), edit, self._film_readers, self.config, clock)
+            return made_anew(Job(Pyramid(photo), self._readers, self.config), edit, clock)
 
     def network_map(self, source: PhotoSource) -> BackwardMap | None:
         """The network's own map of a photo, before refinement: that of the film as it lies in the photo.
@@ -193,27 +172,28 @@ class Rectifier:
         size = (photo.shape[0], photo.shape[1])
         if not shown.ok:
             return RectifyResult(Status(shown.code), clock.reports, photo_size=size)
-        pyramid, readers, config = Pyramid(photo), self._readers, _with_lens(self.config, focal)
+        pyramid, network, config = Pyramid(photo), self._readers.network, _with_lens(self.config, focal)
+        job = Job(pyramid, self._readers, config)
         told = None if corners is None else film_at(corners, size)
         if told is None:
-            seen = see(readers.network, pyramid, config, clock)
-            seen, checks = checked(readers.network, pyramid, seen, config, clock)
+            seen = see(network, pyramid, config, clock)
+            seen, checks = checked(network, pyramid, seen, config, clock)
         else:
-            seen = see_at(readers.network, pyramid, told, config, clock)
+            seen = see_at(network, pyramid, told, config, clock)
             checks = Verdict(StatusCode.OK, "its corners are given")
-        phases = readers.phases_of(seen.maps, config)
+        phases = job.phases_of(seen.maps)
         refinement: Refinement | None = None
         if checks.ok:
             assert isinstance(seen.inversion, Inversion)  # else there is no film
-            refinement = shape_of(pyramid, seen.inversion.backward, phases, readers.edges, config, clock)
+            refinement = shape_of(job, seen.inversion.backward, phases, clock)
             if corners is None:
-                beside = partial(network_beside, readers.network, seen, config)
-                refinement = whole_sheet(pyramid, phases, refinement, readers.edges, beside, config, clock)
-        flat = flat_itself(pyramid, seen, phases, refinement, told, config, clock)
+                beside = partial(network_beside, network, seen, config)
+                refinement = whole_sheet(job, phases, refinement, beside, clock)
+        flat = flat_itself(job, seen, phases, refinement, told, clock)
         if (refinement := flat or refinement) is None:
             return RectifyResult(Status(checks.code), clock.reports, photo_size=size)
-        first = judged(readers, pyramid, seen, refinement, flat is not None, config, clock)
-        found = beyond_doubt(readers, pyramid, seen, first, corners is None, config, clock)
+        first = judged(job, seen, refinement, flat is not None, clock)
+        found = beyond_doubt(job, seen, first, corners is None, clock)
         clock.counts(found.stages)
         verdict, signs = found.verdict, found.signs
         if verdict.code is StatusCode.NO_FILM:
@@ -224,7 +204,7 @@ class Rectifier:
             doubts = (*verdict.doubts, "it is printed dark on bright: of a negative, invert the picture first")
             verdict = replace(verdict, code=StatusCode.UNSURE, doubts=doubts)
         lens = None if flat is not None else config.refine.sheet
-        result = finished(pyramid, seen.maps, found.refinement, lens, self._film_readers, config, clock)
+        result = finished(job, seen.maps, found.refinement, lens, clock)
         return replace(
             result,
             status=Status(verdict.code, verdict.doubts),

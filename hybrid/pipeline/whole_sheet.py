@@ -8,45 +8,40 @@ from dataclasses import replace
 import numpy as np
 
 from hybrid.backward import BackwardMap
-from hybrid.effort import RectifyConfig
 from hybrid.pipeline.geometry import exact, refine_once
-from hybrid.pyramid import Pyramid
-from hybrid.rectify.edges.paths import EdgesRead, look_across
+from hybrid.pipeline.job import Job
 from hybrid.rectify.grid.phases import CellPhases
 from hybrid.rectify.margins.clear import LongerSheet, with_margins
 from hybrid.rectify.margins.ground import without_margins
 from hybrid.rectify.refine.refine import Refinement
 from hybrid.stages import Clock
-from hybrid.strips import StripReader
 
 MOST_MARGINS = 2
 """How often margins are looked for: at one end they may show only once the sheet is made longer at the other."""
 
 
 def whole_sheet(
-    pyramid: Pyramid,
+    job: Job,
     phases: CellPhases | None,
     refined: Refinement,
-    reader: StripReader,
     beside: Callable[[BackwardMap], float],
-    config: RectifyConfig,
     clock: Clock,
 ) -> Refinement:
     """A refinement, or one of a longer sheet with margins that had been taken for the background, if its edges are
     likely to be there, its print lies in its middle, and the network sees it there, too; or one of a shorter sheet
     without margins that were background.
 
-    reader: reads the film's edges. beside: how far beside a map the network sees the film (``seen_beside``).
+    beside: how far beside a map the network sees the film (``seen_beside``).
     """
     with clock.stage("margins") as report:
         found: list[str] = []
         while len(found) < MOST_MARGINS:
-            wider = _with_margins(pyramid, phases, refined, reader, beside, config)
+            wider = _with_margins(job, phases, refined, beside)
             if wider is None:
                 break
             refined = wider[0]
             found.append(wider[1])
-        if shorter := _without_margins(pyramid, phases, refined, reader, config):
+        if shorter := _without_margins(job, phases, refined):
             refined = shorter[0]
             found.append(shorter[1])
         report.ran = bool(found)
@@ -55,63 +50,56 @@ def whole_sheet(
 
 
 def _with_margins(
-    pyramid: Pyramid,
-    phases: CellPhases | None,
-    refined: Refinement,
-    reader: StripReader,
-    beside: Callable[[BackwardMap], float],
-    config: RectifyConfig,
+    job: Job, phases: CellPhases | None, refined: Refinement, beside: Callable[[BackwardMap], float]
 ) -> tuple[Refinement, str] | None:
     """The first refinement with such margins that is believed, and what the margins are."""
-    options = config.margins
+    config, options = job.config, job.config.margins
     before = np.inf if refined.expected_px is None else refined.expected_px
     grid_before = _grid_chance(refined)
-    for longer in with_margins(pyramid, refined.backward, reader, config.edges, options):
-        wider = refine_once(pyramid, phases, longer.read, config, longer.read.through)
+    for longer in with_margins(job.pyramid, refined.backward, job.readers.edges, config.edges, options):
+        wider = refine_once(job, phases, longer.read, longer.read.through)
         most_px = options.most_expected * max(wider.backward.mean_film_pixels())
         if wider.expected_px is None or wider.expected_px > most_px:
             continue
         if wider.grid is not None and wider.grid.lopsided > options.most_lopsided:
             continue
-        across = look_across(pyramid, wider.backward, reader, config.edges)
+        across = job.look_across(wider.backward)
         chance = longer.chance(across)
         if chance < options.sure or across.support.min() < options.least_support:
             continue
         larger = wider.expected_px > options.most_growth * before
         fits = _grid_chance(wider) - grid_before >= (options.grid_changed if larger else -options.grid_changed)
-        if not (fits or _blank(pyramid, longer, wider, config)):
+        if not (fits or _blank(job, longer, wider)):
             continue
         surely = fits or chance >= options.blank_sure
-        if not surely and edges_of(pyramid, refined, reader, config).support.min() >= config.edges.sure:
+        if not surely and job.edges_of(refined).support.min() >= config.edges.sure:
             continue
         if beside(wider.backward) <= options.most_beside:
             return replace(wider, across=across), str(longer)
     return None
 
 
-def _without_margins(
-    pyramid: Pyramid, phases: CellPhases | None, refined: Refinement, reader: StripReader, config: RectifyConfig
-) -> tuple[Refinement, str] | None:
+def _without_margins(job: Job, phases: CellPhases | None, refined: Refinement) -> tuple[Refinement, str] | None:
     """A refinement of the sheet without margins that were background, and what these were."""
-    options, grid, across = config.false_margins, refined.grid, refined.across
+    options, grid, across = job.config.false_margins, refined.grid, refined.across
     if grid is None:
         return None
     unseen = across is not None and across.support.min() < options.unseen  # a plane has straight edges that are seen
     may_gain = grid.confidence + options.grid_gained <= 1.0
     if not (unseen or may_gain or grid.lopsided >= options.unlike - options.most_lopsided):
         return None  # whatever were cut off, nothing would tell it from a margin
-    shorter = without_margins(pyramid, refined.backward, grid, reader, config.edges, options)
+    shorter = without_margins(job.pyramid, refined.backward, grid, job.readers.edges, job.config.edges, options)
     if shorter is None:
         return None
     is_ground = unseen or shorter.unlike >= options.unlike
     if not (is_ground or may_gain):
         return None
-    within = exact(pyramid, shorter.read.through, phases, shorter.read, reader, config, Clock())
+    within = exact(job, shorter.read.through, phases, shorter.read, Clock())
     if within.grid is None or within.grid.lopsided > options.most_lopsided:
         return None
     if not (is_ground or within.grid.confidence >= grid.confidence + options.grid_gained):
         return None
-    sure = edges_of(pyramid, within, reader, config).support.min() >= options.sure
+    sure = job.edges_of(within).support.min() >= options.sure
     return (within, str(shorter)) if sure else None
 
 
@@ -120,14 +108,9 @@ def _grid_chance(refinement: Refinement) -> float:
     return 0.0 if refinement.grid is None else refinement.grid.confidence
 
 
-def edges_of(pyramid: Pyramid, refinement: Refinement, reader: StripReader, config: RectifyConfig) -> EdgesRead:
-    """The edges as read across a refinement's map; they are read now if they have not been."""
-    return refinement.across or look_across(pyramid, refinement.backward, reader, config.edges)
-
-
-def _blank(pyramid: Pyramid, longer: LongerSheet, wider: Refinement, config: RectifyConfig) -> bool:
+def _blank(job: Job, longer: LongerSheet, wider: Refinement) -> bool:
     """Whether what a sheet gains is blank and alike on both sides of the print: margins, however the print fits."""
-    options, lopsided = config.margins, longer.lopsided if wider.grid is None else wider.grid.lopsided
+    options, lopsided = job.config.margins, longer.lopsided if wider.grid is None else wider.grid.lopsided
     if lopsided > options.blank_lopsided:
         return False
-    return longer.detail_gained(pyramid, wider.backward, config.refine.cells) <= options.blank
+    return longer.detail_gained(job.pyramid, wider.backward, job.config.refine.cells) <= options.blank
