@@ -24,6 +24,12 @@ FORMATS_MM = {
 }  # fmt: skip
 """Sides of film formats, the longer first, and their frequency."""
 
+HEADER_RANGE = 0.02, 0.12
+"""Heights of header strips as shares of the film's longer side; half of them are below the geometric mean."""
+
+LEAST_MARGIN, MOST_MARGIN = 0.003, 0.1
+"""Margins that are asked for, as shares of the film's longer side; cells in its middle may leave wider ones."""
+
 PLACINGS = ("free", "fitted", "centred")
 """A sheet as large as its square (or nearly square) cells need; a sheet of a film format, its cells stretched to fill
 it; a sheet of a film format, with square cells in its middle."""
@@ -57,12 +63,12 @@ class PrintConfig:
     text_share: float = 0.94
     header_share: float = 0.15
     footer_share: float = 0.25
-    label_share: float = 0.3
+    label_share: float = 0.4
     empty_share: float = 0.12
     scout_share: float = 0.1
     windows_share: float = 0.15
     marks_share: float = 0.2
-    clear_share: float = 0.2
+    clear_share: float = 0.3
     frame_share: float = 0.2
     bright_gap_share: float = 0.12
 
@@ -151,7 +157,7 @@ def random_layout(rng: np.random.Generator, config: PrintConfig) -> Layout:
     rows, cols = GRIDS[rng.choice(len(GRIDS), p=weights / weights.sum())][0]
     style = STYLES[rng.choice(3, p=np.array(config.style_weights) / sum(config.style_weights))]
     target = config.longer_px * rng.uniform(1 - config.longer_spread, 1 + config.longer_spread)
-    header = float(rng.uniform(0.02, 0.05)) if rng.random() < config.header_share else 0.0
+    header = float(np.exp(rng.uniform(*np.log(HEADER_RANGE)))) if rng.random() < config.header_share else 0.0
     margins = _random_margins(rng, config.margin_share)
     footer = bool(header and rng.random() < config.footer_share)
     margins[2 if footer else 0] += header
@@ -188,12 +194,12 @@ def _random_format(rng: np.random.Generator) -> tuple[str, tuple[float, float]]:
 
 
 def _random_margins(rng: np.random.Generator, share: float) -> Float[np.ndarray, " 4"]:
-    """(top, right, bottom, left) as shares of the longer side: usually none, else all equal or each different."""
+    """(top, right, bottom, left) as shares of the longer side: usually none, else all equal or each different; half of
+    them are below a quarter of the widest."""
     if rng.random() >= share:
         return np.zeros(4)
-    if rng.random() < 0.6:
-        return np.full(4, rng.uniform(0.003, 0.05))
-    return rng.uniform(0.0, 0.05, 4)
+    drawn = np.full(4, rng.random()) if rng.random() < 0.6 else rng.random(4)
+    return np.maximum(LEAST_MARGIN, MOST_MARGIN * drawn**2)
 
 
 # Below, lengths are shares of the sheet's longer side; a sheet is (height, width), a pitch (down, across).

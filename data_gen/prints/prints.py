@@ -176,19 +176,30 @@ def _draw_bars(
 def _draw_header(
     rng: np.random.Generator, image: Float[np.ndarray, "h w"], layout: Layout, look: Look, label_share: float
 ) -> str:
-    """Draw a strip above or below the grid with a line of text that names nobody; return the text."""
+    """Draw a strip above or below the grid with up to three lines that name nobody; return the text."""
     strip = image[-layout.header_px :] if layout.footer else image[: layout.header_px]
     on_bare_film, label = look.clear and rng.random() < 0.6, rng.random() < label_share
     if on_bare_film:
         strip[:] = look.margin_grey
     else:
         strip[:] = rng.uniform(0.5, 1.0) if label else look.base + rng.uniform(0.0, 0.3)
-    letters = "".join(rng.choice(list("ABCDEFGHIKLMNOPRSTUVXZ0123456789   "), int(rng.integers(12, 60))))
-    height = max(6, round(0.4 * layout.header_px))
-    sprite = text_sprite(letters, Font(str(rng.choice(FAMILIES)), height))
-    at = int(rng.uniform(0.01, 0.5) * image.shape[1]), (layout.header_px - height) // 2
-    stamp(strip, sprite, *at, look.base if on_bare_film or label else 0.9)
-    return letters
+    count = int(rng.integers(1, 4))
+    spacing = layout.header_px / count
+    font = Font(str(rng.choice(FAMILIES)), max(6, round(float(rng.uniform(0.4, 0.75)) * spacing)))
+    blocks = [float(rng.uniform(0.01, 0.5))] if rng.random() < 0.5 else [0.02, float(rng.uniform(0.5, 0.75))]
+    lines: list[str] = []
+    for k in range(count):
+        top = round((k + 0.5) * spacing - font.height_px / 2)
+        for left in blocks:
+            lines.append(_random_line(rng, most=60 // len(blocks)))
+            at = round(left * image.shape[1]), top
+            stamp(strip, text_sprite(lines[-1], font), *at, look.base if on_bare_film or label else 0.9)
+    return "\n".join(lines)
+
+
+def _random_line(rng: np.random.Generator, most: int) -> str:
+    """Capitals, digits and spaces that mean nothing."""
+    return "".join(rng.choice(list("ABCDEFGHIKLMNOPRSTUVXZ0123456789   "), int(rng.integers(6, most))))
 
 
 __all__ = ["FilmPrint", "PrintConfig", "choose_slices", "make_print"]
