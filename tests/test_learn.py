@@ -50,9 +50,11 @@ from hybrid.learn.networks.weights import (
 from hybrid.learn.paper.views import PaperView, paper_batch
 from hybrid.learn.reading.predict import as_in_view, look, look_from_sides
 from hybrid.learn.reading.views import film_from_view, film_view, output_points, square_view, view_image
+from hybrid.learn.training import state as state_module
 from hybrid.learn.training import train as train_module
+from hybrid.learn.training.plan import TrainConfig
 from hybrid.learn.training.presets import PRESETS, weighted_sum
-from hybrid.learn.training.train import TrainConfig, train
+from hybrid.learn.training.train import train
 from hybrid.pipeline import Rectifier
 from hybrid.pyramid import Pyramid
 from hybrid.records import CoarseMaps
@@ -573,7 +575,7 @@ def quick_run(dataset, out, passes, **options) -> TrainConfig:
 def test_training_resumes_exactly(dataset, tmp_path, monkeypatch):
     """Ctrl-C comes in the middle of the fifth step, after the forward pass and before the update."""
     train(quick_run(dataset, tmp_path / "whole", 32))
-    original, calls = train_module.weighted_sum, []
+    original, calls = state_module.weighted_sum, []
 
     def interrupted(terms, weights):
         calls.append(1)
@@ -583,7 +585,7 @@ def test_training_resumes_exactly(dataset, tmp_path, monkeypatch):
 
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     with monkeypatch.context() as patch:
-        patch.setattr(train_module, "weighted_sum", interrupted)
+        patch.setattr(state_module, "weighted_sum", interrupted)
         with pytest.raises(KeyboardInterrupt):
             train(replace(quick_run(dataset, tmp_path / "parts", 32), minutes_per_save=60.0))
     signal.signal(signal.SIGINT, before)

@@ -15,7 +15,7 @@ from hybrid import cli
 from hybrid.effort import RectifyConfig
 from hybrid.errors import ConfigError, FittedWeights, require_at_least, require_numbers
 from hybrid.learn.reading.predict import PredictConfig
-from hybrid.learn.training.train import Plan, TrainConfig
+from hybrid.learn.training.plan import Plan, TrainConfig
 from hybrid.rectify.coarse.foreshortening import ForeshorteningConfig
 from hybrid.rectify.coarse.invert import InvertConfig
 from hybrid.rectify.edges.outline import OutlineConfig

@@ -21,8 +21,9 @@ from hybrid.learn.datasets.shards import open_dataset
 from hybrid.learn.networks.filmnet import STRIDE, FilmNet, FilmNetConfig
 from hybrid.learn.networks.losses import loss_terms
 from hybrid.learn.paper.views import PaperView, paper_batch
+from hybrid.learn.training.plan import TrainConfig
 from hybrid.learn.training.presets import PRESETS
-from hybrid.learn.training.train import TrainConfig, train
+from hybrid.learn.training.train import train
 
 SIZE = (150, 200)
 UV_STEP = 1 / 65535  # rounding of stored uv, and float32 arithmetic on it

@@ -33,10 +33,14 @@ from hybrid.learn.networks.losses import masked_mean
 from hybrid.learn.networks.weights import images_shown, load_weights, notes_of, save_weights
 from hybrid.learn.paper.dewarpnet import DewarpNetConfig, ShapeNet
 from hybrid.learn.paper.firenet import FiReNet, FiReNetConfig
+from hybrid.learn.training import state as state_module
 from hybrid.learn.training import train as train_module
+from hybrid.learn.training.curves import append_row, cut_rows
 from hybrid.learn.training.feeds import FILM_FEED, Feed
+from hybrid.learn.training.plan import Plan, TrainConfig
 from hybrid.learn.training.presets import PRESETS
-from hybrid.learn.training.train import Plan, Rank, TrainConfig, train
+from hybrid.learn.training.state import Rank, State, load_start
+from hybrid.learn.training.train import train
 
 ROOT = Path(__file__).parents[1]
 TINY = FilmNetConfig(widths=(4, 8, 8, 8), blocks=(1, 1, 1), input_px=64)
@@ -120,8 +124,8 @@ def test_a_run_goes_on_only_with_the_data_that_it_began_with(dataset, tmp_path):
 @pytest.mark.usefixtures("tiny")
 def test_a_run_goes_on_only_in_the_precision_that_it_began_with(dataset, tmp_path, monkeypatch):
     train(quick_run(dataset, tmp_path))
-    had = train_module.fast_bfloat16("cpu")
-    monkeypatch.setattr(train_module, "fast_bfloat16", lambda device: not had)
+    had = state_module.fast_bfloat16("cpu")
+    monkeypatch.setattr(state_module, "fast_bfloat16", lambda device: not had)
     with pytest.raises(ConfigError, match=r"got precision (bfloat16|float32); allowed: .*kind of processor"):
         train(quick_run(dataset, tmp_path))
 
@@ -188,15 +192,15 @@ def test_the_digest_of_data_tells_other_maps_of_film_net_apart(dataset, tmp_path
 def test_curves_of_steps_that_come_again_are_left_out(tmp_path):
     path = tmp_path / "curves.csv"
     path.write_text("passes,loss\n100,3\n200,2\n300,1\n")
-    train_module._cut_curves(path, 200)
+    cut_rows(path, 200)
     assert path.read_text() == "passes,loss\n100,3\n200,2\n"
 
 
 def test_an_empty_file_of_curves_stops_no_run(tmp_path):
     path = tmp_path / "curves.csv"
     path.write_text("")
-    train_module._cut_curves(path, 200)
-    train_module._log(path, {"passes": 1, "loss": 2})
+    cut_rows(path, 200)
+    append_row(path, {"passes": 1, "loss": 2})
     assert path.read_text().split() == ["passes,loss", "1,2"]
 
 
@@ -261,12 +265,12 @@ def test_dewarpnet_starts_from_its_stages(tmp_path):
         files.append(tmp_path / f"{name}.safetensors")
         save_weights(files[-1], chosen[name].network(), chosen[name].config, {})
     network = chosen["dewarpnet"].network()
-    train_module._load_start(network, tuple(files))
+    load_start(network, tuple(files))
     shape = load_weights(files[0], ShapeNet, DewarpNetConfig)
     for name, value in network.shape_net.state_dict().items():
         torch.testing.assert_close(value, shape.state_dict()[name], rtol=0, atol=1e-2)
     with pytest.raises(ConfigError, match="--start"):
-        train_module._load_start(shape, tuple(files))
+        load_start(shape, tuple(files))
 
 
 @pytest.mark.usefixtures("tiny")
@@ -306,7 +310,7 @@ def test_the_coarse_part_comes_first(tmp_path):
 @pytest.mark.usefixtures("tiny")
 def test_the_saved_weights_are_the_average_over_the_steps(dataset, tmp_path, monkeypatch):
     """a_k = d a_(k-1) + (1 - d) w_k with d = min(ema, (1 + k) / (10 + k)), from a_0 = w_0."""
-    original, states = train_module._State.update, []
+    original, states = State.update, []
 
     def recorded(self, images, targets):
         if not states:
@@ -315,7 +319,7 @@ def test_the_saved_weights_are_the_average_over_the_steps(dataset, tmp_path, mon
         states.append(self.network.head.weight.detach().clone())
         return terms
 
-    monkeypatch.setattr(train_module._State, "update", recorded)
+    monkeypatch.setattr(State, "update", recorded)
     train(quick_run(dataset, tmp_path, passes=24, ema=0.3))
     average = states[0]
     for k, weights in enumerate(states[1:], start=1):

@@ -86,7 +86,8 @@ def _fuse(arguments: list[str]) -> int:
 
 def _train(arguments: list[str]) -> int:
     from hybrid.command import parsed
-    from hybrid.learn.training.train import TrainConfig, train
+    from hybrid.learn.training.plan import TrainConfig
+    from hybrid.learn.training.train import train
 
     train(parsed(TrainConfig, arguments, "hybrid train"))
     return 0
