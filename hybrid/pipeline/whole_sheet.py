@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
-import numpy as np
-
 from hybrid.backward import BackwardMap
 from hybrid.pipeline.geometry import exact, refine_once
 from hybrid.pipeline.job import Job
+from hybrid.rectify.edges.paths import EdgesRead
 from hybrid.rectify.grid.phases import CellPhases
 from hybrid.rectify.margins.clear import LongerSheet, with_margins
 from hybrid.rectify.margins.ground import without_margins
@@ -53,30 +52,40 @@ def _with_margins(
     job: Job, phases: CellPhases | None, refined: Refinement, beside: Callable[[BackwardMap], float]
 ) -> tuple[Refinement, str] | None:
     """The first refinement with such margins that is believed, and what the margins are."""
-    config, options = job.config, job.config.margins
-    before = np.inf if refined.expected_px is None else refined.expected_px
-    grid_before = _grid_chance(refined)
-    for longer in with_margins(job.pyramid, refined.backward, job.readers.edges, config.edges, options):
+    options = job.config.margins
+    for longer in with_margins(job.pyramid, refined.backward, job.readers.edges, job.config.edges, options):
         wider = refine_once(job, phases, longer.read, longer.read.through)
         most_px = options.most_expected * max(wider.backward.mean_film_pixels())
         if wider.expected_px is None or wider.expected_px > most_px:
             continue
-        if wider.grid is not None and wider.grid.lopsided > options.most_lopsided:
-            continue
         across = job.look_across(wider.backward)
-        chance = longer.chance(across)
-        if chance < options.sure or across.support.min() < options.least_support:
+        if options.certain <= min(longer.chance(across), across.support.min()):
+            most_beside = options.certain_beside
+        elif _believed(job, refined, longer, wider, across):
+            most_beside = options.most_beside
+        else:
             continue
-        larger = wider.expected_px > options.most_growth * before
-        fits = _grid_chance(wider) - grid_before >= (options.grid_changed if larger else -options.grid_changed)
-        if not (fits or _blank(job, longer, wider)):
-            continue
-        surely = fits or chance >= options.blank_sure
-        if not surely and job.edges_of(refined).support.min() >= config.edges.sure:
-            continue
-        if beside(wider.backward) <= options.most_beside:
+        if beside(wider.backward) <= most_beside:
             return replace(wider, across=across), str(longer)
     return None
+
+
+def _believed(job: Job, refined: Refinement, longer: LongerSheet, wider: Refinement, across: EdgesRead) -> bool:
+    """Whether a longer sheet, refined and with its edges read across, is likelier than the sheet before."""
+    config, options = job.config, job.config.margins
+    chance = longer.chance(across)
+    if wider.grid is not None and wider.grid.lopsided > options.most_lopsided:
+        return False
+    if chance < options.sure or across.support.min() < options.least_support:
+        return False
+    assert wider.expected_px is not None
+    larger = refined.expected_px is not None and wider.expected_px > options.most_growth * refined.expected_px
+    gained = _grid_chance(wider) - _grid_chance(refined)
+    fits = gained >= (options.grid_changed if larger else -options.grid_changed)
+    if not (fits or _blank(job, longer, wider)):
+        return False
+    surely = fits or chance >= options.blank_sure
+    return surely or job.edges_of(refined).support.min() < config.edges.sure
 
 
 def _without_margins(job: Job, phases: CellPhases | None, refined: Refinement) -> tuple[Refinement, str] | None:

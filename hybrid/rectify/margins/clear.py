@@ -62,7 +62,9 @@ class ClearMarginsConfig:
     they differ by at most ``blank_lopsided``, they belong to no sheet below it, either: those count however the print
     fits, if some edge of the map before is not nearly certain or if their probability is at least ``blank_sure``.
     most_beside: largest distance, smoothed over the film, between where the network sees it and the longer map
-    (verdict/trust.py).
+    (verdict/trust.py). Where these margins and each edge of the longer map are at least as probable as ``certain``,
+    all this does not matter: that a strip of writing above the cells makes a print lopsided, or that it shows detail;
+    only the expected error and, then, a distance of ``certain_beside``.
     """
 
     beyond: tuple[float, ...] = (0.12, 0.28)
@@ -79,6 +81,8 @@ class ClearMarginsConfig:
     blank_lopsided: float = 0.03
     blank_sure: float = 0.8
     most_beside: float = 0.015
+    certain: float = 0.6
+    certain_beside: float = 0.02
 
     def __post_init__(self) -> None:
         require_at_least(self, 1e-3, "least")
