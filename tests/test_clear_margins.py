@@ -21,6 +21,8 @@ from hybrid.stages import Clock
 from hybrid.strips import SIDES
 
 MARGINS = ClearMarginsConfig()
+DOUBTED = replace(MARGINS, certain=1.01)
+"""Options with which edges alone never suffice, however sure they are."""
 PHOTO, SHEET = sheet_photo()
 """A dark sheet from 100 to 600 along both axes, on bright ground."""
 
@@ -131,7 +133,7 @@ def refined(film: BackwardMap, expected_px=0.5) -> Refinement:
 
 
 def sheet_of(
-    before: Refinement, monkeypatch, expected_px=0.5, margins=MARGINS, grid=None, beside=0.0, photo=PHOTO
+    before: Refinement, monkeypatch, expected_px=0.5, margins=DOUBTED, grid=None, beside=0.0, photo=PHOTO
 ) -> tuple[Refinement, list[BackwardMap], bool]:
     """The sheet, all maps from which refinement began (it leaves them unchanged), and whether the stage ran.
 
@@ -219,7 +221,7 @@ def test_margins_that_are_blank_and_alike_count_however_the_print_fits(
     is no margin; nor is a sheet below, on which the film may lie anywhere and from which its own edges stand out."""
     photo, rng = PHOTO.copy(), np.random.default_rng(0)
     photo[printed:600, 100:600] += rng.integers(0, 60, (600 - printed, 500, 1), np.uint8)
-    film, margins = part((100, 160)), replace(MARGINS, blank_sure=sure)
+    film, margins = part((100, 160)), replace(DOUBTED, blank_sure=sure)
     read = EdgesRead(film, (), 0.0, np.full((4, 32), before_sure * RectifyConfig().edges.sure))
     low = np.array([0.0, lopsided * MARGINS.blank_lopsided])
     vertices = low + (1.0 - low) * film_nodes((4, 4))
@@ -231,7 +233,7 @@ def test_margins_that_are_blank_and_alike_count_however_the_print_fits(
 
 
 def test_where_no_grid_is_seen_what_is_gained_tells_whether_margins_are_alike(monkeypatch):
-    margins = replace(MARGINS, blank_sure=0.5)
+    margins = replace(DOUBTED, blank_sure=0.5)
     for low, high, counts in ((160, 540, True), (160, 580, False), (160, 600, False)):
         photo, rng = PHOTO.copy(), np.random.default_rng(0)
         photo[low:high, 100:600] += rng.integers(0, 60, (high - low, 500, 1), np.uint8)
@@ -265,17 +267,29 @@ def test_nor_where_its_print_is_far_from_the_middle(monkeypatch):
 
 @pytest.mark.parametrize("name", ["sure", "least_support"])
 def test_nor_where_its_edges_are_not_sure_then(monkeypatch, name):
-    before, never = refined(part((100, 160))), replace(MARGINS, **{name: 1.01})
+    before, never = refined(part((100, 160))), replace(DOUBTED, **{name: 1.01})
     sheet, begun, ran = sheet_of(before, monkeypatch, margins=never)
     assert sheet is before
     assert len(begun) == 1
     assert not ran
 
 
-def test_nor_where_the_network_sees_the_film_elsewhere(monkeypatch):
+def test_where_its_edges_are_all_likely_nothing_else_counts_but_the_expected_error(monkeypatch):
+    """As with a strip of writing above the cells: the print is lopsided, and fits worse than without it."""
+    at, low = film_nodes((4, 4)), np.array([0.0, 0.146])
+    before = replace(refined(part((100, 160))), grid=SliceGrid(3, 3, at, at, 0.9))
+    grid = SliceGrid(3, 3, low + (1.0 - low) * at, at, 0.4)
+    for margins, expected_px, counts in ((MARGINS, 2.0, True), (DOUBTED, 2.0, False), (MARGINS, 20.0, False)):
+        sheet, _, ran = sheet_of(before, monkeypatch, expected_px, margins, grid)
+        assert ran is counts
+        assert (sheet is before) is not counts
+
+
+@pytest.mark.parametrize("margins", [MARGINS, DOUBTED])
+def test_nor_where_the_network_sees_the_film_elsewhere(monkeypatch, margins):
     before = refined(part((100, 160)))
     for beside, counts in ((1.01 * MARGINS.most_beside, False), (0.99 * MARGINS.most_beside, True)):
-        sheet, _, ran = sheet_of(before, monkeypatch, beside=beside)
+        sheet, _, ran = sheet_of(before, monkeypatch, margins=margins, beside=beside)
         assert ran is counts
         assert (sheet is before) is not counts
 

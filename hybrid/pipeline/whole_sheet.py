@@ -59,19 +59,16 @@ def _with_margins(
         if wider.expected_px is None or wider.expected_px > most_px:
             continue
         across = job.look_across(wider.backward)
-        if options.certain <= min(longer.chance(across), across.support.min()):
-            most_beside = options.certain_beside
-        elif _believed(job, refined, longer, wider, across):
-            most_beside = options.most_beside
-        else:
+        certain = min(longer.chance(across), across.support.min()) >= options.certain
+        if not (certain or _likelier(job, refined, longer, wider, across)):
             continue
-        if beside(wider.backward) <= most_beside:
+        if beside(wider.backward) <= options.most_beside:
             return replace(wider, across=across), str(longer)
     return None
 
 
-def _believed(job: Job, refined: Refinement, longer: LongerSheet, wider: Refinement, across: EdgesRead) -> bool:
-    """Whether a longer sheet, refined and with its edges read across, is likelier than the sheet before."""
+def _likelier(job: Job, refined: Refinement, longer: LongerSheet, wider: Refinement, across: EdgesRead) -> bool:
+    """Whether a longer sheet is likelier than the one before, by its edges, its print, and the margins it gains."""
     config, options = job.config, job.config.margins
     chance = longer.chance(across)
     if wider.grid is not None and wider.grid.lopsided > options.most_lopsided:
@@ -85,7 +82,7 @@ def _believed(job: Job, refined: Refinement, longer: LongerSheet, wider: Refinem
     if not (fits or _blank(job, longer, wider)):
         return False
     surely = fits or chance >= options.blank_sure
-    return surely or job.edges_of(refined).support.min() < config.edges.sure
+    return surely or bool(job.edges_of(refined).support.min() < config.edges.sure)
 
 
 def _without_margins(job: Job, phases: CellPhases | None, refined: Refinement) -> tuple[Refinement, str] | None:

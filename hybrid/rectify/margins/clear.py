@@ -4,8 +4,8 @@ The print is whole and straight, and its end is as good an edge as any, so the e
 sheet. But beyond it lies the sheet's own end, and the edges on both sides run straight on to there. So strips beyond
 each end of the map are read. Where one shows an edge, the map is extended to it and put on the edges that are read
 across the extended map. Other sheets and tables also end beyond the film, but there the sides do not run on, and the
-print would lie far from the sheet's middle: both the new end and the added parts of the sides must read as edges, and
-opposite margins must be alike.
+print would lie far from the sheet's middle. So both the new end and the added parts of the sides must read as edges,
+and, unless they do so beyond much doubt, opposite margins must be alike.
 """
 
 from __future__ import annotations
@@ -62,9 +62,9 @@ class ClearMarginsConfig:
     they differ by at most ``blank_lopsided``, they belong to no sheet below it, either: those count however the print
     fits, if some edge of the map before is not nearly certain or if their probability is at least ``blank_sure``.
     most_beside: largest distance, smoothed over the film, between where the network sees it and the longer map
-    (verdict/trust.py). Where these margins and each edge of the longer map are at least as probable as ``certain``,
-    all this does not matter: that a strip of writing above the cells makes a print lopsided, or that it shows detail;
-    only the expected error and, then, a distance of ``certain_beside``.
+    (verdict/trust.py). certain: where the margins and every edge of the longer map are as probable as this, only the
+    expected error and this distance can speak against them: a strip of writing, too, makes a print lopsided, shows
+    detail, and has no cells.
     """
 
     beyond: tuple[float, ...] = (0.12, 0.28)
@@ -80,9 +80,8 @@ class ClearMarginsConfig:
     blank: float = 0.4
     blank_lopsided: float = 0.03
     blank_sure: float = 0.8
-    most_beside: float = 0.015
+    most_beside: float = 0.02
     certain: float = 0.6
-    certain_beside: float = 0.02
 
     def __post_init__(self) -> None:
         require_at_least(self, 1e-3, "least")
