@@ -274,15 +274,29 @@ def test_nor_where_its_edges_are_not_sure_then(monkeypatch, name):
     assert not ran
 
 
-def test_where_its_edges_are_all_likely_nothing_else_counts_but_the_expected_error(monkeypatch):
-    """As with a strip of writing above the cells: the print is lopsided, and fits worse than without it."""
-    at, low = film_nodes((4, 4)), np.array([0.0, 0.146])
+@pytest.mark.parametrize(
+    ("margins", "low", "written", "expected_px", "counts"),
+    [
+        (MARGINS, 0.146, 100, 2.0, True),
+        (MARGINS, 0.07, 160, 2.0, True),
+        (MARGINS, 0.146, 160, 2.0, False),
+        (MARGINS, 0.146, 100, 20.0, False),
+        (DOUBTED, 0.146, 100, 2.0, False),
+    ],
+)
+def test_where_its_edges_are_all_likely_margins_count_that_are_alike_or_written_on(
+    monkeypatch, margins, low, written, expected_px, counts
+):
+    """However the print fits: a strip of writing above the cells has no cells. A blank one may be a sheet below."""
+    photo, rng = PHOTO.copy(), np.random.default_rng(0)
+    photo[written:600, 100:600] += rng.integers(0, 60, (600 - written, 500, 1), np.uint8)
+    at = film_nodes((4, 4))
     before = replace(refined(part((100, 160))), grid=SliceGrid(3, 3, at, at, 0.9))
-    grid = SliceGrid(3, 3, low + (1.0 - low) * at, at, 0.4)
-    for margins, expected_px, counts in ((MARGINS, 2.0, True), (DOUBTED, 2.0, False), (MARGINS, 20.0, False)):
-        sheet, _, ran = sheet_of(before, monkeypatch, expected_px, margins, grid)
-        assert ran is counts
-        assert (sheet is before) is not counts
+    vertices = np.array([0.0, low]) + np.array([1.0, 1.0 - low]) * at
+    grid = SliceGrid(3, 3, vertices, vertices, 0.4)
+    sheet, _, ran = sheet_of(before, monkeypatch, expected_px, margins, grid, photo=photo)
+    assert ran is counts
+    assert (sheet is before) is not counts
 
 
 @pytest.mark.parametrize("margins", [MARGINS, DOUBTED])

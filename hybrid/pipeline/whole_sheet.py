@@ -59,12 +59,20 @@ def _with_margins(
         if wider.expected_px is None or wider.expected_px > most_px:
             continue
         across = job.look_across(wider.backward)
-        certain = min(longer.chance(across), across.support.min()) >= options.certain
-        if not (certain or _likelier(job, refined, longer, wider, across)):
+        if not (_certain(job, longer, wider, across) or _likelier(job, refined, longer, wider, across)):
             continue
         if beside(wider.backward) <= options.most_beside:
             return replace(wider, across=across), str(longer)
     return None
+
+
+def _certain(job: Job, longer: LongerSheet, wider: Refinement, across: EdgesRead) -> bool:
+    """Whether all edges of a longer sheet are likely, and it is not the film with another sheet below it: of that, a
+    blank part would be seen beyond one end alone."""
+    options = job.config.margins
+    if min(longer.chance(across), across.support.min()) < options.certain:
+        return False
+    return _lopsided(longer, wider) <= options.most_lopsided or _detail(job, longer, wider) > options.blank
 
 
 def _likelier(job: Job, refined: Refinement, longer: LongerSheet, wider: Refinement, across: EdgesRead) -> bool:
@@ -116,7 +124,15 @@ def _grid_chance(refinement: Refinement) -> float:
 
 def _blank(job: Job, longer: LongerSheet, wider: Refinement) -> bool:
     """Whether what a sheet gains is blank and alike on both sides of the print: margins, however the print fits."""
-    options, lopsided = job.config.margins, longer.lopsided if wider.grid is None else wider.grid.lopsided
-    if lopsided > options.blank_lopsided:
-        return False
-    return longer.detail_gained(job.pyramid, wider.backward, job.config.refine.cells) <= options.blank
+    options = job.config.margins
+    return _lopsided(longer, wider) <= options.blank_lopsided and _detail(job, longer, wider) <= options.blank
+
+
+def _lopsided(longer: LongerSheet, wider: Refinement) -> float:
+    """By how much opposite margins differ: those around the grid or, where none is seen, those gained."""
+    return longer.lopsided if wider.grid is None else wider.grid.lopsided
+
+
+def _detail(job: Job, longer: LongerSheet, wider: Refinement) -> float:
+    """Detail of the margins gained, in parts of the print's."""
+    return longer.detail_gained(job.pyramid, wider.backward, job.config.refine.cells)

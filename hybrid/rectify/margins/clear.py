@@ -63,8 +63,8 @@ class ClearMarginsConfig:
     fits, if some edge of the map before is not nearly certain or if their probability is at least ``blank_sure``.
     most_beside: largest distance, smoothed over the film, between where the network sees it and the longer map
     (verdict/trust.py). certain: where the margins and every edge of the longer map are as probable as this, only the
-    expected error and this distance can speak against them: a strip of writing, too, makes a print lopsided, shows
-    detail, and has no cells.
+    expected error and this distance can speak against margins that are alike to ``most_lopsided`` or show more than
+    ``blank``, as a strip of writing does, which makes a print lopsided and has no cells.
     """
 
     beyond: tuple[float, ...] = (0.12, 0.28)
