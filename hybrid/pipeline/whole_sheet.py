@@ -27,8 +27,8 @@ def whole_sheet(
     clock: Clock,
 ) -> Refinement:
     """A refinement, or one of a longer sheet with margins that had been taken for the background, if its edges are
-    likely to be there, its print lies in its middle, and the network sees it there, too; or one of a shorter sheet
-    without margins that were background.
+    likely to be there and the network sees it there, too; or one of a shorter sheet without margins that were
+    background.
 
     beside: how far beside a map the network sees the film (``seen_beside``).
     """
