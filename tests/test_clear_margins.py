@@ -21,7 +21,7 @@ from hybrid.stages import Clock
 from hybrid.strips import SIDES
 
 MARGINS = ClearMarginsConfig()
-DOUBTED = replace(MARGINS, certain=1.01)
+DOUBTED = replace(MARGINS, written=1.01, certain=1.01)
 """Options with which edges alone never suffice, however sure they are."""
 PHOTO, SHEET = sheet_photo()
 """A dark sheet from 100 to 600 along both axes, on bright ground."""
@@ -282,6 +282,8 @@ def test_nor_where_its_edges_are_not_sure_then(monkeypatch, name):
         (MARGINS, 0.146, 160, 2.0, False),
         (MARGINS, 0.146, 100, 20.0, False),
         (DOUBTED, 0.146, 100, 2.0, False),
+        (replace(MARGINS, certain=1.01), 0.07, 160, 2.0, False),
+        (replace(MARGINS, certain=1.01), 0.146, 100, 2.0, True),
     ],
 )
 def test_where_its_edges_are_all_likely_margins_count_that_are_alike_or_written_on(

@@ -67,12 +67,14 @@ def _with_margins(
 
 
 def _certain(job: Job, longer: LongerSheet, wider: Refinement, across: EdgesRead) -> bool:
-    """Whether all edges of a longer sheet are likely, and it is not the film with another sheet below it: of that, a
-    blank part would be seen beyond one end alone."""
-    options = job.config.margins
-    if min(longer.chance(across), across.support.min()) < options.certain:
+    """Whether the edges of a longer sheet are as likely as they must be if the print says nothing: above all where what
+    it gains is blank, as a sheet below the film is."""
+    options, least = job.config.margins, min(longer.chance(across), across.support.min())
+    if least < options.written:
         return False
-    return _lopsided(longer, wider) <= options.most_lopsided or _detail(job, longer, wider) > options.blank
+    if _detail(job, longer, wider) > options.blank:
+        return True
+    return bool(least >= options.certain and _lopsided(longer, wider) <= options.most_lopsided)
 
 
 def _likelier(job: Job, refined: Refinement, longer: LongerSheet, wider: Refinement, across: EdgesRead) -> bool:

@@ -62,9 +62,10 @@ class ClearMarginsConfig:
     they differ by at most ``blank_lopsided``, they belong to no sheet below it, either: those count however the print
     fits, if some edge of the map before is not nearly certain or if their probability is at least ``blank_sure``.
     most_beside: largest distance, smoothed over the film, between where the network sees it and the longer map
-    (verdict/trust.py). certain: where the margins and every edge of the longer map are as probable as this, only the
-    expected error and this distance can speak against margins that are alike to ``most_lopsided`` or show more than
-    ``blank``, as a strip of writing does, which makes a print lopsided and has no cells.
+    (verdict/trust.py). written: where the margins and every edge of the longer map are as probable as this and
+    they show more than ``blank``, as a strip of writing does, which makes a print lopsided and has no cells, only the
+    expected error and this distance can speak against them. certain: the same for blank margins, alike to
+    ``most_lopsided``.
     """
 
     beyond: tuple[float, ...] = (0.12, 0.28)
@@ -81,7 +82,8 @@ class ClearMarginsConfig:
     blank_lopsided: float = 0.03
     blank_sure: float = 0.8
     most_beside: float = 0.02
-    certain: float = 0.6
+    written: float = 0.6
+    certain: float = 0.85
 
     def __post_init__(self) -> None:
         require_at_least(self, 1e-3, "least")
