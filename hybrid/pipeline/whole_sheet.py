@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -72,7 +73,7 @@ def _certain(job: Job, longer: LongerSheet, wider: Refinement, across: EdgesRead
     options, least = job.config.margins, min(longer.chance(across), across.support.min())
     if least < options.written:
         return False
-    if _detail(job, longer, wider) > options.blank:
+    if options.blank < _detail(job, longer, wider) < math.inf:
         return True
     return bool(least >= options.certain and _lopsided(longer, wider) <= options.most_lopsided)
 
@@ -136,5 +137,5 @@ def _lopsided(longer: LongerSheet, wider: Refinement) -> float:
 
 
 def _detail(job: Job, longer: LongerSheet, wider: Refinement) -> float:
-    """Detail of the margins gained, in parts of the print's."""
+    """Detail of the margins gained, in parts of the print's; infinite where the photo does not show it."""
     return longer.detail_gained(job.pyramid, wider.backward, job.config.refine.cells)
