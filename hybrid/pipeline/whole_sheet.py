@@ -71,11 +71,9 @@ def _certain(job: Job, longer: LongerSheet, wider: Refinement, across: EdgesRead
     """Whether the edges of a longer sheet are as likely as they must be if the print says nothing: above all where what
     it gains is blank, as a sheet below the film is."""
     options, least = job.config.margins, min(longer.chance(across), across.support.min())
-    if least < options.written:
-        return False
-    if options.blank < _detail(job, longer, wider) < math.inf:
+    if least >= options.certain and _lopsided(longer, wider) <= options.most_lopsided:
         return True
-    return bool(least >= options.certain and _lopsided(longer, wider) <= options.most_lopsided)
+    return bool(least >= options.written and options.blank < _detail(job, longer, wider) < math.inf)
 
 
 def _likelier(job: Job, refined: Refinement, longer: LongerSheet, wider: Refinement, across: EdgesRead) -> bool:
