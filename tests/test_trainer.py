@@ -36,7 +36,8 @@ from hybrid.learn.paper.firenet import FiReNet, FiReNetConfig
 from hybrid.learn.training import state as state_module
 from hybrid.learn.training import train as train_module
 from hybrid.learn.training.curves import append_row, cut_rows
-from hybrid.learn.training.feeds import FILM_FEED, Feed
+from hybrid.learn.training.feeds.feed import Feed
+from hybrid.learn.training.feeds.film import FILM_FEED
 from hybrid.learn.training.plan import Plan, TrainConfig
 from hybrid.learn.training.presets import PRESETS
 from hybrid.learn.training.state import Rank, State, load_start

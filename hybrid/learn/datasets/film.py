@@ -55,6 +55,8 @@ class AugmentConfig:
 
 BEND_ERROR_NODES = 5
 """Nodes along each side of the smooth random error of a bent map."""
+UNDISTURBED = AugmentConfig(empty_share=0.0, colours=False)
+"""Views with which networks are tested."""
 UNKNOWN_GRID = np.array([[0.0, 1.0, 1.0], [0.0, 1.0, 1.0]])
 """Placeholder where a film's cells are not known; it adds nothing to the loss."""
 WHOLE_WEIGHT, FLATTENED_WEIGHT = 1.0, 4.0

@@ -21,16 +21,12 @@ from hybrid.learn.paper.dewarpnet import NODES, BackwardNet, DewarpNet, DewarpNe
 from hybrid.learn.paper.firenet import MULTI_MAP, UV_ONLY, FiReNet, FiReNetConfig
 from hybrid.learn.paper.targets import PaperTargets
 from hybrid.learn.paper.uvbw import NetBw, NetUv, UvBwConfig
-from hybrid.learn.training.feeds import (
-    FILM_FEED,
-    LIGHT_FEED,
-    Feed,
-    border_feed,
-    edge_feed,
-    paper_feed,
-    print_feed,
-    slice_feed,
-)
+from hybrid.learn.training.feeds.feed import Feed
+from hybrid.learn.training.feeds.film import FILM_FEED
+from hybrid.learn.training.feeds.light import LIGHT_FEED
+from hybrid.learn.training.feeds.paper import paper_feed
+from hybrid.learn.training.feeds.prints import print_feed, slice_feed
+from hybrid.learn.training.feeds.strips import border_feed, edge_feed
 
 PaperConfig = FiReNetConfig | DewarpNetConfig | UvBwConfig
 """Configurations with a width factor."""
