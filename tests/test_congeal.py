@@ -14,7 +14,7 @@ from hybrid.rectify.grid.lines import Comb
 from hybrid.rectify.grid.repeat import Repeats
 from hybrid.rectify.grid.rim import RimConfig, without_background
 from hybrid.rectify.splines.displacement import SplineConfig, fit_displacement
-from hybrid.rectify.splines.sightings import Sightings
+from hybrid.rectify.splines.sightings import ANATOMY_VARIANCE, Sightings, group_noise
 
 CONFIG = CongealConfig()
 SIDE = 96
@@ -119,6 +119,21 @@ def test_what_agrees_outweighs_what_does_not():
 
     assert error(number) < 3e-4
     assert error(number) < 0.7 * error(None)
+
+
+def test_anatomy_counts_less_than_its_spread_tells_and_texts_do_not():
+    rng = np.random.default_rng(4)
+    text = np.tile([True, False], 180)
+    groups, stated = np.tile(np.arange(12), 30), np.full(360, 2e-4)
+    residual = np.where(text, 1e-4, 1e-3) * rng.normal(size=360)
+
+    def noise(text_sigma: float) -> np.ndarray:
+        return group_noise(stated, groups, residual, text_sigma)
+
+    np.testing.assert_array_equal(noise(3e-4)[text], noise(np.inf)[text])
+    np.testing.assert_allclose(noise(0.0), np.sqrt(ANATOMY_VARIANCE) * noise(np.inf))
+    assert np.all(noise(3e-4)[~text] > 1.4 * noise(np.inf)[~text])
+    np.testing.assert_array_equal(group_noise(stated, np.full(360, -1), residual, 3e-4), stated)
 
 
 @pytest.mark.parametrize("n", [1, 2, 3, 7, 20, 33])

@@ -16,6 +16,8 @@ from hybrid.rectify.splines.tps import MAD_TO_SIGMA
 
 NOTHING = Sightings(0, np.zeros((0, 2)), np.zeros(0), np.zeros(0), np.zeros((0, 0)), np.zeros(0))
 """No sightings at all."""
+TEXT_SIGMA = 3e-4
+"""Deviation up to which a group of points is text, in the frame's units; beyond, it is anatomy."""
 BEYOND = 0.03
 """How far beyond the sheet's edges what is seen may lie during the fit, in film units: were it clipped at the edges,
 the constants could grow without end, as they would no longer change anything."""
@@ -116,7 +118,7 @@ def slid(
     point, normal, sigma = seen.point[order], normal[order], sigma[order]
     residual = inner(project(sheet, shown.values(sheet.control)).point - point, normal)
     if near and (seen.group >= 0).any():
-        sigma = group_noise(sigma, seen.group[order], residual)
+        sigma = group_noise(sigma, seen.group[order], residual, TEXT_SIGMA)
     number = seen.number[order]
     typical = MAD_TO_SIGMA * group_medians(np.abs(residual) / sigma, number)
     tolerance = np.maximum(1.0, 2.0 * typical)[number]

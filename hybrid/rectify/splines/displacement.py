@@ -22,6 +22,8 @@ from hybrid.rectify.splines.tps import LatticeSpline, lattice_spline, mad_sigma,
 
 (_POSV,) = get_lapack_funcs(("posv",), dtype=np.float64)
 """LAPACK's solver of positive definite systems."""
+TEXT_SIGMA = 2e-4
+"""Deviation up to which a group of sightings is text, in film units; beyond, it is anatomy."""
 
 
 @dataclass(frozen=True)
@@ -223,7 +225,7 @@ def _solve_robust(system: _System, config: SplineConfig) -> tuple[np.ndarray, np
         else:
             solution, _ = _solve(system.stiffened(precision, stiffness), right)
         residual = system.rows @ solution - system.right
-        sigma = group_noise(system.sigma, system.group, residual)
+        sigma = group_noise(system.sigma, system.group, residual, TEXT_SIGMA)
         residual = residual / sigma
         noise = max(1.0, min(0.5 * noise, 1.5 * mad_sigma(residual)))
         weights = tukey_weights(residual / noise)

@@ -17,6 +17,9 @@ from hybrid.rectify.splines.tps import MAD_TO_SIGMA
 
 PRIOR_COUNT = 4.0
 """Number of residuals of a group that the stated deviations count as."""
+ANATOMY_VARIANCE = 2.5
+"""Factor by which the variance of anatomy grows: that of one slice is shifted as a whole, mostly to the front or the
+back, so that the sightings in a cell are off together, and count as if there were fewer."""
 LONE_FACTOR = 2.0
 """Factor by which stated deviations grow where a group is too small to show its spread."""
 
@@ -90,19 +93,24 @@ def carried(sightings: Sequence[Sightings], before: BackwardMap, after: Backward
 
 
 def group_noise(
-    stated: Float[np.ndarray, " n"], groups: Int[np.ndarray, " n"], residual: Float[np.ndarray, " n"]
+    stated: Float[np.ndarray, " n"],
+    groups: Int[np.ndarray, " n"],
+    residual: Float[np.ndarray, " n"],
+    text_sigma: float,
 ) -> Float[np.ndarray, " n"]:
     """Stated deviations, those of each group multiplied by a factor found from how well its sightings agree.
 
     groups: a number for each sighting, -1 for none. The spread of few residuals tells little: the stated deviations
-    count as ``PRIOR_COUNT`` more of them.
+    count as ``PRIOR_COUNT`` more of them. text_sigma: what is less exact than this, in the units of the deviations, is
+    anatomy; only what exceeds it grows by ``ANATOMY_VARIANCE``.
     """
     grouped = groups >= 0
     group, size = groups[grouped], np.bincount(groups[grouped])
     spread = MAD_TO_SIGMA * group_medians(np.abs(residual[grouped] / stated[grouped]), group)
     variance = (size * spread**2 + PRIOR_COUNT) / (size + PRIOR_COUNT)
+    found = stated[grouped] * np.where(size > 2, np.sqrt(variance), LONE_FACTOR)[group]
     sigma = stated.copy()
-    sigma[grouped] *= np.where(size > 2, np.sqrt(variance), LONE_FACTOR)[group]
+    sigma[grouped] = np.sqrt(found**2 + (ANATOMY_VARIANCE - 1.0) * np.maximum(found**2 - text_sigma**2, 0.0))
     return sigma
 
 
