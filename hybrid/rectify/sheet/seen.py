@@ -17,7 +17,8 @@ from hybrid.rectify.splines.tps import MAD_TO_SIGMA
 NOTHING = Sightings(0, np.zeros((0, 2)), np.zeros(0), np.zeros(0), np.zeros((0, 0)), np.zeros(0))
 """No sightings at all."""
 TEXT_SIGMA = 3e-4
-"""Deviation up to which a group of points is text, in the frame's units; beyond, it is anatomy."""
+"""Deviation up to which a group of points is text, in the frame's units; beyond, it is anatomy. It is larger than in
+splines/displacement.py, as here every deviation contains SheetConfig.print_px."""
 BEYOND = 0.03
 """How far beyond the sheet's edges what is seen may lie during the fit, in film units: were it clipped at the edges,
 the constants could grow without end, as they would no longer change anything."""
