@@ -12,6 +12,7 @@ from synthetic_film import FilmDrawing, disturbed, make_photo
 from hybrid.backward import BackwardMap, end_point_error
 from hybrid.coords import film_nodes
 from hybrid.rectify.grid.layout import Layout
+from hybrid.rectify.margins.placing import PlacedPrint
 from hybrid.rectify.refine.config import RefineConfig
 from hybrid.rectify.refine.course import Course, Progress, unstretched
 from hybrid.rectify.refine.refine import _apart, _better, refine
@@ -164,8 +165,8 @@ def test_a_sheet_counts_though_a_further_one_fails(monkeypatch):
     photo, true = make_photo(FilmDrawing(margin=0.03), np.random.default_rng(6))
     fitted: list[Progress | None] = []
 
-    def once(progress: Progress, config: RefineConfig, watch: Stopwatch) -> Progress | None:
-        fitted.append(None if fitted else unstretched(progress, config, watch))
+    def once(progress: Progress, placed: PlacedPrint, config: RefineConfig, watch: Stopwatch) -> Progress | None:
+        fitted.append(None if fitted else unstretched(progress, placed, config, watch))
         return fitted[-1]
 
     monkeypatch.setattr("hybrid.rectify.refine.refine.unstretched", once)
@@ -180,8 +181,8 @@ def test_a_sheet_that_hardly_moves_the_film_is_the_last(monkeypatch, settled_end
     photo, true = make_photo(FilmDrawing(margin=0.03), np.random.default_rng(6))
     fitted: list[Progress | None] = []
 
-    def counted(progress: Progress, config: RefineConfig, watch: Stopwatch) -> Progress | None:
-        fitted.append(unstretched(progress, config, watch))
+    def counted(progress: Progress, placed: PlacedPrint, config: RefineConfig, watch: Stopwatch) -> Progress | None:
+        fitted.append(unstretched(progress, placed, config, watch))
         return fitted[-1]
 
     monkeypatch.setattr("hybrid.rectify.refine.refine.unstretched", counted)

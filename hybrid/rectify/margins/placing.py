@@ -35,6 +35,8 @@ class MarginsConfig:
     deviation of the print's place with the margins tried. loose: lines that were taken to fill the film may be let go
     if their margins are then together this wide; loose_gain: share by which the sum of squares must then shrink.
     square: cells are tried as square if the logarithm of their height over their width is at most this, in size.
+    possible_filling, possible_off, possible_costs: the same as filling, off_middle and costs where such margins are
+    only possible, and have to show what they are worth in further rounds.
     """
 
     filling: float = 0.04
@@ -47,9 +49,24 @@ class MarginsConfig:
     loose: float = 0.012
     loose_gain: float = 0.03
     square: float = 0.03
+    possible_filling: float = 0.06
+    possible_off: float = 0.05
+    possible_costs: float = 0.6
 
     def __post_init__(self) -> None:
         require_at_least(self, 1e-6, "sigma")
+
+    @property
+    def possible(self) -> MarginsConfig:
+        """The same for margins that are only possible."""
+        return replace(
+            self,
+            filling=self.possible_filling,
+            off_middle=self.possible_off,
+            off_middle_read=self.possible_off,
+            costs=self.possible_costs,
+            narrow_costs=self.possible_costs,
+        )
 
     def in_the_middle(self, source: Source, off: float) -> bool:
         """Whether lines or borders whose middle is this far from the film's may be centred."""
@@ -89,6 +106,13 @@ def usual_margins(found: PlacedPrint, fit: Fit, grid: GridConfig, config: Margin
                 found = replace(placed, sheet=sheet)
                 break
     return found
+
+
+def possible_margins(found: PlacedPrint, fit: Fit, grid: GridConfig, config: MarginsConfig) -> PlacedPrint | None:
+    """What was found, with usual margins also where these explain much less well what is seen, which was seen through a
+    map without them; None if there are no others."""
+    placed = usual_margins(found, fit, grid, config.possible)
+    return None if placed is found else placed
 
 
 def unfilled(found: PlacedPrint, fit: Fit, grid: GridConfig, config: MarginsConfig) -> PlacedPrint:
@@ -285,6 +309,7 @@ __all__ = [
     "cells_on",
     "in_place",
     "nearly_square",
+    "possible_margins",
     "square_cells",
     "undecided",
     "unfilled",

@@ -69,6 +69,9 @@ class RefineConfig:
     sheet_doubt: float = 1.1
     """The result with an unstretched sheet may be this many times as doubtful as the one bent freely
     (refine/refine.py)."""
+    usual_doubt: float = 1.05
+    """A sheet with usual margins that explained less well what was seen, before it was seen through that sheet, may in
+    the end be this many times as doubtful as the one without (refine/refine.py)."""
     least_likeness: float = 0.05
     """Added to how alike the cells look where the two results are weighed by that: perhaps neither has cells."""
     max_residual: float = 2.5

@@ -34,6 +34,7 @@ from hybrid.rectify.margins.placing import (
     cells_on,
     in_place,
     nearly_square,
+    possible_margins,
     square_cells,
     undecided,
     unfilled,
@@ -144,7 +145,7 @@ class Progress:
         """Whether what most prints have in common would be tried with a further sheet."""
         evidence, sheet = self.attempt.evidence, self.sheet
         may_be_square = sheet is not None and nearly_square(evidence, sheet.sheet, None, config.margins)
-        return may_be_square or undecided(evidence, config.grid, config.margins)
+        return may_be_square or undecided(evidence, config.grid, config.margins.possible)
 
 
 def begin(scene: Scene, outline: Sequence[Sightings], config: RefineConfig) -> Progress:
@@ -205,13 +206,21 @@ def _round(
     return replace(progress, outline=outline, borders=borders, attempt=attempt, layout=layout, settled=settled)
 
 
-def unstretched(progress: Progress, config: RefineConfig, watch: Stopwatch) -> Progress | None:
-    """One more round, from the map of the unstretched sheet that best explains what the last round saw; None where
-    there is none, or where all has settled and other margins move nothing."""
-    attempt, scene = progress.attempt, progress.scene
+@dataclass(frozen=True, eq=False)
+class NextSheets:
+    """The unstretched sheets that explain what the last round saw. likeliest: None where there is none, or where all
+    has settled and other margins move nothing. possible: one with usual margins that explains it less well."""
+
+    likeliest: PlacedPrint | None = None
+    possible: PlacedPrint | None = None
+
+
+def next_sheets(progress: Progress, config: RefineConfig, watch: Stopwatch) -> NextSheets:
+    """The sheets to go on from after the last round."""
+    attempt, scene, options = progress.attempt, progress.scene, config.margins
     seen = tuple(e.subset(w > config.counts) for e, w in zip(attempt.evidence, attempt.weights, strict=True))
     if sum(e.source is None for e in attempt.evidence) < config.sheet.least_edges:
-        return None
+        return NextSheets()
     near = progress.film
     size = (scene.photo.shape[0], scene.photo.shape[1])
 
@@ -221,16 +230,26 @@ def unstretched(progress: Progress, config: RefineConfig, watch: Stopwatch) -> P
         return fit_sheet(near, scene.coarse, size, [e.sightings for e in seen], config.sheet, before, cells)
 
     sheet = fit(seen, progress.sheet, False)
+    watch.lap("sheet")
     if sheet is None:
-        return None
+        return NextSheets()
     placed = PlacedPrint(sheet, attempt.evidence, seen)
     if progress.sheet is None:
-        placed = unfilled(placed, fit, config.grid, config.margins)
-    if progress.margins_are_next:
-        placed = usual_margins(placed, fit, config.grid, config.margins)
-        placed = square_cells(placed, fit, config.margins)
-        if progress.settled and mean_move(sheet.backward, placed.sheet.backward) < config.settled_margins:
-            return None
+        placed = unfilled(placed, fit, config.grid, options)
+    if not progress.margins_are_next:
+        return NextSheets(placed)
+    placed = usual_margins(placed, fit, config.grid, options)
+    possible = possible_margins(placed, fit, config.grid, options)
+    placed = square_cells(placed, fit, options)
+    watch.lap("sheet")
+    moves_nothing = progress.settled and mean_move(sheet.backward, placed.sheet.backward) < config.settled_margins
+    return NextSheets(None if moves_nothing else placed, possible)
+
+
+def unstretched(progress: Progress, placed: PlacedPrint, config: RefineConfig, watch: Stopwatch) -> Progress | None:
+    """One more round, from the map of an unstretched sheet that explains what the last round saw; None where it folds,
+    or where nothing is seen through it."""
+    scene, near = progress.scene, progress.film
     sheet = placed.sheet
     if sheet.backward.folds((33, 33)):
         return None
@@ -378,11 +397,13 @@ def _fixed(found: tuple[float, float], config: RefineConfig) -> tuple[float, flo
 
 __all__ = [
     "Course",
+    "NextSheets",
     "Progress",
     "agreement",
     "begin",
     "ended",
     "followed",
+    "next_sheets",
     "read_view",
     "told_borders",
     "unstretched",

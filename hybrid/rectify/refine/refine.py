@@ -19,6 +19,7 @@ from hybrid.records import SliceGrid, StageReport
 from hybrid.rectify.edges.outline import find_outline
 from hybrid.rectify.edges.paths import EdgesRead
 from hybrid.rectify.grid.phases import CellPhases
+from hybrid.rectify.margins.placing import PlacedPrint
 from hybrid.rectify.refine.config import RefineConfig
 from hybrid.rectify.refine.course import (
     Course,
@@ -27,6 +28,7 @@ from hybrid.rectify.refine.course import (
     begin,
     ended,
     followed,
+    next_sheets,
     read_view,
     unstretched,
 )
@@ -170,36 +172,80 @@ def _course(begun: Progress, config: RefineConfig, watch: Stopwatch) -> Course |
     progress = followed(begun, config, watch)
     if progress is None:
         return None
-    sheet = progress
-    for _ in range(config.sheet_rounds):
-        further = unstretched(sheet, config, watch)
-        if further is None:
-            break
-        sheet = further
-        if sheet.is_last(config):
-            break
+    likeliest, possible = _with_sheets(progress, config, watch)
     free = ended(progress, config, watch)
     if not config.sheet_rounds:
         return replace(free, apart=0.0)
-    if sheet is progress:
+    if likeliest is None:
         return free
-    bound = ended(sheet, config, watch)
+    bound = ended(likeliest, config, watch)
+    if possible is not None:
+        bound = _likelier(bound, ended(possible, config, watch), config, watch)
     return replace(_better(free, bound, config, watch), apart=_apart(free, bound))
 
 
+def _with_sheets(progress: Progress, config: RefineConfig, watch: Stopwatch) -> tuple[Progress | None, Progress | None]:
+    """Where the rounds from unstretched sheets end: those that explain best what is seen and, if there are any, those
+    with usual margins that explain it less well at first."""
+    likeliest, possible = progress, None
+    while not _is_last(likeliest, config):
+        sheets = next_sheets(likeliest, config, watch)
+        possible = _from_sheet(likeliest, sheets.possible, config, watch) or possible
+        further = _from_sheet(likeliest, sheets.likeliest, config, watch)
+        if further is None:
+            break
+        likeliest = further
+    while possible is not None and not _is_last(possible, config):
+        further = _from_sheet(possible, next_sheets(possible, config, watch).likeliest, config, watch)
+        if further is None:
+            break
+        possible = further
+    return (None if likeliest is progress else likeliest), possible
+
+
+def _from_sheet(
+    progress: Progress, placed: PlacedPrint | None, config: RefineConfig, watch: Stopwatch
+) -> Progress | None:
+    """One more round from a sheet, if there is one."""
+    return None if placed is None else unstretched(progress, placed, config, watch)
+
+
+def _is_last(progress: Progress, config: RefineConfig) -> bool:
+    """Whether no further sheet is to follow."""
+    enough = progress.sheets >= config.sheet_rounds
+    return enough or (progress.sheet is not None and progress.is_last(config))
+
+
+def _likelier(bound: Course, usual: Course, config: RefineConfig, watch: Stopwatch) -> Course:
+    """The less doubtful of two courses with sheets, of which the second has more usual margins."""
+    if not usual.believed:
+        return bound
+    before, after = (
+        doubt * (1.0 if course.sheet is None else course.sheet.typical_residual)
+        for doubt, course in zip(_doubts((bound, usual), config), (bound, usual), strict=True)
+    )
+    watch.lap("spline")
+    return usual if after <= config.usual_doubt * before else bound
+
+
 def _better(free: Course, bound: Course, config: RefineConfig, watch: Stopwatch) -> Course:
-    """The less doubtful course: doubt is the residual over the square of how alike the cells look. Neither alone tells:
-    cells also look alike through a wrongly bent sheet, and the sightings that misled a sheet do fit it.
+    """The less doubtful course. Neither the residual nor how alike the cells look tells alone: cells also look alike
+    through a wrongly bent sheet, and the sightings that misled a sheet do fit it.
 
     ``bound`` ends with a sheet, as films are, so it counts even if it is slightly more doubtful. A course that is
     believed is better than one that is not.
     """
     if free.believed != bound.believed:
         return bound if bound.believed else free
-    layouts = (free.layout, bound.layout)
-    doubt = [course.after / np.square(agreement(course, layouts) + config.least_likeness) for course in (free, bound)]
+    doubt = _doubts((free, bound), config)
     watch.lap("spline")
     return bound if doubt[1] <= config.sheet_doubt * doubt[0] else free
+
+
+def _doubts(courses: tuple[Course, Course], config: RefineConfig) -> list[float]:
+    """How doubtful two courses are: the residual over the square of how alike the cells look."""
+    layouts = [course.layout for course in courses]
+    return [course.after / np.square(agreement(course, layouts) + config.least_likeness) for course in courses]
 
 
 def _apart(one: Course, other: Course) -> float:

@@ -59,6 +59,11 @@ class FittedSheet:
         return self.state.cost
 
     @property
+    def typical_residual(self) -> float:
+        """Root of the cost per sighting: how far beside the sheet what was seen is, in standard deviations."""
+        return float(np.sqrt(self.cost / max(len(self.problem.seen.number), 1)))
+
+    @property
     def stretched(self) -> bool:
         """Whether it stretches."""
         config = self.problem.config
