@@ -211,6 +211,7 @@ class Signs:
     weakest: the edge with the least support, as the film lies in the photo: top, bottom, left or right.
     outside: edges, named the same way, that lie mostly outside the photo.
     near: whether the film shows only in a look at a part of the photo.
+    goes_on: how likely the edges of a longer sheet are, in which the print fits less well; 0 where there is none.
     """
 
     overlap_before: float
@@ -236,6 +237,7 @@ class Signs:
     weakest: str = "weakest"
     outside: tuple[str, ...] = ()
     near: bool = False
+    goes_on: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)

@@ -147,7 +147,7 @@ def sheet_of(
 
     monkeypatch.setattr(hybrid.pipeline.whole_sheet, "refine_once", exactly)
     config, clock = replace(RectifyConfig(), margins=margins), Clock()
-    sheet = whole_sheet(job_of(photo, config), None, before, lambda _: beside, clock)
+    sheet = whole_sheet(job_of(photo, config), None, before, lambda _: beside, clock).refinement
     (report,) = clock.reports
     assert report.name == "margins"
     return sheet, begun, report.ran

@@ -109,7 +109,7 @@ def sheet_of(
     monkeypatch.setattr(hybrid.pipeline.whole_sheet, "exact", exact)
     options = replace(RectifyConfig(), false_margins=config, margins=replace(RectifyConfig().margins, beyond=()))
     clock = Clock()
-    after = whole_sheet(job_of(photo, options), None, before, lambda _: 0.0, clock)
+    after = whole_sheet(job_of(photo, options), None, before, lambda _: 0.0, clock).refinement
     (report,) = clock.reports
     return after.backward is not film, report.ran, report.reason
 
@@ -146,7 +146,7 @@ def test_margins_alike_are_ground_only_if_the_grid_or_the_edges_say_so(monkeypat
 def test_where_no_grid_is_seen_nothing_is_cut_off():
     photo, film = before_its_shadow(below=70)
     before = Refinement(film, None, (), expected_px=0.5, stands=True)
-    after = whole_sheet(job_of(photo), None, before, lambda _: 0.0, Clock())
+    after = whole_sheet(job_of(photo), None, before, lambda _: 0.0, Clock()).refinement
     assert after is before
 
 

@@ -10,13 +10,16 @@ import pytest
 from synthetic_film import FilmDrawing, disturbed, make_photo
 
 from hybrid.backward import BackwardMap, end_point_error
-from hybrid.coords import film_nodes
+from hybrid.coords import film_centres_1d, film_nodes
+from hybrid.rectify.edges.outline import edge_sightings
 from hybrid.rectify.grid.layout import Layout
+from hybrid.rectify.grid.lines import Comb
 from hybrid.rectify.margins.placing import PlacedPrint
 from hybrid.rectify.refine.config import RefineConfig
 from hybrid.rectify.refine.course import Course, Progress, unstretched
-from hybrid.rectify.refine.refine import _apart, _better, refine
+from hybrid.rectify.refine.refine import _apart, _better, _likelier, refine
 from hybrid.rectify.refine.scene import half_view, scene_of, view_of
+from hybrid.rectify.sheet.fit import FittedSheet, fit_sheet
 from hybrid.rectify.splines.displacement import (
     Displacement,
     SplineConfig,
@@ -26,6 +29,7 @@ from hybrid.rectify.splines.displacement import (
 )
 from hybrid.rectify.splines.sightings import Sightings, group_medians
 from hybrid.stages import Stopwatch
+from hybrid.strips import SIDES
 
 CONFIG = RefineConfig()
 
@@ -159,6 +163,53 @@ def test_the_less_doubtful_end_counts(monkeypatch, residuals, alike, sheet_count
     monkeypatch.setattr("hybrid.rectify.refine.refine.agreement", lambda course, _: alike[course is bound])
     assert (_better(free, bound, CONFIG, Stopwatch()) is bound) == sheet_counts
     assert _better(free, replace(bound, believed=False), CONFIG, Stopwatch()) is free
+
+
+@pytest.mark.parametrize(
+    ("held_out", "beside", "usual_counts"),
+    [((1.0, 1.0), (0.5, 0.5), True), ((1.0, 1.2), (0.5, 0.5), False), ((1.0, 1.2), (0.5, 0.4), True)],
+)
+def test_usual_margins_count_where_they_end_no_more_doubtful(monkeypatch, held_out, beside, usual_counts):
+    coarse, still = BackwardMap(film_nodes((9, 9)) * 400.0 + 50.0), no_displacement(CONFIG.spline)
+    scene = scene_of(np.zeros((500, 500, 3), np.uint8), coarse)
+    before, usual = (
+        Course(scene, still, Layout(), (), 0.0, after, True, a_sheet(coarse, residual), "")
+        for after, residual in zip(held_out, beside, strict=True)
+    )
+    monkeypatch.setattr("hybrid.rectify.refine.refine.agreement", lambda *_: 0.5)
+    assert (_likelier(before, usual, CONFIG, Stopwatch()) is usual) == usual_counts
+    assert _likelier(before, replace(usual, believed=False), CONFIG, Stopwatch()) is before
+
+
+def a_sheet(film: BackwardMap, residual: float) -> FittedSheet:
+    """A sheet beside which things are seen by as much, in standard deviations."""
+    edges = [edge_sightings(side, film_centres_1d(9), np.zeros(9), np.full(9, 1e-3)) for side in SIDES]
+    sheet = fit_sheet(film, film, (500, 500), edges, CONFIG.sheet)
+    assert sheet is not None
+    return replace(sheet, state=replace(sheet.state, cost=np.square(residual) * sum(map(len, edges))))
+
+
+@pytest.mark.parametrize("usual_counts", [True, False])
+def test_two_sheets_are_followed_where_margins_may_be_usual(monkeypatch, usual_counts):
+    """The print's middle lies beside the film's: that it is in the middle only seems possible."""
+    photo, true = make_photo(FilmDrawing(margin=0.05), np.random.default_rng(6))
+    ends: list[Course] = []
+
+    def compared(bound: Course, usual: Course, *_: object) -> Course:
+        ends.extend([bound, usual])
+        return usual if usual_counts else bound
+
+    margins = replace(CONFIG.margins, costs=-0.5, narrow_costs=-0.5)  # none is adopted at once
+    config = replace(CONFIG, margins=margins, settled_sheet=0.0)
+    monkeypatch.setattr("hybrid.rectify.refine.refine._likelier", compared)
+    monkeypatch.setattr("hybrid.rectify.refine.refine._better", lambda _, bound, *__: bound)
+    refined = refine(photo, disturbed(true, 4.0, np.random.default_rng(6)), None, config)
+    bound, usual = ends
+    centred = [[e.source.centred for e in end.evidence if isinstance(e.source, Comb)] for end in ends]
+    assert not any(centred[0])
+    assert all(centred[1])
+    counts = usual if usual_counts else bound
+    assert np.allclose(refined.backward.nodes, counts.displacement.composed(counts.scene.coarse, (33, 33)).nodes)
 
 
 def test_a_sheet_counts_though_a_further_one_fails(monkeypatch):

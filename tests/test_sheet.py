@@ -17,6 +17,7 @@ from hybrid.rectify.margins.placing import (
     PlacedPrint,
     cells_on,
     nearly_square,
+    possible_margins,
     square_cells,
     undecided,
     unfilled,
@@ -414,6 +415,29 @@ def test_borders_lie_in_the_middle_where_they_are_found_near_it(found_off, expec
     assert placed.source.centred == expected
     assert (placed.sightings.shared_sigma[0] <= MarginsConfig().sigma) == expected
     assert not (expected and undecided([placed], GridConfig(), MarginsConfig()))
+
+
+@pytest.mark.parametrize(
+    ("found_off", "growth", "expected"), [(0.045, 1.5, True), (0.06, 1.0, False), (0.045, 1.7, False)]
+)
+def test_borders_may_lie_in_the_middle_though_that_explains_less_at_first(found_off, growth, expected):
+    true = cylinder(1.2, 0, 10)
+    seen = edges_seen(true, true, np.random.default_rng(0), 0.3) + lines_seen(true, true, {0: [0.3, 0.5, 0.7]})
+    found = fit_sheet(true, true, PHOTO, seen, CONFIG)
+    assert found is not None
+    found = replace(found, constants=(*found.constants[:-1], np.array([found_off, 0.0])))
+
+    def fit(_: Sequence[Evidence], before: FittedSheet | None, square: bool) -> FittedSheet | None:
+        return before and costing(before, growth)
+
+    before = placed_print(found, seen, Borders(0, 0.1 + found_off, 0.2, 4))
+    assert usual_margins(before, fit, GridConfig(), MarginsConfig()) is before
+    possible = possible_margins(before, fit, GridConfig(), MarginsConfig())
+    assert (possible is not None) == expected
+    if possible is not None:
+        assert isinstance(possible.evidence[-1].source, Borders)
+        assert possible.evidence[-1].source.centred
+        assert possible_margins(possible, fit, GridConfig(), MarginsConfig()) is None
 
 
 @pytest.mark.parametrize(("margin", "expected"), [(0.0, True), (0.01, False)])

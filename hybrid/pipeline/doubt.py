@@ -11,7 +11,7 @@ from hybrid.effort import RectifyConfig
 from hybrid.pipeline.geometry import evened, exact
 from hybrid.pipeline.job import Job
 from hybrid.pipeline.looks import LastLook, network_beside, see_from_sides, seen_through
-from hybrid.pipeline.whole_sheet import whole_sheet
+from hybrid.pipeline.whole_sheet import WholeSheet, whole_sheet
 from hybrid.records import CoarseMaps, Signs, StageReport, StatusCode
 from hybrid.rectify.coarse.invert import Inversion
 from hybrid.rectify.edges.paths import EdgesRead, put_on_edges, read_edges
@@ -48,11 +48,12 @@ class Judged:
         return replace(self, signs=signs, verdict=verdict, chance=chance_right(signs, config.trust), stages=stages)
 
 
-def judged(job: Job, seen: LastLook, refinement: Refinement, flat: bool, clock: Clock) -> Judged:
+def judged(job: Job, seen: LastLook, sheet: WholeSheet, flat: bool, clock: Clock) -> Judged:
     """Whether the map is as good as certain, and the evidence for and against it; the networks look once more.
 
     flat: whether the photo was found to be the flat film itself.
     """
+    refinement = sheet.refinement
     pyramid, readers, config = job.pyramid, job.readers, job.config
     coarse = seen.inversion.backward if isinstance(seen.inversion, Inversion) else refinement.backward
     with clock.stage("verdict") as report:
@@ -60,7 +61,9 @@ def judged(job: Job, seen: LastLook, refinement: Refinement, flat: bool, clock: 
         across = job.edges_of(refinement)
         film, grid = refinement.backward, refinement.grid
         shown = 0.0 if grid is None else borders_shown(pyramid, film, grid, readers.borders, config.refine.borders)
-        signs = signs_of(pyramid, seen.maps, coarse, refinement, look_again, across, shown, flat, seen.near)
+        signs = signs_of(
+            pyramid, seen.maps, coarse, refinement, look_again, across, shown, flat, seen.near, sheet.goes_on
+        )
         verdict = film_verdict(signs, config.trust)
         report.reason = verdict.reason
     stages = (*refinement.stages, clock.reports[-1])
@@ -85,9 +88,9 @@ def beyond_doubt(job: Job, seen: LastLook, first: Judged, whole: bool, clock: Cl
         found, beside = [first.doubted(config)], partial(network_beside, job.readers.network, seen, config)
         for start in _starts(job, seen, first):
             apart = Clock()
-            refined = exact(job, *start, apart)
+            refined = WholeSheet(exact(job, *start, apart))
             if whole:
-                refined = whole_sheet(job, start[1], refined, beside, apart)
+                refined = whole_sheet(job, start[1], refined.refinement, beside, apart)
             found.append(judged(job, seen, refined, False, apart).doubted(config))
             if found[-1].verdict.ok or len(found) > config.tries:
                 break

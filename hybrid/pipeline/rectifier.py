@@ -22,13 +22,12 @@ from hybrid.pipeline.finish import finished, made_anew
 from hybrid.pipeline.geometry import flat_itself, shape_of
 from hybrid.pipeline.job import Job, Readers
 from hybrid.pipeline.looks import checked, network_beside, see, see_at, see_from_sides
-from hybrid.pipeline.whole_sheet import whole_sheet
+from hybrid.pipeline.whole_sheet import WholeSheet, whole_sheet
 from hybrid.pyramid import Photo, Pyramid
 from hybrid.records import RectifyResult, Status, StatusCode
 from hybrid.rectify.coarse.corners import Corners, film_at
 from hybrid.rectify.coarse.invert import Inversion, agreed
 from hybrid.rectify.fusion.fuse import fuse
-from hybrid.rectify.refine.refine import Refinement
 from hybrid.rectify.sheet.shape import SheetConfig
 from hybrid.rectify.verdict.survey import Verdict, survey_photo, survey_print
 from hybrid.rectify.verdict.trust import expected_error_px, largest_error_px
@@ -182,17 +181,19 @@ class Rectifier:
             seen = see_at(network, pyramid, told, config, clock)
             checks = Verdict(StatusCode.OK, "its corners are given")
         phases = job.phases_of(seen.maps)
-        refinement: Refinement | None = None
+        whole: WholeSheet | None = None
         if checks.ok:
             assert isinstance(seen.inversion, Inversion)  # else there is no film
-            refinement = shape_of(job, seen.inversion.backward, phases, clock)
+            whole = WholeSheet(shape_of(job, seen.inversion.backward, phases, clock))
             if corners is None:
                 beside = partial(network_beside, network, seen, config)
-                refinement = whole_sheet(job, phases, refinement, beside, clock)
-        flat = flat_itself(job, seen, phases, refinement, told, clock)
-        if (refinement := flat or refinement) is None:
+                whole = whole_sheet(job, phases, whole.refinement, beside, clock)
+        flat = flat_itself(job, seen, phases, whole and whole.refinement, told, clock)
+        if flat is not None:
+            whole = WholeSheet(flat)
+        if whole is None:
             return RectifyResult(Status(checks.code), clock.reports, photo_size=size)
-        first = judged(job, seen, refinement, flat is not None, clock)
+        first = judged(job, seen, whole, flat is not None, clock)
         found = beyond_doubt(job, seen, first, corners is None, clock)
         clock.counts(found.stages)
         verdict, signs = found.verdict, found.signs

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from hybrid.backward import BackwardMap
 from hybrid.pipeline.geometry import exact, refine_once
@@ -20,13 +20,22 @@ MOST_MARGINS = 2
 """How often margins are looked for: at one end they may show only once the sheet is made longer at the other."""
 
 
+@dataclass(frozen=True, eq=False)
+class WholeSheet:
+    """A refinement of the whole sheet. goes_on: how likely the edges of a still longer sheet are that was not believed;
+    0 where there is none."""
+
+    refinement: Refinement
+    goes_on: float = 0.0
+
+
 def whole_sheet(
     job: Job,
     phases: CellPhases | None,
     refined: Refinement,
     beside: Callable[[BackwardMap], float],
     clock: Clock,
-) -> Refinement:
+) -> WholeSheet:
     """A refinement, or one of a longer sheet with margins that had been taken for the background, if its edges are
     likely to be there and the network sees it there, too; or one of a shorter sheet without margins that were
     background.
@@ -35,36 +44,38 @@ def whole_sheet(
     """
     with clock.stage("margins") as report:
         found: list[str] = []
+        whole = WholeSheet(refined)
         while len(found) < MOST_MARGINS:
-            wider = _with_margins(job, phases, refined, beside)
-            if wider is None:
+            whole, margins = _with_margins(job, phases, whole.refinement, beside)
+            if margins is None:
                 break
-            refined = wider[0]
-            found.append(wider[1])
-        if shorter := _without_margins(job, phases, refined):
-            refined = shorter[0]
+            found.append(margins)
+        if shorter := _without_margins(job, phases, whole.refinement):
+            whole = WholeSheet(shorter[0])
             found.append(shorter[1])
         report.ran = bool(found)
         report.reason = "; ".join(found) or "the sheet ends where its map does"
-    return refined
+    return whole
 
 
 def _with_margins(
     job: Job, phases: CellPhases | None, refined: Refinement, beside: Callable[[BackwardMap], float]
-) -> tuple[Refinement, str] | None:
-    """The first refinement with such margins that is believed, and what the margins are."""
-    options = job.config.margins
+) -> tuple[WholeSheet, str | None]:
+    """The first refinement with such margins that is believed, and what they are; or the one before, and None."""
+    options, goes_on = job.config.margins, 0.0
     for longer in with_margins(job.pyramid, refined.backward, job.readers.edges, job.config.edges, options):
         wider = refine_once(job, phases, longer.read, longer.read.through)
         most_px = options.most_expected * max(wider.backward.mean_film_pixels())
         if wider.expected_px is None or wider.expected_px > most_px:
             continue
         across = job.look_across(wider.backward)
-        if not (_certain(job, longer, wider, across) or _likelier(job, refined, longer, wider, across)):
-            continue
-        if beside(wider.backward) <= options.most_beside:
-            return replace(wider, across=across), str(longer)
-    return None
+        likely = _certain(job, longer, wider, across) or _likelier(job, refined, longer, wider, across)
+        chance = longer.chance(across)
+        if (likely or chance > goes_on) and beside(wider.backward) <= options.most_beside:
+            if likely:
+                return WholeSheet(replace(wider, across=across)), str(longer)
+            goes_on = chance
+    return WholeSheet(refined, goes_on), None
 
 
 def _certain(job: Job, longer: LongerSheet, wider: Refinement, across: EdgesRead) -> bool:

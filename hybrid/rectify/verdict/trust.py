@@ -119,14 +119,15 @@ class TrustConfig:
     most_lopsided: float = 0.055
     """How much opposite margins may differ on a photo that is the flat film itself (``SliceGrid.lopsided``): they do by
     0.05 at most on 50 whole films, by 0.06 and more on nine that lack 0.4 of a column or 7 % of their width."""
+    most_going_on: float = 0.3
+    """Largest probability of the edges of a longer sheet that was not believed: of COUNTS."""
     min_levels: float = 20.0
     """Least number of grey levels that the photo makes use of: with fewer, gutters look like the sheet's edges."""
 
     def __post_init__(self) -> None:
         require_at_least(self, 0, "limit_px")
-        require_at_most(
-            self, 1, "least_chance", "min_support", "least_support", "min_overlap", "min_in_step", "min_alike"
-        )
+        chances = "least_chance", "min_support", "least_support", "most_going_on"
+        require_at_most(self, 1, *chances, "min_overlap", "min_in_step", "min_alike")
 
 
 def signs_of(
@@ -139,13 +140,14 @@ def signs_of(
     shown: float,
     flat: bool = False,
     near: bool = False,
+    goes_on: float = 0.0,
 ) -> Signs:
     """What speaks for a refined map.
 
     seen, coarse: what the network saw last before refinement, and the map made from it. again: what it sees of the film
     flattened by the refined map (as a plane sheet). across: the edges as read across the refined map's. shown: how
     probable it is that borders between cells show where its grid has them (``borders_shown``). near: whether the
-    network saw the film only in a look at a part of the photo.
+    network saw the film only in a look at a part of the photo. goes_on: as in ``Signs``.
     """
     backward, grid = refinement.backward, refinement.grid
     film_px = _film_px(backward)
@@ -172,6 +174,7 @@ def signs_of(
         weakest=across.weakest,
         outside=sides_outside(backward, pyramid.size),
         near=near,
+        goes_on=goes_on,
     )
 
 
@@ -251,6 +254,10 @@ def film_verdict(signs: Signs, config: TrustConfig | None = None) -> Verdict:
             ("a scan with unlike margins on opposite sides, which may lack part of the sheet", signs.flat),
             (f"{signs.edges} of 4 edges seen", signs.edges < config.min_edges),
             ("no grid seen", not signs.grid),
+            (
+                f"the sheet may go on beyond its map ({floored(signs.goes_on)} likely)",
+                signs.goes_on > config.most_going_on,
+            ),
             (f"only {signs.levels:.0f} of 255 grey levels", signs.levels < config.min_levels),
             (
                 f"the {signs.weakest} edge is only {signs.support:.0%} likely to be the sheet's",
