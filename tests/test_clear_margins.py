@@ -232,6 +232,20 @@ def test_margins_that_are_blank_and_alike_count_however_the_print_fits(
     assert (sheet is before) is not counts
 
 
+@pytest.mark.parametrize("beside", [0.0, 0.03])
+def test_a_longer_sheet_that_is_not_believed_leaves_a_doubt_if_the_network_may_see_it(monkeypatch, beside):
+    before = refined(part((100, 160)))
+    monkeypatch.setattr(hybrid.pipeline.whole_sheet, "refine_once", lambda job, phases, read, start: refined(start))
+    config = replace(RectifyConfig(), margins=replace(DOUBTED, sure=1.01))
+    left = whole_sheet(job_of(PHOTO, config), None, before, lambda _: beside, Clock())
+    assert left.refinement is before
+    assert (left.goes_on > MARGINS.likely) == (beside == 0.0)
+    assert (left.goes_on == 0.0) == (beside > 0.0)
+    believed = whole_sheet(job_of(PHOTO), None, before, lambda _: 0.0, Clock())
+    assert believed.refinement is not before
+    assert believed.goes_on == 0.0
+
+
 def test_where_no_grid_is_seen_what_is_gained_tells_whether_margins_are_alike(monkeypatch):
     margins = replace(DOUBTED, blank_sure=0.5)
     for low, high, counts in ((160, 540, True), (160, 580, False), (160, 600, False)):

@@ -89,6 +89,7 @@ def test_a_film_that_all_signs_speak_for_is_flattened() -> None:
         ({"support": 0.3, "weakest": "left"}, "the left edge is only 30% likely to be the sheet's"),
         ({"outside": ("top",)}, "step back, the photo lacks the film's top edge"),
         ({"outside": ("top", "left")}, "the photo lacks the film's top and left edge"),
+        ({"goes_on": 0.454}, "the sheet may go on beyond its map (45% likely)"),
         ({"alike": 0.05}, "cells are not alike"),
         ({"in_step": 0.3}, "the network sees other cells"),
         ({"overlap_after": 0.6}, "overlaps the sheet by only 60%"),
