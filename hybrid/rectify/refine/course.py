@@ -242,8 +242,12 @@ def next_sheets(progress: Progress, config: RefineConfig, watch: Stopwatch) -> N
     possible = possible_margins(placed, fit, config.grid, options)
     placed = square_cells(placed, fit, options)
     watch.lap("sheet")
-    moves_nothing = progress.settled and mean_move(sheet.backward, placed.sheet.backward) < config.settled_margins
-    return NextSheets(None if moves_nothing else placed, possible)
+
+    def moved(other: PlacedPrint, film: BackwardMap) -> bool:
+        return mean_move(film, other.sheet.backward) >= config.settled_margins
+
+    likeliest = placed if not progress.settled or moved(placed, sheet.backward) else None
+    return NextSheets(likeliest, possible if possible and moved(possible, placed.sheet.backward) else None)
 
 
 def unstretched(progress: Progress, placed: PlacedPrint, config: RefineConfig, watch: Stopwatch) -> Progress | None:

@@ -119,8 +119,9 @@ class TrustConfig:
     most_lopsided: float = 0.055
     """How much opposite margins may differ on a photo that is the flat film itself (``SliceGrid.lopsided``): they do by
     0.05 at most on 50 whole films, by 0.06 and more on nine that lack 0.4 of a column or 7 % of their width."""
-    most_going_on: float = 0.3
-    """Largest probability of the edges of a longer sheet that was not believed: of COUNTS."""
+    most_going_on: float = 0.1
+    """Largest probability of the edges of a longer sheet that was not believed: of 25 films in 1,920 simulated photos
+    for which one was noticed, 23 are wrong."""
     min_levels: float = 20.0
     """Least number of grey levels that the photo makes use of: with fewer, gutters look like the sheet's edges."""
 
