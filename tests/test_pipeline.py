@@ -29,6 +29,7 @@ from hybrid.pipeline.doubt import Judged, beyond_doubt, judged
 from hybrid.pipeline.geometry import shape_of
 from hybrid.pipeline.job import Job
 from hybrid.pipeline.looks import checked, see
+from hybrid.pipeline.whole_sheet import WholeSheet
 from hybrid.pyramid import Pyramid
 from hybrid.records import StageReport, StatusCode
 from hybrid.rectify.coarse.invert import Inversion, NotInverted
@@ -111,7 +112,7 @@ def doubted(rectifier, photo):
     config, clock = rectifier.config, Clock()
     job = Job(Pyramid(photo), rectifier._readers, config)
     seen = see(job.readers.network, job.pyramid, config, clock)
-    refined = shape_of(job, seen.inversion.backward, job.phases_of(seen.maps), clock)
+    refined = WholeSheet(shape_of(job, seen.inversion.backward, job.phases_of(seen.maps), clock))
     never = replace(job, config=replace(config, trust=replace(config.trust, least_chance=1.0)))
     first = judged(never, seen, refined, False, clock)
     assert first.verdict.code is StatusCode.UNSURE
