@@ -14,7 +14,13 @@ from hybrid.pipeline.whole_sheet import whole_sheet
 from hybrid.pyramid import Pyramid
 from hybrid.records import SliceGrid
 from hybrid.rectify.edges.paths import look_across
-from hybrid.rectify.margins.ground import FalseMarginsConfig, ShorterSheet, without_margins
+from hybrid.rectify.margins.ground import (
+    FalseMarginsConfig,
+    ShorterSheet,
+    ends_inside,
+    ends_of_print,
+    without_margins,
+)
 from hybrid.rectify.refine.refine import Refinement
 from hybrid.stages import Clock
 
@@ -43,7 +49,7 @@ def print_in(film: BackwardMap, low=(110, 110), high=(590, 590)) -> SliceGrid:
 
 
 def shorter(photo: np.ndarray, film: BackwardMap, grid: SliceGrid, config=OPTIONS) -> ShorterSheet | None:
-    return without_margins(Pyramid(photo), film, grid, STEPS, CONFIG, config)
+    return without_margins(Pyramid(photo), film, ends_of_print(grid, config), STEPS, CONFIG, config)
 
 
 @pytest.mark.parametrize(
@@ -78,6 +84,16 @@ def test_a_sheet_with_more_room_on_one_side_keeps_its_margin():
 def test_margins_narrower_than_the_least_are_kept():
     photo, film = before_its_shadow(below=70)
     assert shorter(photo, film, print_in(film), replace(OPTIONS, least=0.2)) is None
+
+
+def test_edges_inside_are_noticed_where_the_sheet_ends_before_its_map():
+    for out, where in (({"below": 70}, {"bottom"}), ({"left": 60, "right": 120}, {"left", "right"}), ({}, set())):
+        photo, film = before_its_shadow(**out)
+        inside = ends_inside(Pyramid(photo), film, STEPS, CONFIG, OPTIONS)
+        assert {side.name for side in inside} == where
+        for side, length in inside.items():
+            pixels = out[{"bottom": "below"}.get(side.name, side.name)]
+            assert -length == pytest.approx(pixels / np.ptp(film.nodes[..., side.axis]), abs=0.01)
 
 
 # ---------------------------------------------------------------- which of them are believed
@@ -141,6 +157,27 @@ def test_nor_where_its_edges_are_not_sure(monkeypatch):
 )
 def test_margins_alike_are_ground_only_if_the_grid_or_the_edges_say_so(monkeypatch, gained, seen, counts):
     assert sheet_of(monkeypatch, ALIKE, gained=gained, seen=seen)[0] is counts
+
+
+@pytest.mark.parametrize(("written", "counts"), [(0, True), (20, False)])
+def test_what_no_margin_of_the_grid_tells_of_is_cut_off_only_if_it_is_blank(monkeypatch, written, counts):
+    """Through a map that is wrong, a grid may be seen that fills it. But a row of cells may end like a sheet."""
+    photo, film = before_its_shadow(below=70)
+    low, high = film.nodes[0, 0], film.nodes[-1, -1]
+    rng = np.random.default_rng(0)
+    photo[150:550, 150:550] += rng.integers(0, 20, (400, 400, 1), np.uint8)
+    photo[610:660, 110:590] += rng.integers(0, written + 1, (50, 480, 1), np.uint8)
+    before = Refinement(film, replace(print_in(film, low, high), confidence=0.9), (), expected_px=0.5, stands=True)
+
+    def exact(job, start, phases, read, clock):
+        return Refinement(start, print_in(start), (), expected_px=0.5, stands=True)
+
+    monkeypatch.setattr(hybrid.pipeline.whole_sheet, "exact", exact)
+    options = replace(RectifyConfig(), false_margins=SURE, margins=replace(RectifyConfig().margins, beyond=()))
+    after = whole_sheet(job_of(photo, options), None, before, lambda _: 0.0, Clock()).refinement
+    assert (after is not before) is counts
+    if counts:
+        np.testing.assert_allclose(after.backward.nodes[-1, -1], 600, atol=4)
 
 
 def test_where_no_grid_is_seen_nothing_is_cut_off():

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 from hybrid.backward import BackwardMap
@@ -11,10 +11,11 @@ from hybrid.pipeline.geometry import exact, refine_once
 from hybrid.pipeline.job import Job
 from hybrid.rectify.edges.paths import EdgesRead
 from hybrid.rectify.grid.phases import CellPhases
-from hybrid.rectify.margins.clear import LongerSheet, with_margins
-from hybrid.rectify.margins.ground import without_margins
+from hybrid.rectify.margins.clear import LongerSheet, detail_of_margins, unlike_ends, with_margins
+from hybrid.rectify.margins.ground import ends_inside, ends_of_print, without_margins
 from hybrid.rectify.refine.refine import Refinement
 from hybrid.stages import Clock
+from hybrid.strips import Side
 
 MOST_MARGINS = 2
 """How often margins are looked for: at one end they may show only once the sheet is made longer at the other."""
@@ -106,24 +107,32 @@ def _likelier(job: Job, refined: Refinement, longer: LongerSheet, wider: Refinem
 
 
 def _without_margins(job: Job, phases: CellPhases | None, refined: Refinement) -> tuple[Refinement, str] | None:
-    """A refinement of the sheet without margins that were background, and what these were."""
+    """Refinement of the sheet without margins that were background, and what these were."""
     options, grid, across = job.config.false_margins, refined.grid, refined.across
-    if grid is None:
-        return None
+    readers, film, before = job.readers, refined.backward, _grid_chance(refined)
     unseen = across is not None and across.support.min() < options.unseen  # a plane has straight edges that are seen
-    may_gain = grid.confidence + options.grid_gained <= 1.0
-    if not (unseen or may_gain or grid.lopsided >= options.unlike - options.most_lopsided):
+    may_gain = before + options.grid_gained <= 1.0
+    least = options.unlike - options.most_lopsided
+    told: Mapping[Side, float] = {}
+    if grid is not None and (unseen or may_gain or grid.lopsided >= least):
+        told = ends_of_print(grid, options)
+    read = ends_inside(job.pyramid, film, readers.edges, job.config.edges, options)
+    wide = {**read, **told}
+    if not (wide and (unseen or may_gain or unlike_ends(wide) >= least)):
         return None  # whatever were cut off, nothing would tell it from a margin
-    shorter = without_margins(job.pyramid, refined.backward, grid, job.readers.edges, job.config.edges, options)
+    shorter = without_margins(job.pyramid, film, wide, readers.edges, job.config.edges, options)
     if shorter is None:
         return None
     is_ground = unseen or shorter.unlike >= options.unlike
     if not (is_ground or may_gain):
         return None
+    untold = any(side not in told for side in shorter.lost)  # by the grid: it might be print
+    if untold and detail_of_margins(job.pyramid, film, shorter.lost, job.config.refine.cells) > options.blank:
+        return None
     within = exact(job, shorter.read.through, phases, shorter.read, Clock())
     if within.grid is None or within.grid.lopsided > options.most_lopsided:
         return None
-    if not (is_ground or within.grid.confidence >= grid.confidence + options.grid_gained):
+    if not (is_ground or within.grid.confidence >= before + options.grid_gained):
         return None
     sure = job.edges_of(within).support.min() >= options.sure
     return (within, str(shorter)) if sure else None

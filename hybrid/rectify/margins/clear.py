@@ -10,7 +10,7 @@ and, unless they do so beyond much doubt, opposite margins must be alike.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -127,19 +127,8 @@ class LongerSheet:
         return unlike_ends({end: self._share(end) for end in self.gained})
 
     def detail_gained(self, pyramid: Pyramid, film: BackwardMap, look: CellsConfig) -> float:
-        """Detail of the margins gained, through the longer map ``film``, in parts of that of the print: for the end
-        that shows most. Infinite where the photo does not show an end. look: how cells are looked at: the same view is
-        used here."""
-        view = grey_view(pyramid, film, look.side_px)
-        shown, printed, gained = np.abs(detail(view.image[..., 0], *look.detail_px)), view.inside, []
-        for end in self.gained:
-            depth = -_outside(view.u if end.axis == 0 else view.v, end) / self._share(end)
-            depth = depth if end.axis == 0 else depth[:, None]
-            gained.append(shown[view.inside & (depth > RIM) & (depth < 1.0 - RIM)])
-            printed = printed & (depth > 1.0)
-        if not printed.any() or not all(margin.size for margin in gained):
-            return float("inf")
-        return max(float(margin.mean()) for margin in gained) / max(float(shown[printed].mean()), 1e-6)
+        """Detail of the margins gained, seen through the longer map ``film`` (``detail_of_margins``)."""
+        return detail_of_margins(pyramid, film, {end: self._share(end) for end in self.gained}, look)
 
     def __str__(self) -> str:
         return f"the sheet goes on: {told_of(self.gained, self.read)}"
@@ -149,7 +138,8 @@ def with_margins(
     pyramid: Pyramid, film: BackwardMap, reader: StripReader, edges: EdgeConfig, config: ClearMarginsConfig
 ) -> Iterator[LongerSheet]:
     """Sheets with margins that were taken for background, each map put on the sheet's edges; usually none."""
-    for ahead in _together(_edges_beyond(pyramid, film, reader, edges, config)):
+    noticed = edges_beside(pyramid, film, config.beyond, reader, edges, config.noticed, config.least)
+    for ahead in _together(noticed):
         new = list(ahead)
         while new:
             start = lengthened(film, {end: ahead[end] for end in new})
@@ -172,6 +162,24 @@ def with_margins(
                 yield longer
                 break
             new = borne_out
+
+
+def detail_of_margins(pyramid: Pyramid, film: BackwardMap, margins: Mapping[Side, float], look: CellsConfig) -> float:
+    """Detail of margins, in parts of that of the print between them: for the end that shows most. Infinite where the
+    photo does not show an end.
+
+    margins: their widths, in parts of the film. look: how cells are looked at: the same view is used here.
+    """
+    view = grey_view(pyramid, film, look.side_px)
+    shown, printed, seen = np.abs(detail(view.image[..., 0], *look.detail_px)), view.inside, []
+    for end, width in margins.items():
+        depth = -_outside(view.u if end.axis == 0 else view.v, end) / width
+        depth = depth if end.axis == 0 else depth[:, None]
+        seen.append(shown[view.inside & (depth > RIM) & (depth < 1.0 - RIM)])
+        printed = printed & (depth > 1.0)
+    if not printed.any() or not all(margin.size for margin in seen):
+        return float("inf")
+    return max(float(margin.mean()) for margin in seen) / max(float(shown[printed].mean()), 1e-6)
 
 
 def lengthened(film: BackwardMap, gained: Mapping[Side, float]) -> BackwardMap:
@@ -199,23 +207,33 @@ def _together(noticed: Mapping[Side, float]) -> Iterator[Mapping[Side, float]]:
     yield from across
 
 
-def _edges_beyond(
-    pyramid: Pyramid, film: BackwardMap, reader: StripReader, edges: EdgeConfig, config: ClearMarginsConfig
+def edges_beside(
+    pyramid: Pyramid,
+    film: BackwardMap,
+    middles: Sequence[float],
+    reader: StripReader,
+    edges: EdgeConfig,
+    noticed: float,
+    least: float,
 ) -> dict[Side, float]:
-    """The film's ends beyond which something reads as the sheet's edge, and how far beyond."""
+    """The film's ends beside which something reads as the sheet's edge, and how far beyond; inside is negative.
+
+    middles: of the strips that are read, beyond the ends, or inside if negative. noticed: least mean probability, over
+    its columns, of such an edge. least: how far from the end it must be.
+    """
     photo, on_copy = strip_copy(pyramid, film, reader.strip)
     found: dict[Side, tuple[float, float]] = {}
-    beyond = [(side, middle) for middle in config.beyond for side in SIDES]
-    if not beyond:
+    beside = [(side, middle) for middle in middles for side in SIDES]
+    if not beside:
         return {}
-    lines = [(replace(side, edge=side.edge - side.inward * middle), on_copy) for side, middle in beyond]
+    lines = [(replace(side, edge=side.edge - side.inward * middle), on_copy) for side, middle in beside]
     paths = read_paths(reader.logs(*strips_across(photo, lines, reader.strip)), edges.paths)
     depth, core = reader.strip.depth_of(paths.row), off_corners(paths.row.shape[1])
-    for k, (side, middle) in enumerate(beyond):
+    for k, (side, middle) in enumerate(beside):
         off = middle - depth[k]
-        counts = core & (off > config.least)
+        counts = core & (np.copysign(off, middle) == off) & (np.abs(off) > least)
         mass = float((paths.mass[k] * counts).sum() / core.sum())
-        if mass > max(config.noticed, found.get(side, (0.0, 0.0))[0]):
+        if mass > max(noticed, found.get(side, (0.0, 0.0))[0]):
             found[side] = mass, float(np.median(off[counts]))
     return {side: off for side, (_, off) in found.items()}
 
@@ -255,4 +273,13 @@ def _outside(at: Float[np.ndarray, " n"], end: Side) -> Float[np.ndarray, " n"]:
     return end.inward * (end.edge - at)
 
 
-__all__ = ["ClearMarginsConfig", "LongerSheet", "beyond_end", "lengthened", "told_of", "unlike_ends", "with_margins"]
+__all__ = [
+    "ClearMarginsConfig",
+    "LongerSheet",
+    "beyond_end",
+    "edges_beside",
+    "lengthened",
+    "told_of",
+    "unlike_ends",
+    "with_margins",
+]
