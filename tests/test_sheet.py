@@ -396,13 +396,18 @@ def costing(sheet: FittedSheet, times: float) -> FittedSheet:
     return replace(sheet, state=replace(sheet.state, cost=times * sheet.cost))
 
 
-@pytest.mark.parametrize(("found_off", "expected"), [(0.0, True), (0.015, True), (0.025, False)])
-def test_borders_lie_in_the_middle_where_they_are_found_near_it(found_off, expected):
+def found_beside_the_middle(off: float) -> tuple[FittedSheet, list[Sightings]]:
+    """A sheet that puts lines beside its middle, and its sightings: the edges and these lines."""
     true = cylinder(1.2, 0, 10)
     seen = edges_seen(true, true, np.random.default_rng(0), 0.3) + lines_seen(true, true, {0: [0.3, 0.5, 0.7]})
     found = fit_sheet(true, true, PHOTO, seen, CONFIG)
     assert found is not None
-    found = replace(found, constants=(*found.constants[:-1], np.array([found_off, 0.0])))
+    return replace(found, constants=(*found.constants[:-1], np.array([off, 0.0]))), seen
+
+
+@pytest.mark.parametrize(("found_off", "expected"), [(0.0, True), (0.015, True), (0.025, False)])
+def test_borders_lie_in_the_middle_where_they_are_found_near_it(found_off, expected):
+    found, seen = found_beside_the_middle(found_off)
 
     def fit(_: Sequence[Evidence], before: FittedSheet | None, square: bool) -> FittedSheet | None:
         return before and costing(before, 1.01)
@@ -421,11 +426,7 @@ def test_borders_lie_in_the_middle_where_they_are_found_near_it(found_off, expec
     ("found_off", "growth", "expected"), [(0.045, 1.5, True), (0.06, 1.0, False), (0.045, 1.7, False)]
 )
 def test_borders_may_lie_in_the_middle_though_that_explains_less_at_first(found_off, growth, expected):
-    true = cylinder(1.2, 0, 10)
-    seen = edges_seen(true, true, np.random.default_rng(0), 0.3) + lines_seen(true, true, {0: [0.3, 0.5, 0.7]})
-    found = fit_sheet(true, true, PHOTO, seen, CONFIG)
-    assert found is not None
-    found = replace(found, constants=(*found.constants[:-1], np.array([found_off, 0.0])))
+    found, seen = found_beside_the_middle(found_off)
 
     def fit(_: Sequence[Evidence], before: FittedSheet | None, square: bool) -> FittedSheet | None:
         return before and costing(before, growth)
