@@ -88,10 +88,9 @@ def beyond_doubt(job: Job, seen: LastLook, first: Judged, whole: bool, clock: Cl
         found, beside = [first.doubted(config)], partial(network_beside, job.readers.network, seen, config)
         for start in _starts(job, seen, first):
             apart = Clock()
-            refined = WholeSheet(exact(job, *start, apart))
-            if whole:
-                refined = whole_sheet(job, start[1], refined.refinement, beside, apart)
-            found.append(judged(job, seen, refined, False, apart).doubted(config))
+            refined = exact(job, *start, apart)
+            sheet = whole_sheet(job, start[1], refined, beside, apart) if whole else WholeSheet(refined)
+            found.append(judged(job, seen, sheet, False, apart).doubted(config))
             if found[-1].verdict.ok or len(found) > config.tries:
                 break
         surest = max(found, key=lambda one: (one.verdict.ok, one.verdict.code is not StatusCode.NO_FILM, one.chance))

@@ -184,10 +184,9 @@ class Rectifier:
         whole: WholeSheet | None = None
         if checks.ok:
             assert isinstance(seen.inversion, Inversion)  # else there is no film
-            whole = WholeSheet(shape_of(job, seen.inversion.backward, phases, clock))
-            if corners is None:
-                beside = partial(network_beside, network, seen, config)
-                whole = whole_sheet(job, phases, whole.refinement, beside, clock)
+            refined = shape_of(job, seen.inversion.backward, phases, clock)
+            beside = partial(network_beside, network, seen, config)
+            whole = whole_sheet(job, phases, refined, beside, clock) if corners is None else WholeSheet(refined)
         flat = flat_itself(job, seen, phases, whole and whole.refinement, told, clock)
         if flat is not None:
             whole = WholeSheet(flat)

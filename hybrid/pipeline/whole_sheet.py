@@ -118,7 +118,7 @@ def _without_margins(job: Job, phases: CellPhases | None, refined: Refinement) -
         told = ends_of_print(grid, options)
     read = ends_inside(job.pyramid, film, readers.edges, job.config.edges, options)
     wide = {**read, **told}
-    if not (wide and (unseen or may_gain or unlike_ends(wide) >= least)):
+    if not (unseen or may_gain or unlike_ends(wide) >= least):
         return None  # whatever were cut off, nothing would tell it from a margin
     shorter = without_margins(job.pyramid, film, wide, readers.edges, job.config.edges, options)
     if shorter is None:

@@ -260,7 +260,8 @@ def told_of(lengths: Mapping[Side, float], read: EdgesRead) -> str:
 
 def unlike_ends(lengths: Mapping[Side, float]) -> float:
     """Largest difference between lengths at opposite ends, 0 at ends that are not named."""
-    return max(abs(sum(end.inward * length for end, length in lengths.items() if end.axis == axis)) for axis in (0, 1))
+    along = ([end.inward * length for end, length in lengths.items() if end.axis == axis] for axis in (0, 1))
+    return max(abs(sum(ends, 0.0)) for ends in along)
 
 
 def _along(end: Side) -> Float[np.ndarray, "n 2"]:

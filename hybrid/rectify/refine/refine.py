@@ -190,16 +190,12 @@ def _with_sheets(progress: Progress, config: RefineConfig, watch: Stopwatch) -> 
     likeliest, possible = progress, None
     while not _is_last(likeliest, config):
         sheets = next_sheets(likeliest, config, watch)
-        possible = _from_sheet(likeliest, sheets.possible, config, watch) or possible
+        if (begun := _from_sheet(likeliest, sheets.possible, config, watch)) is not None:
+            possible = _with_sheets(begun, config, watch)[0] or begun
         further = _from_sheet(likeliest, sheets.likeliest, config, watch)
         if further is None:
             break
         likeliest = further
-    while possible is not None and not _is_last(possible, config):
-        further = _from_sheet(possible, next_sheets(possible, config, watch).likeliest, config, watch)
-        if further is None:
-            break
-        possible = further
     return (None if likeliest is progress else likeliest), possible
 
 
