@@ -22,6 +22,7 @@ from hybrid.rectify.margins.ground import FalseMarginsConfig
 from hybrid.rectify.refine.config import RefineConfig
 from hybrid.rectify.refine.plane import PlaneConfig
 from hybrid.rectify.sheet.shape import SheetConfig
+from hybrid.rectify.verdict.nearness import NearnessConfig
 from hybrid.rectify.verdict.survey import SurveyConfig
 from hybrid.rectify.verdict.trust import ErrorConfig, TrustConfig
 
@@ -46,10 +47,14 @@ class RectifyConfig:
     foreshortening: ForeshorteningConfig = field(default_factory=ForeshorteningConfig)
     refine: RefineConfig = field(default_factory=RefineConfig)
     plane: PlaneConfig = field(default_factory=PlaneConfig)
-    tries: int = 1
-    """How many more times a film is refined while it is in doubt: first from where the first refinement ended, then
-    from what the network sees in other orientations. The surest result counts."""
-    hopeless: float = 0.1
+    tries: int = 10
+    """How many more times a film is refined at most while it is in doubt: from where the first refinement ended, then
+    from elsewhere (pipeline/starts.py). The result that is likely nearest to the truth counts."""
+    enough: float = 0.7
+    """A film is not refined from elsewhere once its map is right with this probability."""
+    nearness: NearnessConfig = field(default_factory=NearnessConfig)
+    """Which of the results counts."""
+    hopeless: float = 0.03
     """Least probability that the map is right: below it, refining a film again would not help and is not tried."""
     size: FilmSizeConfig = field(default_factory=FilmSizeConfig)
     resample: ResampleConfig = field(default_factory=ResampleConfig)
@@ -61,7 +66,7 @@ class RectifyConfig:
 
     def __post_init__(self) -> None:
         require_numbers(self)
-        require_at_most(self, 1, "hopeless")
+        require_at_most(self, 1, "enough", "hopeless")
 
     @staticmethod
     def of(effort: Effort | str) -> RectifyConfig:
@@ -70,8 +75,8 @@ class RectifyConfig:
         fast: the network's map, refined in two rounds and by one unstretched sheet, which is fitted once; the photo is
         read bilinearly. default: the options' own values. Sheets that do not explain what is seen are also tried bent
         the other way round, and up to three sheets are fitted one after the other; a film still in doubt is refined
-        once more from where that ended.
-        thorough: a film still in doubt then is also refined from what the network sees in three more orientations.
+        once more from where that ended and, unless its map is then rather sure to be right, from elsewhere.
+        thorough: a film is refined from elsewhere as long as there is any doubt.
 
         Raises:
             ConfigError: there is no such effort.
@@ -84,7 +89,7 @@ class RectifyConfig:
                 trust=TrustConfig(error=ErrorConfig(constant=ErrorConfig.constant + 0.26)),  # 1.3 times as much
             ),
             "default": RectifyConfig(),
-            "thorough": RectifyConfig(tries=4),
+            "thorough": RectifyConfig(enough=1.0),
         }
         if not isinstance(effort, str) or effort not in efforts:
             got = repr(effort) if isinstance(effort, str) else f"a {type(effort).__name__}"

@@ -207,7 +207,8 @@ class Signs:
     sheet: whether a bent sheet explains what was seen.
     flat: whether the photo was found to be the flat film itself; then only ``lopsided`` and ``off_frame`` count.
     off_frame: for such a photo, how far from its frame a refinement started there ends, in parts of the film's size.
-    doubted: whether the film was in doubt at first, so that this is the surest of several refinements.
+    doubted: how many refinements of the film had been tried and left a doubt; at least 1 where it was in doubt at
+        first, so that this is one of several.
     weakest: the edge with the least support, as the film lies in the photo: top, bottom, left or right.
     outside: edges, named the same way, that lie mostly outside the photo.
     near: whether the film shows only in a look at a part of the photo.
@@ -233,7 +234,7 @@ class Signs:
     sheet: bool
     flat: bool = False
     off_frame: float = 0.0
-    doubted: bool = False
+    doubted: int = 0
     weakest: str = "weakest"
     outside: tuple[str, ...] = ()
     near: bool = False

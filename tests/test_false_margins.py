@@ -116,11 +116,11 @@ def sheet_of(
     grid = replace(print_in(film), confidence=0.4)
     before = Refinement(film, grid, (), expected_px=0.5, stands=True, across=across)
 
-    def exact(job, start, phases, read, clock):
-        assert read.through is start
-        assert np.ptp(start.nodes[..., 1]) < 510
-        grid = replace(print_in(start, *printed), confidence=0.4 + gained) if printed else None
-        return Refinement(start, grid, (), expected_px=0.5, stands=True)
+    def exact(job, start, clock):
+        assert start.edges.through is start.film
+        assert np.ptp(start.film.nodes[..., 1]) < 510
+        grid = replace(print_in(start.film, *printed), confidence=0.4 + gained) if printed else None
+        return Refinement(start.film, grid, (), expected_px=0.5, stands=True)
 
     monkeypatch.setattr(hybrid.pipeline.whole_sheet, "exact", exact)
     options = replace(RectifyConfig(), false_margins=config, margins=replace(RectifyConfig().margins, beyond=()))
@@ -169,8 +169,8 @@ def test_what_no_margin_of_the_grid_tells_of_is_cut_off_only_if_it_is_blank(monk
     photo[610:660, 110:590] += rng.integers(0, written + 1, (50, 480, 1), np.uint8)
     before = Refinement(film, replace(print_in(film, low, high), confidence=0.9), (), expected_px=0.5, stands=True)
 
-    def exact(job, start, phases, read, clock):
-        return Refinement(start, print_in(start), (), expected_px=0.5, stands=True)
+    def exact(job, start, clock):
+        return Refinement(start.film, print_in(start.film), (), expected_px=0.5, stands=True)
 
     monkeypatch.setattr(hybrid.pipeline.whole_sheet, "exact", exact)
     options = replace(RectifyConfig(), false_margins=SURE, margins=replace(RectifyConfig().margins, beyond=()))

@@ -33,6 +33,7 @@ from hybrid.pipeline.whole_sheet import WholeSheet
 from hybrid.pyramid import Pyramid
 from hybrid.records import StageReport, StatusCode
 from hybrid.rectify.coarse.invert import Inversion, NotInverted
+from hybrid.rectify.verdict.nearness import nearness
 from hybrid.rectify.verdict.survey import Verdict
 from hybrid.rectify.verdict.trust import chance_right, floored
 from hybrid.stages import Clock
@@ -138,16 +139,16 @@ def judging(monkeypatch) -> list[Judged]:
 def test_what_is_in_doubt_is_refined_from_where_it_ended_and_from_other_sides(doubted, monkeypatch):
     job, seen, first = doubted
     refined = judging(monkeypatch)
-    for tries in (1, 3):
+    for tries in (1, 3, 9):
         clock = Clock()
-        found = beyond_doubt(with_options(job, tries=tries), seen, first, True, clock)
+        found = beyond_doubt(with_options(job, tries=tries, enough=1.0), seen, first, True, clock)
         (report,) = clock.reports
         assert (report.name, report.ran) == ("again", True)
-        assert len(refined) == tries
-        assert floored(first.doubted(job.config).chance) in report.reason
+        assert len(refined) == min(tries, 6)  # one number of cells is likely: where it ended, plane, network, 3 sides
+        assert floored(first.after(1, job.config).chance) in report.reason
         refined.clear()
         assert found.signs.doubted
-        assert found.chance >= first.doubted(job.config).chance
+        assert nearness(found.signs) >= nearness(first.signs)
         apart = np.linalg.norm(found.refinement.backward.nodes - first.refinement.backward.nodes, axis=-1)
         assert apart.mean() < 1.0  # of 1,400 px: each try ends at the same film
 
@@ -160,6 +161,14 @@ def test_the_first_refinement_that_leaves_no_doubt_ends_the_tries(doubted, recti
     assert len(refined) == 1
 
 
+def test_nor_is_a_film_refined_from_elsewhere_that_is_sure_enough(doubted, monkeypatch):
+    job, seen, first = doubted
+    refined = judging(monkeypatch)
+    beyond_doubt(job, seen, first, True, Clock())
+    assert len(refined) == 1
+    assert first.after(1, job.config).chance > job.config.enough
+
+
 def test_a_film_is_not_lost_by_being_refined_again(doubted, monkeypatch):
     """A refinement that shows nothing of a film does not count, however probable its other signs make it."""
     job, seen, first = doubted
@@ -168,12 +177,12 @@ def test_a_film_is_not_lost_by_being_refined_again(doubted, monkeypatch):
     found = beyond_doubt(job, seen, first, True, Clock())
     assert found.refinement is first.refinement
     assert found.verdict.code is StatusCode.UNSURE
-    assert chance_right(replace(signs, doubted=True), job.config.trust) > found.chance
+    assert chance_right(replace(signs, doubted=1), job.config.trust) > found.chance
 
 
 def test_a_film_is_refined_again_only_if_that_may_help(doubted):
     job, seen, first = doubted
-    hopeless, sure = replace(first, chance=0.05), replace(first, verdict=Verdict(StatusCode.OK, "sure"))
+    hopeless, sure = replace(first, chance=0.02), replace(first, verdict=Verdict(StatusCode.OK, "sure"))
     for before, tried, text in (
         (first, with_options(job, tries=0), "this effort"),
         (hopeless, job, "too little"),

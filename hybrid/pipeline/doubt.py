@@ -1,23 +1,24 @@
-"""Whether a map is right, and what is done if that is in doubt: the film is refined once more."""
+"""Whether a map is right, and what is done if that is in doubt: the film is refined again."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import islice
 
-from hybrid.backward import BackwardMap
 from hybrid.effort import RectifyConfig
-from hybrid.pipeline.geometry import evened, exact
+from hybrid.pipeline.geometry import exact
 from hybrid.pipeline.job import Job
-from hybrid.pipeline.looks import LastLook, network_beside, see_from_sides, seen_through
+from hybrid.pipeline.looks import LastLook, network_beside, seen_through
+from hybrid.pipeline.starts import Start, other_starts
 from hybrid.pipeline.whole_sheet import WholeSheet, whole_sheet
 from hybrid.records import CoarseMaps, Signs, StageReport, StatusCode
 from hybrid.rectify.coarse.invert import Inversion
-from hybrid.rectify.edges.paths import EdgesRead, put_on_edges, read_edges
+from hybrid.rectify.edges.paths import EdgesRead
 from hybrid.rectify.grid.borders import borders_shown
-from hybrid.rectify.grid.phases import CellPhases
 from hybrid.rectify.refine.refine import Refinement
+from hybrid.rectify.verdict.nearness import nearness
 from hybrid.rectify.verdict.survey import Verdict
 from hybrid.rectify.verdict.trust import chance_right, film_verdict, floored, signs_of
 from hybrid.stages import Clock
@@ -39,9 +40,9 @@ class Judged:
     chance: float
     stages: tuple[StageReport, ...]
 
-    def doubted(self, config: RectifyConfig) -> Judged:
-        """The same for a film that was in doubt at first: a choice among several refinements is trusted less."""
-        signs = replace(self.signs, doubted=True)
+    def after(self, doubted: int, config: RectifyConfig) -> Judged:
+        """The same for a film that so many refinements had left in doubt: one of several is trusted less."""
+        signs = replace(self.signs, doubted=doubted)
         verdict = film_verdict(signs, config.trust)
         *before, last = self.stages
         stages = (*before, replace(last, reason=verdict.reason))
@@ -71,10 +72,10 @@ def judged(job: Job, seen: LastLook, sheet: WholeSheet, flat: bool, clock: Clock
 
 
 def beyond_doubt(job: Job, seen: LastLook, first: Judged, whole: bool, clock: Clock) -> Judged:
-    """A refinement or, if in doubt, the surest of it and several more, up to the first that is not in doubt.
+    """A refinement or, if in doubt, that of it and several more which is likely nearest to the truth.
 
-    They start from where the first ended, with edges and cells as seen through its map, then from what the network sees
-    in other orientations. whole: whether to look for margins that were taken for the background.
+    They start from where the first ended, with edges and cells as seen through its map, and then from elsewhere, until
+    one leaves no doubt or is sure enough. whole: whether to look for margins that were taken for the background.
     """
     config = job.config
     with clock.stage("again") as report:
@@ -85,26 +86,41 @@ def beyond_doubt(job: Job, seen: LastLook, first: Judged, whole: bool, clock: Cl
             some = "too little speaks for it" if config.tries else "one refinement is enough in this effort"
             report.reason = some if doubtful else "no doubt is left that another refinement could remove"
             return first
-        found, beside = [first.doubted(config)], partial(network_beside, job.readers.network, seen, config)
-        for start in _starts(job, seen, first):
-            apart = Clock()
-            refined = exact(job, *start, apart)
-            sheet = whole_sheet(job, start[1], refined, beside, apart) if whole else WholeSheet(refined)
-            found.append(judged(job, seen, sheet, False, apart).doubted(config))
-            if found[-1].verdict.ok or len(found) > config.tries:
+        found = [first.after(1, config)]
+        for one in islice(_again(job, seen, first, whole), config.tries):
+            found.append(one.after(len(found), config))
+            if found[-1].verdict.ok or max(each.chance for each in found) >= config.enough:
                 break
-        surest = max(found, key=lambda one: (one.verdict.ok, one.verdict.code is not StatusCode.NO_FILM, one.chance))
-        said = ", ".join(floored(one.chance) for one in found[1:])
-        counts = "the first still counts" if surest is found[0] else f"{floored(surest.chance)} counts"
+        nearest = max(found, key=lambda each: _rank(each, config))
+        said = ", ".join(floored(each.chance) for each in found[1:])
+        counts = "the first still counts" if nearest is found[0] else f"{floored(nearest.chance)} counts"
         report.reason = f"{floored(found[0].chance)} sure to be right at first, refined again {said}: {counts}"
-    return surest
+    return nearest
 
 
-def _starts(job: Job, seen: LastLook, first: Judged) -> Iterator[tuple[BackwardMap, CellPhases | None, EdgesRead]]:
-    """Maps to refine anew, with what the network says of the cells, and with the edges read: where the first refinement
-    ended, and then what the network sees in other orientations."""
-    yield first.refinement.backward, job.phases_of(first.seen), first.across
-    phases, config = job.phases_of(seen.maps), job.config
-    for side in see_from_sides(job.readers.network, seen, config)[:-1]:
-        read = read_edges(job.pyramid, side.backward, job.readers.edges, config.edges)
-        yield evened(put_on_edges(side.backward, read, config.edges), phases, read, config), phases, read
+def _rank(one: Judged, config: RectifyConfig) -> tuple[bool, bool, float]:
+    """Larger for the one of several refinements that counts."""
+    return one.verdict.ok, one.verdict.code is not StatusCode.NO_FILM, nearness(one.signs, config.nearness)
+
+
+def _again(job: Job, seen: LastLook, first: Judged, whole: bool) -> Iterator[Judged]:
+    """Further refinements, each made when it is asked for; those that assume other numbers of cells are followed by one
+    from where they end."""
+    beside = partial(network_beside, job.readers.network, seen, job.config)
+
+    def refined(start: Start) -> Judged:
+        clock = Clock()
+        found = exact(job, start, clock)
+        sheet = whole_sheet(job, start.phases, found, beside, clock) if whole else WholeSheet(found)
+        return judged(job, seen, sheet, False, clock)
+
+    yield refined(_end_of(job, first))
+    for start in other_starts(job, seen, first.refinement.backward, first.refinement.grid):
+        yield (ended := refined(start))
+        if any(start.counts):
+            yield refined(_end_of(job, ended))
+
+
+def _end_of(job: Job, one: Judged) -> Start:
+    """Where a refinement ended, with edges and cells as they are seen through its map."""
+    return Start(one.refinement.backward, job.phases_of(one.seen), one.across)

@@ -10,13 +10,12 @@ from functools import partial
 import numpy as np
 
 from hybrid.backward import BackwardMap, mean_move
-from hybrid.effort import RectifyConfig
 from hybrid.pipeline.job import Job
 from hybrid.pipeline.looks import LastLook
+from hybrid.pipeline.starts import Start, evened, on_edges
 from hybrid.pyramid import Photo, Pyramid
-from hybrid.rectify.coarse.foreshortening import even
 from hybrid.rectify.coarse.invert import Inversion
-from hybrid.rectify.edges.paths import EdgesRead, put_on_edges, read_edges
+from hybrid.rectify.edges.paths import EdgesRead, put_on_edges
 from hybrid.rectify.grid.phases import CellPhases
 from hybrid.rectify.refine.plane import flat_film
 from hybrid.rectify.refine.refine import Refinement, refine
@@ -32,33 +31,31 @@ def shape_of(job: Job, coarse: BackwardMap, phases: CellPhases | None, clock: Cl
     """
     config = job.config
     with clock.stage("edges") as report:
-        read = read_edges(job.pyramid, coarse, job.readers.edges, config.edges)
-        start = put_on_edges(coarse, read, config.edges)
+        start = on_edges(job, coarse, phases)
+        read = start.edges
         report.reason = f"{len(read.sightings)} of 4 edges read, at most {read.off:.1%} of the film off the network's"
-    by_edges = partial(flat_film, edges=read.seen_through(start), refine=config.refine, config=config.plane)
-    flat = _on_copy(job.pyramid, start, phases, config.refine.working_px, by_edges)
+    by_edges = partial(flat_film, edges=read.seen_through(start.film), refine=config.refine, config=config.plane)
+    flat = _on_copy(job.pyramid, start.film, phases, config.refine.working_px, by_edges)
     clock.reports += flat.stages
     if flat.believed:
         return flat
     with clock.stage("spacing") as report:
-        report.ran, before = phases is not None, start
-        start = evened(start, phases, read, config)
-        moved = mean_move(before, start)
+        report.ran, before = phases is not None, start.film
+        start = evened(job, start)
+        moved = mean_move(before, start.film)
         report.reason = f"cells moved by {moved:.2%} of the film" if report.ran else "the network predicts no cells"
-    return exact(job, start, phases, read, clock)
+    return exact(job, start, clock)
 
 
-def exact(job: Job, start: BackwardMap, phases: CellPhases | None, read: EdgesRead, clock: Clock) -> Refinement:
+def exact(job: Job, start: Start, clock: Clock) -> Refinement:
     """Refine a map by what is seen of the film, and once more from where its edges are then read, if that is surer."""
-    first = refine_once(job, phases, read, start)
+    if any(start.counts):
+        refining = job.config.refine
+        job = job.refining(replace(refining, cells=replace(refining.cells, counts=start.counts)))
+    first = refine_once(job, start.phases, start.edges, start.film)
     clock.reports += first.stages
     with clock.stage("reread") as report:
-        return reread(job, phases, first, report)
-
-
-def evened(film: BackwardMap, phases: CellPhases | None, read: EdgesRead, config: RectifyConfig) -> BackwardMap:
-    """The film with its cells evened out, as far as the network sees them."""
-    return film if phases is None else even(film, phases, read.seen_through(film), config.foreshortening)
+        return reread(job, start.phases, first, report)
 
 
 def reread(job: Job, phases: CellPhases | None, first: Refinement, report: Report) -> Refinement:

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from hybrid.backward import BackwardMap
 from hybrid.pipeline.geometry import exact, refine_once
 from hybrid.pipeline.job import Job
+from hybrid.pipeline.starts import Start
 from hybrid.rectify.edges.paths import EdgesRead
 from hybrid.rectify.grid.phases import CellPhases
 from hybrid.rectify.margins.clear import LongerSheet, detail_of_margins, unlike_ends, with_margins
@@ -129,7 +130,7 @@ def _without_margins(job: Job, phases: CellPhases | None, refined: Refinement) -
     untold = any(side not in told for side in shorter.lost)  # by the grid: it might be print
     if untold and detail_of_margins(job.pyramid, film, shorter.lost, job.config.refine.cells) > options.blank:
         return None
-    within = exact(job, shorter.read.through, phases, shorter.read, Clock())
+    within = exact(job, Start(shorter.read.through, phases, shorter.read), Clock())
     if within.grid is None or within.grid.lopsided > options.most_lopsided:
         return None
     if not (is_ground or within.grid.confidence >= before + options.grid_gained):

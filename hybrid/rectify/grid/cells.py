@@ -28,6 +28,8 @@ SAME_PLACE = 0.012
 grid as it was read and one as it was fitted, if their lines are this near to each other."""
 LEAST_PROBABILITY = 0.3
 """A grid less probable than this does not count."""
+LEAST_COUNTED = 0.01
+"""Numbers of cells less probable than this are not told."""
 
 
 @dataclass(frozen=True)
@@ -96,6 +98,8 @@ class CellsConfig:
     untold: Weights = UNTOLD
     kept: int = 48
     """Grids along one axis that are weighed together with those along the other: the best ones by their own scores."""
+    counts: tuple[int, int] = (0, 0)
+    """Numbers of columns and rows that are assumed, however probable others are; 0: none."""
 
     def __post_init__(self) -> None:
         require_at_least(self, 64, "side_px")
@@ -106,16 +110,27 @@ class CellsConfig:
 
 @dataclass(frozen=True, eq=False)
 class Reading:
-    """The cells along both axes, and the probability that they are right."""
+    """The cells along both axes, and the probability that they are right.
+
+    counts: numbers of columns and rows that have some probability, and that probability, the largest first. assumed:
+    whether these cells were found by assuming their numbers.
+    """
 
     columns: Repeats
     rows: Repeats
     probability: float
+    counts: tuple[tuple[tuple[int, int], float], ...] = ()
+    assumed: bool = False
 
     @property
     def is_likely(self) -> bool:
         """Whether they count as the film's grid."""
         return self.probability >= LEAST_PROBABILITY
+
+    @property
+    def guides(self) -> bool:
+        """Whether lines and cells that repeat are looked for in as many places."""
+        return self.assumed or self.is_likely
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,14 +180,26 @@ def read_cells(
     odds = scores[0][:, None] + scores[1][None]
     odds += sum(weight * np.minimum(oblong, most) for most, weight in weights.oblong)
     chance = np.exp(odds - odds.max())
-    best = np.unravel_index(int(chance.argmax()), chance.shape)
+    counts = _counts(grids, chance / chance.sum())
+    assumed = (grids[0][:, None, 0] == config.counts[0]) & (grids[1][None, :, 0] == config.counts[1])
+    best = np.unravel_index(int(np.where(assumed | ~assumed.any(), chance, 0.0).argmax()), chance.shape)
     alike = [_alike(tried, tried[k]) for tried, k in zip(grids, best, strict=True)]
     probability = float(chance[np.ix_(*alike)].sum() / chance.sum())
     columns, rows = (
         Repeats(axis, float(first), float(pitch), int(cells))
         for axis, (cells, first, pitch) in enumerate(tried[k] for tried, k in zip(grids, best, strict=True))
     )
-    return Reading(columns, rows, min(1.0, probability))
+    return Reading(columns, rows, min(1.0, probability), counts, bool(assumed.any()))
+
+
+def _counts(
+    grids: Sequence[Float[np.ndarray, "_ 3"]], chance: Float[np.ndarray, "c r"]
+) -> tuple[tuple[tuple[int, int], float], ...]:
+    """As Reading.counts, from the grids along each axis and the probability of each pair of them."""
+    (columns, column), (rows, row) = (np.unique(tried[:, 0].astype(int), return_inverse=True) for tried in grids)
+    sums = np.eye(len(columns))[column].T @ chance @ np.eye(len(rows))[row]
+    likely = [divmod(int(k), len(rows)) for k in np.argsort(-sums, axis=None) if sums.flat[k] >= LEAST_COUNTED]
+    return tuple(((int(columns[j]), int(rows[i])), float(sums[j, i])) for j, i in likely)
 
 
 def profile_of(

@@ -1,0 +1,78 @@
+"""Maps to refine a film from: the network's, the end of an earlier refinement, and others worth a try."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+from hybrid.backward import BackwardMap
+from hybrid.learn.reading.views import plane_of
+from hybrid.pipeline.job import Job
+from hybrid.pipeline.looks import LastLook, see_from_sides
+from hybrid.records import SliceGrid
+from hybrid.rectify.coarse.foreshortening import even
+from hybrid.rectify.coarse.invert import Inversion
+from hybrid.rectify.edges.paths import EdgesRead, put_on_edges, read_edges
+from hybrid.rectify.grid.phases import CellPhases
+from hybrid.rectify.refine.glance import VIEW_PX, count_cells
+
+LEAST_COUNTED, MOST_COUNTS = 0.05, 2
+"""Least probability of other numbers of cells that are worth a try, and how many of these there are at most."""
+
+
+@dataclass(frozen=True, eq=False)
+class Start:
+    """A map to refine, and what is known of the film before: what the network says of its cells, its edges as read near
+    those of the map, and numbers of columns and rows that are assumed ((0, 0): none)."""
+
+    film: BackwardMap
+    phases: CellPhases | None
+    edges: EdgesRead
+    counts: tuple[int, int] = (0, 0)
+
+
+def on_edges(job: Job, film: BackwardMap, phases: CellPhases | None) -> Start:
+    """A map, put on the edges that are read across its own."""
+    read = read_edges(job.pyramid, film, job.readers.edges, job.config.edges)
+    return Start(put_on_edges(film, read, job.config.edges), phases, read)
+
+
+def evened(job: Job, start: Start) -> Start:
+    """The same with the film's cells evened out, as far as the network sees them."""
+    if start.phases is None:
+        return start
+    film = even(start.film, start.phases, start.edges.seen_through(start.film), job.config.foreshortening)
+    return replace(start, film=film)
+
+
+def other_starts(job: Job, seen: LastLook, ended: BackwardMap, grid: SliceGrid | None) -> Iterator[Start]:
+    """Starts that lead elsewhere than the usual one: from the plane sheet nearest to where that ended, ignoring what
+    the network says of the cells; from the network's map with other numbers of cells, or ignoring what the network says
+    of them; and from what it sees in other orientations. Each is made when it is asked for.
+
+    ended, grid: map and grid of the refinement from the usual start.
+    """
+    yield on_edges(job, plane_of(ended), None)
+    if not isinstance(seen.inversion, Inversion):
+        return
+    phases = job.phases_of(seen.maps)
+    start = on_edges(job, seen.inversion.backward, phases)
+    for counts in _other_counts(job, evened(job, start), grid):
+        yield replace(start, counts=counts)
+    if phases is not None:
+        yield replace(start, phases=None)
+    for side in see_from_sides(job.readers.network, seen, job.config)[:-1]:
+        yield evened(job, on_edges(job, side.backward, phases))
+
+
+def _other_counts(job: Job, start: Start, grid: SliceGrid | None) -> list[tuple[int, int]]:
+    """The likeliest numbers of columns and rows, as seen through a map, except for those of a grid."""
+    photo, scale = job.pyramid.scaled(VIEW_PX / max(start.film.mean_film_pixels()))
+    phases = start.phases and start.phases.scaled(scale)
+    reading = count_cells(photo, start.film.cropped((0.0, 0.0), scale), phases, job.config.refine)
+    known = None if grid is None else (grid.cols, grid.rows)
+    told = () if reading is None else reading.counts
+    return [counts for counts, chance in told if counts != known and chance >= LEAST_COUNTED][:MOST_COUNTS]
+
+
+__all__ = ["Start", "evened", "on_edges", "other_starts"]
