@@ -47,7 +47,7 @@ class RectifyConfig:
     foreshortening: ForeshorteningConfig = field(default_factory=ForeshorteningConfig)
     refine: RefineConfig = field(default_factory=RefineConfig)
     plane: PlaneConfig = field(default_factory=PlaneConfig)
-    tries: int = 10
+    tries: int = 4
     """How many more times a film is refined at most while it is in doubt: from where the first refinement ended, then
     from elsewhere (pipeline/starts.py). The result that is likely nearest to the truth counts."""
     enough: float = 0.7
@@ -89,7 +89,7 @@ class RectifyConfig:
                 trust=TrustConfig(error=ErrorConfig(constant=ErrorConfig.constant + 0.26)),  # 1.3 times as much
             ),
             "default": RectifyConfig(),
-            "thorough": RectifyConfig(enough=1.0),
+            "thorough": RectifyConfig(tries=8, enough=1.0),
         }
         if not isinstance(effort, str) or effort not in efforts:
             got = repr(effort) if isinstance(effort, str) else f"a {type(effort).__name__}"

@@ -92,3 +92,29 @@ def test_a_blank_film_has_a_reading_that_is_not_sure(grey: np.ndarray):
 
 def test_views_that_are_too_small_are_not_read():
     assert read_cells(np.zeros((30, 400), np.float32), 0.1, NO_PITCH, None, GridConfig(), CellsConfig()) is None
+
+
+def test_other_numbers_of_cells_can_be_taken_for_granted():
+    grey = film_of(4, 4)
+    usual, other, unheard_of = (
+        read_cells(grey, 1.0, NO_PITCH, None, GridConfig(), CellsConfig(counts=counts))
+        for counts in ((0, 0), (2, 4), (1000, 4))
+    )
+    assert usual is not None
+    assert other is not None
+    assert (other.columns.cells, other.rows.cells) == (2, 4)
+    assert [counts for counts, _ in other.counts] == [(2, 4)]
+    assert unheard_of is not None
+    assert (unheard_of.columns, unheard_of.rows, unheard_of.counts) == (usual.columns, usual.rows, usual.counts)
+
+
+def test_the_most_probable_numbers_of_cells_are_told():
+    grey = film_of(4, 4)
+    reading = read_cells(grey, 1.0, NO_PITCH, None, GridConfig(), CellsConfig())
+    assert reading is not None
+    (counts, probability), *_ = reading.counts
+    assert counts == (reading.columns.cells, reading.rows.cells) == (4, 4)
+    assert probability >= reading.probability - 1e-6
+    told = [p for _, p in reading.counts]
+    assert told == sorted(told, reverse=True)
+    assert sum(told) == pytest.approx(1.0, abs=0.1)

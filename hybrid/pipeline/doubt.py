@@ -104,11 +104,11 @@ def _rank(one: Judged, config: RectifyConfig) -> tuple[bool, bool, float]:
 
 
 def _again(job: Job, seen: LastLook, first: Judged, whole: bool) -> Iterator[Judged]:
-    """Further refinements, each made when it is asked for; those that assume other numbers of cells are followed by one
-    from where they end."""
+    """Further refinements, each made when it is asked for. Taking other numbers of cells for granted only leads to
+    another start: what the film then shows of its cells decides."""
     beside = partial(network_beside, job.readers.network, seen, job.config)
 
-    def refined(start: Start) -> Judged:
+    def refined(start: Start, job: Job = job) -> Judged:
         clock = Clock()
         found = exact(job, start, clock)
         sheet = whole_sheet(job, start.phases, found, beside, clock) if whole else WholeSheet(found)
@@ -116,9 +116,9 @@ def _again(job: Job, seen: LastLook, first: Judged, whole: bool) -> Iterator[Jud
 
     yield refined(_end_of(job, first))
     for start in other_starts(job, seen, first.refinement.backward, first.refinement.grid):
-        yield (ended := refined(start))
-        if any(start.counts):
-            yield refined(_end_of(job, ended))
+        if start.counts is not None:
+            start = _end_of(job, refined(start, job.granting(start.counts)))
+        yield refined(start)
 
 
 def _end_of(job: Job, one: Judged) -> Start:

@@ -49,9 +49,6 @@ def shape_of(job: Job, coarse: BackwardMap, phases: CellPhases | None, clock: Cl
 
 def exact(job: Job, start: Start, clock: Clock) -> Refinement:
     """Refine a map by what is seen of the film, and once more from where its edges are then read, if that is surer."""
-    if any(start.counts):
-        refining = job.config.refine
-        job = job.refining(replace(refining, cells=replace(refining.cells, counts=start.counts)))
     first = refine_once(job, start.phases, start.edges, start.film)
     clock.reports += first.stages
     with clock.stage("reread") as report:

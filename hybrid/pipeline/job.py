@@ -75,6 +75,11 @@ class Job:
         """The same with other options of refinement."""
         return replace(self, config=replace(self.config, refine=refine))
 
+    def granting(self, counts: tuple[int, int]) -> Job:
+        """The same with these numbers of columns and rows taken for granted."""
+        refine = self.config.refine
+        return self.refining(replace(refine, cells=replace(refine.cells, counts=counts)))
+
     def phases_of(self, maps: CoarseMaps) -> CellPhases | None:
         """What the network says of the cells, if the options ask for it."""
         return CellPhases.of(maps, self.readers.borders) if self.config.told_cells else None

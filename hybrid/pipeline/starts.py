@@ -23,12 +23,12 @@ LEAST_COUNTED, MOST_COUNTS = 0.05, 2
 @dataclass(frozen=True, eq=False)
 class Start:
     """A map to refine, and what is known of the film before: what the network says of its cells, its edges as read near
-    those of the map, and numbers of columns and rows that are assumed ((0, 0): none)."""
+    those of the map, and numbers of columns and rows to take for granted."""
 
     film: BackwardMap
     phases: CellPhases | None
     edges: EdgesRead
-    counts: tuple[int, int] = (0, 0)
+    counts: tuple[int, int] | None = None
 
 
 def on_edges(job: Job, film: BackwardMap, phases: CellPhases | None) -> Start:

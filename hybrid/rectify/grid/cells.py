@@ -99,7 +99,7 @@ class CellsConfig:
     kept: int = 48
     """Grids along one axis that are weighed together with those along the other: the best ones by their own scores."""
     counts: tuple[int, int] = (0, 0)
-    """Numbers of columns and rows that are assumed, however probable others are; 0: none."""
+    """Numbers of columns and rows that are taken for granted; 0: none."""
 
     def __post_init__(self) -> None:
         require_at_least(self, 64, "side_px")
@@ -112,25 +112,18 @@ class CellsConfig:
 class Reading:
     """The cells along both axes, and the probability that they are right.
 
-    counts: numbers of columns and rows that have some probability, and that probability, the largest first. assumed:
-    whether these cells were found by assuming their numbers.
+    counts: numbers of columns and rows that have some probability, and that probability, the largest first.
     """
 
     columns: Repeats
     rows: Repeats
     probability: float
     counts: tuple[tuple[tuple[int, int], float], ...] = ()
-    assumed: bool = False
 
     @property
     def is_likely(self) -> bool:
         """Whether they count as the film's grid."""
         return self.probability >= LEAST_PROBABILITY
-
-    @property
-    def guides(self) -> bool:
-        """Whether lines and cells that repeat are looked for in as many places."""
-        return self.assumed or self.is_likely
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,16 +173,17 @@ def read_cells(
     odds = scores[0][:, None] + scores[1][None]
     odds += sum(weight * np.minimum(oblong, most) for most, weight in weights.oblong)
     chance = np.exp(odds - odds.max())
-    counts = _counts(grids, chance / chance.sum())
-    assumed = (grids[0][:, None, 0] == config.counts[0]) & (grids[1][None, :, 0] == config.counts[1])
-    best = np.unravel_index(int(np.where(assumed | ~assumed.any(), chance, 0.0).argmax()), chance.shape)
+    granted = (grids[0][:, None, 0] == config.counts[0]) & (grids[1][None, :, 0] == config.counts[1])
+    if granted.any():
+        chance = np.where(granted, chance, 0.0)
+    best = np.unravel_index(int(chance.argmax()), chance.shape)
     alike = [_alike(tried, tried[k]) for tried, k in zip(grids, best, strict=True)]
     probability = float(chance[np.ix_(*alike)].sum() / chance.sum())
     columns, rows = (
         Repeats(axis, float(first), float(pitch), int(cells))
         for axis, (cells, first, pitch) in enumerate(tried[k] for tried, k in zip(grids, best, strict=True))
     )
-    return Reading(columns, rows, min(1.0, probability), counts, bool(assumed.any()))
+    return Reading(columns, rows, min(1.0, probability), _counts(grids, chance / chance.sum()))
 
 
 def _counts(

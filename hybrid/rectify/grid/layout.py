@@ -131,7 +131,7 @@ def find_repeating(view: FilmView, known: Layout, config: RepeatConfig) -> Layou
     if all(known.repeats):
         return known
     found = find_repeats(view.image[..., 0], config)
-    told = zip(known.repeats, found, _guide(known), strict=True)
+    told = zip(known.repeats, found, _likely(known), strict=True)
     columns, rows = (before or _as_read(new, read) for before, new, read in told)
     return replace(known, repeats=(columns, rows))
 
@@ -145,7 +145,7 @@ def find_lines(
     followed. Lines that contradict the repeats, or do not lie where cells meet, are dropped: couches, texts and bones
     make lines too.
     """
-    grey, read = view.image[..., 0], _guide(known)
+    grey, read = view.image[..., 0], _likely(known)
     fitted = [None if b is None else b.lines()[1:-1] for b in known.borders]
     seen = [before if now is None else now for now, before in zip(borders, fitted, strict=True)]
     combs, repeats, followed = list(known.combs), list(known.repeats), []
@@ -162,9 +162,9 @@ def find_lines(
     return replace(known, combs=(combs[0], combs[1]), repeats=(repeats[0], repeats[1])), (followed[0], followed[1])
 
 
-def _guide(known: Layout) -> tuple[Repeats | None, Repeats | None]:
-    """The cells along each axis as read from the film, if the reading is likely or assumed."""
-    return (None, None) if known.read is None or not known.read.guides else (known.read.columns, known.read.rows)
+def _likely(known: Layout) -> tuple[Repeats | None, Repeats | None]:
+    """The cells along each axis as read from the film, if the reading is likely."""
+    return (None, None) if known.read is None or not known.read.is_likely else (known.read.columns, known.read.rows)
 
 
 def _as_read(repeat: Repeats | None, read: Repeats | None) -> Repeats | None:
