@@ -66,7 +66,7 @@ ORDERS = {
         "fusion",
         "verdict",
     ),
-    "hybrid.pipeline": ("job", "looks", "geometry", "whole_sheet", "doubt", "finish", "rectifier"),
+    "hybrid.pipeline": ("job", "looks", "starts", "geometry", "whole_sheet", "doubt", "finish", "rectifier"),
     "data_gen": ("ct", "prints", "light", "camera", "scene", "render"),
 }
 """The parts of these packages, each of which imports only itself and those before it."""

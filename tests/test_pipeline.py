@@ -29,6 +29,7 @@ from hybrid.pipeline.doubt import Judged, beyond_doubt, judged
 from hybrid.pipeline.geometry import shape_of
 from hybrid.pipeline.job import Job
 from hybrid.pipeline.looks import checked, see
+from hybrid.pipeline.starts import other_starts
 from hybrid.pipeline.whole_sheet import WholeSheet
 from hybrid.pyramid import Pyramid
 from hybrid.records import StageReport, StatusCode
@@ -167,6 +168,38 @@ def test_nor_is_a_film_refined_from_elsewhere_that_is_sure_enough(doubted, monke
     beyond_doubt(job, seen, first, True, Clock())
     assert len(refined) == 1
     assert first.after(1, job.config).chance > job.config.enough
+
+
+def test_other_starts_assume_other_things(doubted, monkeypatch):
+    """A plane; the network's map with other numbers of cells, or as if it said nothing of them; other orientations."""
+    job, seen, first = doubted
+    monkeypatch.setattr("hybrid.pipeline.starts.LEAST_COUNTED", 0.0)
+    film, grid = first.refinement.backward, first.refinement.grid
+    plane, *counted, plain, right, below, mirrored = other_starts(job, seen, film, grid)
+    assert plane.phases is None
+    assert plane.edges.through is not film
+    assert 1 <= len(counted) <= 2
+    for start in counted:
+        assert start.counts not in (None, (grid.cols, grid.rows))
+        assert start.phases is not None
+        assert start.film is plain.film
+        assert job.granting(start.counts).config.refine.cells.counts == start.counts
+    assert plain.phases is None
+    for start in (right, below, mirrored):
+        assert start.counts is None
+        assert 0.0 < mean_move(film, start.film) < 0.02
+
+
+def test_a_film_whose_cells_were_counted_wrongly_is_put_right(doubted):
+    job, seen, first = doubted
+    grid = first.refinement.grid
+    wrong = job.granting((grid.cols // 2, grid.rows))
+    refined = shape_of(wrong, seen.inversion.backward, job.phases_of(seen.maps), Clock())
+    mistaken = judged(job, seen, WholeSheet(refined), False, Clock())
+    assert (refined.grid is None) or (refined.grid.cols, refined.grid.rows) != (grid.cols, grid.rows)
+    found = beyond_doubt(with_options(job, enough=1.0), seen, mistaken, True, Clock()).refinement
+    assert (found.grid.cols, found.grid.rows) == (grid.cols, grid.rows)
+    assert mean_move(first.refinement.backward, found.backward) < 0.001
 
 
 def test_a_film_is_not_lost_by_being_refined_again(doubted, monkeypatch):

@@ -28,7 +28,7 @@ class PredictConfig:
     """Around the film (fraction of the view) in the looks at the film alone."""
     sides: tuple[int, ...] = (0, 2, 5, 7)
     """Orientations in which the last look shows the film (indices of Orientation): all looks use the first, the others
-    count where refinement also starts from them (RectifyConfig.tries). The mean over all is slightly nearer to the
+    count where refinement also starts from them (pipeline/starts.py). The mean over all is slightly nearer to the
     truth; after refinement that no longer shows."""
     least_px: int = 400
     """Large photos are reduced by powers of two to a longer side between this and twice this: several times what the

@@ -57,7 +57,7 @@ class ChanceConfig(FittedWeights):
     photos of the training scans, with limits of 4, 5 and 6 pixels of a photo of 1080.
 
     limit: for the logarithm of the limit, in parts of the film. no_sheet: where no bent sheet explains what was seen.
-    doubted: where the map was in doubt at first: the surest of several refinements is so partly by selection.
+    doubted: for each refinement of the film that had left a doubt: the surest of several is so partly by selection.
     The others: as in ``features``.
     """
 
