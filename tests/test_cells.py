@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from jaxtyping import Float
 
-from hybrid.rectify.grid.cells import CellsConfig, read_cells
+from hybrid.rectify.grid.cells import CellsConfig, read_cells, weighed_counts
 from hybrid.rectify.grid.lines import GridConfig
 
 NO_PITCH = ((), ())
@@ -103,18 +103,21 @@ def test_other_numbers_of_cells_can_be_taken_for_granted():
     assert usual is not None
     assert other is not None
     assert (other.columns.cells, other.rows.cells) == (2, 4)
-    assert [counts for counts, _ in other.counts] == [(2, 4)]
+    weighed = weighed_counts(grey, 1.0, None, GridConfig(), CellsConfig(counts=(2, 4)))
+    assert [counts for counts, chance in weighed if chance > 0] == [(2, 4)]
     assert unheard_of is not None
-    assert (unheard_of.columns, unheard_of.rows, unheard_of.counts) == (usual.columns, usual.rows, usual.counts)
+    assert (unheard_of.columns, unheard_of.rows) == (usual.columns, usual.rows)  # nothing speaks for them
+    assert unheard_of.probability == usual.probability
 
 
 def test_the_most_probable_numbers_of_cells_are_told():
     grey = film_of(4, 4)
     reading = read_cells(grey, 1.0, NO_PITCH, None, GridConfig(), CellsConfig())
     assert reading is not None
-    (counts, probability), *_ = reading.counts
+    (counts, probability), *_ = weighed = weighed_counts(grey, 1.0, None, GridConfig(), CellsConfig())
     assert counts == (reading.columns.cells, reading.rows.cells) == (4, 4)
     assert probability >= reading.probability - 1e-6
-    told = [p for _, p in reading.counts]
+    told = [p for _, p in weighed]
     assert told == sorted(told, reverse=True)
-    assert sum(told) == pytest.approx(1.0, abs=0.1)
+    assert sum(told) == pytest.approx(1.0)
+    assert weighed_counts(grey[:20, :20], 1.0, None, GridConfig(), CellsConfig()) == []

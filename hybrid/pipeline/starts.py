@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 from hybrid.backward import BackwardMap
+from hybrid.film_view import grey_view
 from hybrid.learn.reading.views import plane_of
 from hybrid.pipeline.job import Job
 from hybrid.pipeline.looks import LastLook, see_from_sides
@@ -13,8 +14,9 @@ from hybrid.records import SliceGrid
 from hybrid.rectify.coarse.foreshortening import even
 from hybrid.rectify.coarse.invert import Inversion
 from hybrid.rectify.edges.paths import EdgesRead, put_on_edges, read_edges
+from hybrid.rectify.grid.cells import weighed_counts
 from hybrid.rectify.grid.phases import CellPhases
-from hybrid.rectify.refine.glance import VIEW_PX, count_cells
+from hybrid.rectify.refine.glance import VIEW_PX
 
 LEAST_COUNTED, MOST_COUNTS = 0.05, 2
 """Least probability of other numbers of cells that are worth a try, and how many of these there are at most."""
@@ -67,12 +69,12 @@ def other_starts(job: Job, seen: LastLook, ended: BackwardMap, grid: SliceGrid |
 
 def _other_counts(job: Job, start: Start, grid: SliceGrid | None) -> list[tuple[int, int]]:
     """The likeliest numbers of columns and rows, as seen through a map, except for those of a grid."""
-    photo, scale = job.pyramid.scaled(VIEW_PX / max(start.film.mean_film_pixels()))
-    phases = start.phases and start.phases.scaled(scale)
-    reading = count_cells(photo, start.film.cropped((0.0, 0.0), scale), phases, job.config.refine)
+    refine, (down, across) = job.config.refine, start.film.mean_film_pixels()
+    view = grey_view(job.pyramid, start.film, VIEW_PX)
+    told = start.phases and start.phases.inside(start.film).axes()
+    weighed = weighed_counts(view.image[..., 0], down / across, told, refine.grid, refine.cells)
     known = None if grid is None else (grid.cols, grid.rows)
-    told = () if reading is None else reading.counts
-    return [counts for counts, chance in told if counts != known and chance >= LEAST_COUNTED][:MOST_COUNTS]
+    return [counts for counts, chance in weighed if counts != known and chance >= LEAST_COUNTED][:MOST_COUNTS]
 
 
 __all__ = ["Start", "evened", "on_edges", "other_starts"]

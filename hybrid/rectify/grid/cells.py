@@ -28,8 +28,6 @@ SAME_PLACE = 0.012
 grid as it was read and one as it was fitted, if their lines are this near to each other."""
 LEAST_PROBABILITY = 0.3
 """A grid less probable than this does not count."""
-LEAST_COUNTED = 0.01
-"""Numbers of cells less probable than this are not told."""
 
 
 @dataclass(frozen=True)
@@ -110,15 +108,11 @@ class CellsConfig:
 
 @dataclass(frozen=True, eq=False)
 class Reading:
-    """The cells along both axes, and the probability that they are right.
-
-    counts: numbers of columns and rows that have some probability, and that probability, the largest first.
-    """
+    """The cells along both axes, and the probability that they are right."""
 
     columns: Repeats
     rows: Repeats
     probability: float
-    counts: tuple[tuple[tuple[int, int], float], ...] = ()
 
     @property
     def is_likely(self) -> bool:
@@ -153,6 +147,48 @@ def read_cells(
     grey: view of [0, 1]^2, in grey levels. aspect: the film's height over its width. pitches: of columns and of rows,
     as known from elsewhere, in film units; others are tried, too. told: what the network says about columns and rows.
     """
+    weighed = _weighed(grey, aspect, pitches, told, grid, config)
+    if weighed is None:
+        return None
+    grids, chance = weighed
+    best = np.unravel_index(int(chance.argmax()), chance.shape)
+    alike = [_alike(tried, tried[k]) for tried, k in zip(grids, best, strict=True)]
+    probability = float(chance[np.ix_(*alike)].sum() / chance.sum())
+    columns, rows = (
+        Repeats(axis, float(first), float(pitch), int(cells))
+        for axis, (cells, first, pitch) in enumerate(tried[k] for tried, k in zip(grids, best, strict=True))
+    )
+    return Reading(columns, rows, min(1.0, probability))
+
+
+def weighed_counts(
+    grey: Float[np.ndarray, "h w"],
+    aspect: float,
+    told: tuple[AxisPhases, AxisPhases] | None,
+    grid: GridConfig,
+    config: CellsConfig,
+) -> list[tuple[tuple[int, int], float]]:
+    """Numbers of columns and rows, and their probability, the most probable first. Arguments as for ``read_cells``."""
+    weighed = _weighed(grey, aspect, ((), ()), told, grid, config)
+    if weighed is None:
+        return []
+    grids, chance = weighed
+    (columns, column), (rows, row) = (np.unique(tried[:, 0].astype(int), return_inverse=True) for tried in grids)
+    sums = np.eye(len(columns))[column].T @ chance @ np.eye(len(rows))[row] / chance.sum()
+    ordered = [np.unravel_index(k, sums.shape) for k in np.argsort(-sums, axis=None)]
+    return [((int(columns[j]), int(rows[i])), float(sums[j, i])) for j, i in ordered]
+
+
+def _weighed(
+    grey: Float[np.ndarray, "h w"],
+    aspect: float,
+    pitches: tuple[Sequence[float], Sequence[float]],
+    told: tuple[AxisPhases, AxisPhases] | None,
+    grid: GridConfig,
+    config: CellsConfig,
+) -> tuple[list[Float[np.ndarray, "_ 3"]], Float[np.ndarray, "c r"]] | None:
+    """Grids along each axis (as ``candidates``), and the odds of each pair of them; None where the view is too small to
+    tell."""
     scale = config.side_px / max(grey.shape)
     if scale < 1:
         size = [round(scale * n) for n in grey.shape[::-1]]  # not fx and fy: these leave odd pixels over
@@ -176,24 +212,7 @@ def read_cells(
     granted = (grids[0][:, None, 0] == config.counts[0]) & (grids[1][None, :, 0] == config.counts[1])
     if granted.any():
         chance = np.where(granted, chance, 0.0)
-    best = np.unravel_index(int(chance.argmax()), chance.shape)
-    alike = [_alike(tried, tried[k]) for tried, k in zip(grids, best, strict=True)]
-    probability = float(chance[np.ix_(*alike)].sum() / chance.sum())
-    columns, rows = (
-        Repeats(axis, float(first), float(pitch), int(cells))
-        for axis, (cells, first, pitch) in enumerate(tried[k] for tried, k in zip(grids, best, strict=True))
-    )
-    return Reading(columns, rows, min(1.0, probability), _counts(grids, chance / chance.sum()))
-
-
-def _counts(
-    grids: Sequence[Float[np.ndarray, "_ 3"]], chance: Float[np.ndarray, "c r"]
-) -> tuple[tuple[tuple[int, int], float], ...]:
-    """As Reading.counts, from the grids along each axis and the probability of each pair of them."""
-    (columns, column), (rows, row) = (np.unique(tried[:, 0].astype(int), return_inverse=True) for tried in grids)
-    sums = np.eye(len(columns))[column].T @ chance @ np.eye(len(rows))[row]
-    likely = [divmod(int(k), len(rows)) for k in np.argsort(-sums, axis=None) if sums.flat[k] >= LEAST_COUNTED]
-    return tuple(((int(columns[j]), int(rows[i])), float(sums[j, i])) for j, i in likely)
+    return grids, chance
 
 
 def profile_of(
@@ -351,4 +370,14 @@ def _alike(grids: Float[np.ndarray, "c 3"], one: Float[np.ndarray, "3"]) -> Bool
     return (grids[:, 0] == one[0]) & (np.abs(grids[:, 1] - one[1]) < SAME_PLACE)
 
 
-__all__ = ["SAME_PLACE", "CellsConfig", "Reading", "Weights", "candidates", "grid_signs", "profile_of", "read_cells"]
+__all__ = [
+    "SAME_PLACE",
+    "CellsConfig",
+    "Reading",
+    "Weights",
+    "candidates",
+    "grid_signs",
+    "profile_of",
+    "read_cells",
+    "weighed_counts",
+]

@@ -278,6 +278,7 @@ __all__ = [
     "ClearMarginsConfig",
     "LongerSheet",
     "beyond_end",
+    "detail_of_margins",
     "edges_beside",
     "lengthened",
     "told_of",

@@ -10,10 +10,9 @@ from jaxtyping import UInt8
 
 from hybrid.backward import BackwardMap
 from hybrid.coords import film_centres_1d
-from hybrid.film_view import FilmView, view_film
+from hybrid.film_view import view_film
 from hybrid.records import StageReport
 from hybrid.rectify.grid.borders import places_along
-from hybrid.rectify.grid.cells import Reading
 from hybrid.rectify.grid.layout import Layout, find_lines, find_repeating
 from hybrid.rectify.grid.phases import CellPhases
 from hybrid.rectify.refine.config import RefineConfig
@@ -39,7 +38,13 @@ def glance(
     phases: what the network predicts of the cells. expected: error of the map, as a fraction of the film's size.
     """
     start = perf_counter()
-    view, reading = _read(photo, backward, phases, config)
+    down, across = backward.mean_film_pixels()
+    scale = VIEW_PX / max(down, across)
+    size = (max(64, round(down * scale)), max(64, round(across * scale)))
+    grey = cv2.cvtColor(photo, cv2.COLOR_RGB2GRAY)
+    view = view_film(grey, backward, film_centres_1d(size[1]), film_centres_1d(size[0]))
+    told = phases and phases.inside(backward).axes()
+    reading = read_view(view, Layout(), told, down / across, config)
     known = find_repeating(view, Layout(read=reading), config.repeat)
     borders = places_along(told_borders(photo, backward, known, phases, config))
     layout, _ = find_lines(view, known, True, borders, config.grid)
@@ -53,25 +58,4 @@ def glance(
     return Refinement(backward, grid, stages)
 
 
-def count_cells(
-    photo: UInt8[np.ndarray, "H W 3"], backward: BackwardMap, phases: CellPhases | None, config: RefineConfig
-) -> Reading | None:
-    """The cells that show through a map. phases: what the network predicts of them. None where the view of the film is
-    too small to tell."""
-    return _read(photo, backward, phases, config)[1]
-
-
-def _read(
-    photo: UInt8[np.ndarray, "H W 3"], backward: BackwardMap, phases: CellPhases | None, config: RefineConfig
-) -> tuple[FilmView, Reading | None]:
-    """The film through a map, and its cells."""
-    down, across = backward.mean_film_pixels()
-    scale = VIEW_PX / max(down, across)
-    size = (max(64, round(down * scale)), max(64, round(across * scale)))
-    grey = cv2.cvtColor(photo, cv2.COLOR_RGB2GRAY)
-    view = view_film(grey, backward, film_centres_1d(size[1]), film_centres_1d(size[0]))
-    told = phases and phases.inside(backward).axes()
-    return view, read_view(view, Layout(), told, down / across, config)
-
-
-__all__ = ["count_cells", "glance"]
+__all__ = ["glance"]
