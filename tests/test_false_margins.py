@@ -159,25 +159,38 @@ def test_margins_alike_are_ground_only_if_the_grid_or_the_edges_say_so(monkeypat
     assert sheet_of(monkeypatch, ALIKE, gained=gained, seen=seen)[0] is counts
 
 
-@pytest.mark.parametrize(("written", "counts"), [(0, True), (20, False)])
-def test_what_no_margin_of_the_grid_tells_of_is_cut_off_only_if_it_is_blank(monkeypatch, written, counts):
-    """Through a map that is wrong, a grid may be seen that fills it. But a row of cells may end like a sheet."""
+def cut_without_a_margin(monkeypatch, written: int, width: int = 480, config=SURE) -> Refinement | None:
+    """The shorter sheet, if it counts, of a grid that fills the map of sheet and shadow together. written: grey levels
+    of what stands in the shadow, on so many pixels of its width of 500."""
     photo, film = before_its_shadow(below=70)
     low, high = film.nodes[0, 0], film.nodes[-1, -1]
     rng = np.random.default_rng(0)
     photo[150:550, 150:550] += rng.integers(0, 20, (400, 400, 1), np.uint8)
-    photo[610:660, 110:590] += rng.integers(0, written + 1, (50, 480, 1), np.uint8)
+    photo[610:660, 110 : 110 + width] += rng.integers(0, written + 1, (50, width, 1), np.uint8)
     before = Refinement(film, replace(print_in(film, low, high), confidence=0.9), (), expected_px=0.5, stands=True)
 
     def exact(job, start, clock):
         return Refinement(start.film, print_in(start.film), (), expected_px=0.5, stands=True)
 
     monkeypatch.setattr(hybrid.pipeline.whole_sheet, "exact", exact)
-    options = replace(RectifyConfig(), false_margins=SURE, margins=replace(RectifyConfig().margins, beyond=()))
+    options = replace(RectifyConfig(), false_margins=config, margins=replace(RectifyConfig().margins, beyond=()))
     after = whole_sheet(job_of(photo, options), None, before, lambda _: 0.0, Clock()).refinement
-    assert (after is not before) is counts
-    if counts:
+    return None if after is before else after
+
+
+@pytest.mark.parametrize(("written", "counts"), [(0, True), (20, False)])
+def test_what_no_margin_of_the_grid_tells_of_is_cut_off_only_if_it_is_blank(monkeypatch, written, counts):
+    """Through a map that is wrong, a grid may be seen that fills it. But a row of cells may end like a sheet."""
+    after = cut_without_a_margin(monkeypatch, written)
+    assert (after is not None) is counts
+    if after is not None:
         np.testing.assert_allclose(after.backward.nodes[-1, -1], 600, atol=4)
+
+
+@pytest.mark.parametrize(("blank", "counts"), [(OPTIONS.blank_certain, False), (OPTIONS.blank, True)])
+def test_a_row_of_cells_that_are_mostly_empty_stays_where_it_ends_in_a_certain_edge(monkeypatch, blank, counts):
+    after = cut_without_a_margin(monkeypatch, 20, 60, replace(SURE, blank_certain=blank))
+    assert (after is not None) is counts
 
 
 def test_where_no_grid_is_seen_nothing_is_cut_off():

@@ -131,8 +131,8 @@ def room_from_film(light: Light) -> Float[np.ndarray, "3 3"]:
 
 
 CLEAR_SHARE = 0.3
-"""Share of films made as most are: with a clear base through which the background is seen. None in front of a dark
-background, where they would show nothing."""
+"""Usual share of films made as most are: with a clear base through which the background is seen. None in front of a
+dark background, where they would show nothing."""
 
 BLUE_SHARE = 0.4
 """Share of films with a bluish base."""
@@ -141,10 +141,10 @@ BLUE_BASE = (0.72, 0.88, 1.0)
 """RGB share that the bluest base lets through."""
 
 
-def sample_material(rng: np.random.Generator, clear_base: bool = True) -> Material:
+def sample_material(rng: np.random.Generator, clear_base: bool = True, clear_share: float = CLEAR_SHARE) -> Material:
     """A random film: a tenth as published (PAPER code), over half with clear reflections, the rest between.
 
-    clear_base: whether the film may be one that hardly scatters.
+    clear_base: whether the film may be one that hardly scatters. clear_share: how often it then is.
     """
     kind = rng.random()
     if kind < 0.1:
@@ -153,7 +153,7 @@ def sample_material(rng: np.random.Generator, clear_base: bool = True) -> Materi
     else:
         diffuse, transmission = float(rng.uniform(0.2, 1.0)), float(rng.uniform(0.1, 0.9))
         clear = float(rng.uniform(0.05, 0.8)) if rng.random() < 0.4 else 0.0
-        if clear_base and rng.random() < CLEAR_SHARE:
+        if clear_base and rng.random() < clear_share:
             diffuse, transmission, clear = float(rng.uniform(0, 0.12)), float(rng.uniform(0, 0.12)), 1.0
         roughness = float(rng.uniform(0.05, 0.3) if kind < 0.68 else rng.uniform(0.3, 0.95))
         ior, total = float(rng.uniform(1.3, 1.6)), float(rng.uniform(0.5, 0.95))

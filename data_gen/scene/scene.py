@@ -10,6 +10,7 @@ import numpy as np
 from data_gen.camera.develop import Lens, sample_lens
 from data_gen.camera.viewpoint import ViewConfig, sample_camera
 from data_gen.light.lighting import (
+    CLEAR_SHARE,
     Light,
     Material,
     over_table,
@@ -37,12 +38,14 @@ class SceneConfig:
     """Ranges from which scenes are drawn.
 
     light_box_share: films on a light box instead of in a room (PAPER: 20 %). thing_share: photos with hands, clips or
-    tape at the film's rim. shadow_share: photos with shadows cast on the film. view: of the camera.
+    tape at the film's rim. shadow_share: photos with shadows cast on the film. clear_share: films with a clear base, of
+    those whose background would show through it. view: of the camera.
     """
 
     light_box_share: float = 0.2
     thing_share: float = 0.3
     shadow_share: float = 0.3
+    clear_share: float = CLEAR_SHARE
     view: ViewConfig = field(default_factory=ViewConfig)
 
 
@@ -87,7 +90,8 @@ def sample_scene(film: FilmMesh, size: tuple[int, int], rng: np.random.Generator
     lying = light.light_box or (backdrop.kind in ("table", "wall") and backdrop.gap_mm < REACH_BEHIND_MM)
     things = sample_things(lying, rng) if rng.random() < config.thing_share else ()
     shadows = sample_shadows(rng) if rng.random() < config.shadow_share else ()
-    material, lens = sample_material(rng, clear_base=light.light_box or backdrop.kind != "dark"), sample_lens(rng)
+    shows_through = light.light_box or backdrop.kind != "dark"
+    material, lens = sample_material(rng, shows_through, config.clear_share), sample_lens(rng)
     return Scene(camera, material, light, lens, backdrop, things, shadows, sample_onlookers(rng))
 
 

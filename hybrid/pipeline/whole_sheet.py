@@ -16,7 +16,7 @@ from hybrid.rectify.margins.clear import LongerSheet, detail_of_margins, unlike_
 from hybrid.rectify.margins.ground import ends_inside, ends_of_print, without_margins
 from hybrid.rectify.refine.refine import Refinement
 from hybrid.stages import Clock
-from hybrid.strips import Side
+from hybrid.strips import SIDES, Side
 
 MOST_MARGINS = 2
 """How often margins are looked for: at one end they may show only once the sheet is made longer at the other."""
@@ -127,9 +127,13 @@ def _without_margins(job: Job, phases: CellPhases | None, refined: Refinement) -
     is_ground = unseen or shorter.unlike >= options.unlike
     if not (is_ground or may_gain):
         return None
-    untold = any(side not in told for side in shorter.lost)  # by the grid: it might be print
-    if untold and detail_of_margins(job.pyramid, film, shorter.lost, job.config.refine.cells) > options.blank:
-        return None
+    untold = [side for side in shorter.lost if side not in told]  # by the grid: it might be print
+    if untold:
+        support = job.edges_of(refined).support
+        ends = any(support[SIDES.index(side)] >= options.certain for side in untold)
+        most = options.blank_certain if ends else options.blank
+        if detail_of_margins(job.pyramid, film, shorter.lost, job.config.refine.cells) > most:
+            return None
     within = exact(job, Start(shorter.read.through, phases, shorter.read), Clock())
     if within.grid is None or within.grid.lopsided > options.most_lopsided:
         return None

@@ -29,8 +29,9 @@ class FalseMarginsConfig:
     inside: middles of the strips that are read inside the map's ends. noticed: least mean probability, over its
     columns, of an edge there that is examined further. least: narrowest margin that is cut off. likely, sure: least
     probability of every edge before the shorter sheet is refined, and after it. most_lopsided: most by which its
-    opposite margins may then differ (``SliceGrid.lopsided``). blank: most detail that may show, in parts of the
-    print's, where the longer map's grid has no margin: it might be a row of cells.
+    opposite margins may then differ (``SliceGrid.lopsided``). Where the longer map's grid has no margin, what is cut
+    off might be a row of cells: no more detail than ``blank`` may then show, in parts of the print's, or
+    ``blank_certain`` where an edge is seen there with the probability ``certain``: most of its cells may be empty.
     One of three must also hold: what was cut off differs on opposite sides by ``unlike``; some edge of the longer map
     looked like the sheet's with less than the probability ``unseen``; or the grid is more probable by ``grid_gained``.
     """
@@ -42,13 +43,15 @@ class FalseMarginsConfig:
     sure: float = 0.9
     most_lopsided: float = 0.02
     blank: float = 0.4
+    certain: float = 0.95
+    blank_certain: float = 0.1
     unlike: float = 0.035
     unseen: float = 0.3
     grid_gained: float = 0.5
 
     def __post_init__(self) -> None:
         require_at_least(self, 1e-3, "least")
-        require_at_most(self, 1, "likely", "sure")
+        require_at_most(self, 1, "likely", "sure", "certain")
 
 
 @dataclass(frozen=True, eq=False)
