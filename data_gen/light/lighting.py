@@ -141,10 +141,10 @@ BLUE_BASE = (0.72, 0.88, 1.0)
 """RGB share that the bluest base lets through."""
 
 
-def sample_material(rng: np.random.Generator, clear_base: bool = True, clear_share: float = CLEAR_SHARE) -> Material:
+def sample_material(rng: np.random.Generator, clear_share: float = CLEAR_SHARE) -> Material:
     """A random film: a tenth as published (PAPER code), over half with clear reflections, the rest between.
 
-    clear_base: whether the film may be one that hardly scatters. clear_share: how often it then is.
+    clear_share: how often the film is one that hardly scatters.
     """
     kind = rng.random()
     if kind < 0.1:
@@ -153,7 +153,7 @@ def sample_material(rng: np.random.Generator, clear_base: bool = True, clear_sha
     else:
         diffuse, transmission = float(rng.uniform(0.2, 1.0)), float(rng.uniform(0.1, 0.9))
         clear = float(rng.uniform(0.05, 0.8)) if rng.random() < 0.4 else 0.0
-        if clear_base and rng.random() < clear_share:
+        if clear_share and rng.random() < clear_share:
             diffuse, transmission, clear = float(rng.uniform(0, 0.12)), float(rng.uniform(0, 0.12)), 1.0
         roughness = float(rng.uniform(0.05, 0.3) if kind < 0.68 else rng.uniform(0.3, 0.95))
         ior, total = float(rng.uniform(1.3, 1.6)), float(rng.uniform(0.5, 0.95))

@@ -90,8 +90,8 @@ def sample_scene(film: FilmMesh, size: tuple[int, int], rng: np.random.Generator
     lying = light.light_box or (backdrop.kind in ("table", "wall") and backdrop.gap_mm < REACH_BEHIND_MM)
     things = sample_things(lying, rng) if rng.random() < config.thing_share else ()
     shadows = sample_shadows(rng) if rng.random() < config.shadow_share else ()
-    shows_through = light.light_box or backdrop.kind != "dark"
-    material, lens = sample_material(rng, shows_through, config.clear_share), sample_lens(rng)
+    clear_share = config.clear_share if light.light_box or backdrop.kind != "dark" else 0.0
+    material, lens = sample_material(rng, clear_share), sample_lens(rng)
     return Scene(camera, material, light, lens, backdrop, things, shadows, sample_onlookers(rng))
 
 

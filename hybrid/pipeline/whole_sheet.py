@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from hybrid.backward import BackwardMap
@@ -16,7 +16,7 @@ from hybrid.rectify.margins.clear import LongerSheet, detail_of_margins, unlike_
 from hybrid.rectify.margins.ground import ends_inside, ends_of_print, without_margins
 from hybrid.rectify.refine.refine import Refinement
 from hybrid.stages import Clock
-from hybrid.strips import SIDES, Side
+from hybrid.strips import Side
 
 MOST_MARGINS = 2
 """How often margins are looked for: at one end they may show only once the sheet is made longer at the other."""
@@ -127,13 +127,9 @@ def _without_margins(job: Job, phases: CellPhases | None, refined: Refinement) -
     is_ground = unseen or shorter.unlike >= options.unlike
     if not (is_ground or may_gain):
         return None
-    untold = [side for side in shorter.lost if side not in told]  # by the grid: it might be print
-    if untold:
-        support = job.edges_of(refined).support
-        ends = any(support[SIDES.index(side)] >= options.certain for side in untold)
-        most = options.blank_certain if ends else options.blank
-        if detail_of_margins(job.pyramid, film, shorter.lost, job.config.refine.cells) > most:
-            return None
+    untold = [side for side in shorter.lost if side not in told]
+    if untold and _may_be_print(job, refined, shorter.lost, untold):
+        return None
     within = exact(job, Start(shorter.read.through, phases, shorter.read), Clock())
     if within.grid is None or within.grid.lopsided > options.most_lopsided:
         return None
@@ -141,6 +137,15 @@ def _without_margins(job: Job, phases: CellPhases | None, refined: Refinement) -
         return None
     sure = job.edges_of(within).support.min() >= options.sure
     return (within, str(shorter)) if sure else None
+
+
+def _may_be_print(job: Job, refined: Refinement, lost: Mapping[Side, float], untold: Sequence[Side]) -> bool:
+    """Whether what is cut off shows too much for ground. untold: ends where the grid has no margin, so that it might be
+    a row of cells."""
+    options, edges = job.config.false_margins, job.edges_of(refined)
+    certain = any(edges.support_of(side) >= options.certain for side in untold)
+    detail = detail_of_margins(job.pyramid, refined.backward, lost, job.config.refine.cells)
+    return detail > (options.blank_certain if certain else options.blank)
 
 
 def _grid_chance(refinement: Refinement) -> float:

@@ -21,7 +21,7 @@ from hybrid.rectify.edges.curves import best_paths
 from hybrid.rectify.edges.outline import edge_sightings
 from hybrid.rectify.splines.displacement import SplineConfig, fit_displacement
 from hybrid.rectify.splines.sightings import Sightings, carried
-from hybrid.strips import SIDES, StripConfig, StripReader, edge_strips, strip_copy
+from hybrid.strips import SIDES, Side, StripConfig, StripReader, edge_strips, strip_copy
 
 SUPPORT_ROWS = 2
 """Rows on each side of an edge within which a reading agrees with it."""
@@ -140,6 +140,10 @@ class EdgesRead:
     def weakest(self) -> str:
         """Name of the side with the least support."""
         return SIDES[int(self.support.argmin())].name
+
+    def support_of(self, side: Side) -> float:
+        """That of one of SIDES."""
+        return float(self.support[SIDES.index(side)])
 
     def seen_through(self, film: BackwardMap) -> tuple[Sightings, ...]:
         """The sightings as if they had been made through another map that is near."""

@@ -102,7 +102,7 @@ class LongerSheet:
     def chance(self, across: EdgesRead) -> float:
         """Probability of the margins, given the edges read across a map that has them: that of a new end times that of
         the side edges gained there, for the end where this is least."""
-        return min(float(across.support[SIDES.index(end)]) * self._sides(across, end) for end in self.gained)
+        return min(across.support_of(end) * self._sides(across, end) for end in self.gained)
 
     def only(self, end: Side) -> LongerSheet:
         """The same with one of the new ends alone."""
