@@ -9,7 +9,7 @@ from told_cells import bent_along, even_grid, told_of
 
 from hybrid.backward import BackwardMap, end_point_error
 from hybrid.coords import film_nodes, node_centres_1d
-from hybrid.rectify.coarse.foreshortening import ForeshorteningConfig, bent, even, spacing
+from hybrid.rectify.coarse.foreshortening import ForeshorteningConfig, bent, even, spacing, turned_away
 from hybrid.rectify.edges.outline import edge_sightings
 from hybrid.rectify.grid.phases import CellPhases
 from hybrid.rectify.refine.config import RefineConfig
@@ -55,6 +55,20 @@ def test_the_spacing_that_is_found_is_the_one_that_was_made():
         found = spacing(along, CONFIG)
         assert found.pitch == pytest.approx(1 / cells, rel=0.03)
         assert np.abs(bent(t, found.bend) - (t + t * (1 - t) * made)).max() < 0.03
+
+
+def test_each_end_turns_away_in_one_map_of_a_bend():
+    """There a tenth of the sheet takes less room than in the flat map, and nothing else changes along its edge."""
+    end = np.array([[0.0, 0.5], [0.1, 0.5], [0.9, 0.5], [1.0, 0.5], [0.5, 0.0], [0.5, 0.1], [0.5, 0.9], [0.5, 1.0]])
+    shares = []
+    for film in turned_away(FLAT, [(0.7, 0.35)]):
+        first, last = film.photo_from_film(end)[::2], film.photo_from_film(end)[1::2]
+        shares.append(np.linalg.norm(last - first, axis=1) / np.array([40.0, 40.0, 30.0, 30.0]))
+        assert np.allclose(film.photo_from_film(np.eye(2)), FLAT.photo_from_film(np.eye(2)))
+        assert not film.folds()
+    assert sorted(np.argmin(shares, axis=1)) == [0, 1, 2, 3]
+    assert np.allclose(np.min(shares, axis=1), 0.5, atol=0.05)
+    assert turned_away(FLAT, []) == []
 
 
 @pytest.mark.parametrize("margin", [0.0, 0.04])

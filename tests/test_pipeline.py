@@ -24,15 +24,17 @@ from data_gen.sample import SampleConfig, film_samples
 from hybrid.backward import Orientation, end_point_error, film_as_seen, mean_move
 from hybrid.effort import Effort
 from hybrid.errors import ConfigError, DataError, PhotoError
+from hybrid.learn.reading.views import plane_of
 from hybrid.pipeline import Rectifier, RectifyConfig
 from hybrid.pipeline.doubt import Judged, beyond_doubt, judged
 from hybrid.pipeline.geometry import shape_of
 from hybrid.pipeline.job import Job
-from hybrid.pipeline.looks import checked, see
-from hybrid.pipeline.starts import other_starts
+from hybrid.pipeline.looks import checked, see, see_bent
+from hybrid.pipeline.starts import BENDS, BENT, KEPT, other_starts
 from hybrid.pipeline.whole_sheet import WholeSheet
 from hybrid.pyramid import Pyramid
 from hybrid.records import StageReport, StatusCode
+from hybrid.rectify.coarse.foreshortening import turned_away
 from hybrid.rectify.coarse.invert import Inversion, NotInverted
 from hybrid.rectify.verdict.nearness import nearness
 from hybrid.rectify.verdict.survey import Verdict
@@ -188,6 +190,35 @@ def test_other_starts_assume_other_things(doubted, monkeypatch):
     for start in (right, below, mirrored):
         assert start.counts is None
         assert 0.0 < mean_move(film, start.film) < 0.02
+
+
+def test_looks_through_maps_that_are_off_lead_nearer_to_the_film(doubted):
+    job, seen, first = doubted
+    network, film = job.readers.network, first.refinement.backward
+    wrong = turned_away(film, BENDS)
+    left = []
+    for one in wrong:
+        (found,) = see_bent(network, seen, job.config, [one], (1, 1))
+        left.append(mean_move(film, found.inversion.backward) / mean_move(film, one))
+    assert max(left) < 1.0
+    assert np.median(left) < 0.75
+    surest, *others = see_bent(network, seen, job.config, [*wrong, film], (4, 3, 2))
+    assert len(others) == 1
+    assert mean_move(film, surest.inversion.backward) < 0.01
+
+
+def test_an_end_of_a_bent_sheet_may_turn_away_further_than_it_seems(doubted, monkeypatch):
+    """What the network then sees takes the place of the plane, which no bent sheet is near."""
+    job, seen, first = doubted
+    film, grid = first.refinement.backward, first.refinement.grid
+    usual = list(other_starts(job, seen, film, grid))
+    monkeypatch.setattr("hybrid.pipeline.starts.BENT", 0.0)
+    bent = list(other_starts(job, seen, film, grid))
+    assert len(bent) == len(usual) - 1 + KEPT[-1]
+    for start in bent[: KEPT[-1]]:
+        assert start.phases is not None
+        assert mean_move(film, start.film) < 0.02
+    assert mean_move(film, plane_of(film)) < BENT  # the example's film hardly bends
 
 
 def test_a_film_whose_cells_were_counted_wrongly_is_put_right(doubted):

@@ -169,9 +169,40 @@ def network_beside(network: FilmNet, seen: LastLook, config: RectifyConfig, film
 
 def seen_through(network: FilmNet, seen: LastLook, config: RectifyConfig, film: BackwardMap) -> CoarseMaps:
     """What the network sees of the film when a map flattens it (as a plane sheet)."""
-    plane = plane_of(film.cropped((0.0, 0.0), (1 / seen.factor, 1 / seen.factor)))
+    plane = plane_of(_reduced(film, seen))
     (again,) = look(network, seen.photo, [film_view(plane, config.predict.margin)])
     return again.enlarged(seen.factor)
+
+
+def see_bent(
+    network: FilmNet, seen: LastLook, config: RectifyConfig, films: Sequence[BackwardMap], kept: Sequence[int]
+) -> list[LastLook]:
+    """The looks through ``films`` that the network is surest of, then of looks through the maps of these, and so on.
+
+    A look through a map that is off by less than half a cell is nearer to the truth, so each round brings right ones
+    closer to it. kept: how many looks each round leaves; the last one's are returned, the surest first.
+    """
+    films, found = [_reduced(film, seen) for film in films], list[tuple[CoarseMaps, Inversion, BackwardMap]]()
+    for most in kept:
+        views = [film_view(film, config.predict.margin) for film in films]
+        looks = zip(look(network, seen.photo, views), views, strict=True)
+        found.clear()
+        for maps, view in sorted(looks, key=lambda each: expected_error(each[0])):
+            inversion = fit_backward(maps, config.invert)
+            if isinstance(inversion, Inversion) and not inversion.backward.folds((17, 17)):
+                found.append((maps, inversion, view))
+            if len(found) == most:
+                break
+        films = [inversion.backward for _, inversion, _ in found]
+    return [
+        replace(seen, maps=maps.enlarged(seen.factor), inversion=inversion.enlarged(seen.factor), view=view)
+        for maps, inversion, view in found
+    ]
+
+
+def _reduced(film: BackwardMap, seen: LastLook) -> BackwardMap:
+    """The map of a film in the copy of the photo that the network saw."""
+    return film.cropped((0.0, 0.0), (1 / seen.factor, 1 / seen.factor))
 
 
 __all__ = [
@@ -181,6 +212,7 @@ __all__ = [
     "network_beside",
     "see",
     "see_at",
+    "see_bent",
     "see_from_sides",
     "seen_through",
 ]

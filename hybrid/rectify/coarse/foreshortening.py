@@ -116,6 +116,14 @@ def unbent(film: BackwardMap, bends: tuple[Bend, Bend]) -> BackwardMap:
     return BackwardMap(film.photo_from_film(np.stack(np.meshgrid(u, v), axis=-1)))
 
 
+def turned_away(film: BackwardMap, bends: Sequence[Bend]) -> list[BackwardMap]:
+    """The maps by which one end of the sheet turns away from the camera more than ``film`` says: each of the four ends,
+    by each of these bends along its axis."""
+    straight = (0.0, 0.0)
+    both = [(sign * a, b) for a, b in bends for sign in (-1, 1)]
+    return [unbent(film, pair) for bend in both for pair in ((bend, straight), (straight, bend))]
+
+
 # ---------------------------------------------------------------- steps
 
 
@@ -150,4 +158,4 @@ def _sightings(
     return Sightings(axis, uv[counts], known, sigma, shared, np.array(config.shared_sigma))
 
 
-__all__ = ["Bend", "ForeshorteningConfig", "Spacing", "bent", "even", "spacing", "unbent"]
+__all__ = ["Bend", "ForeshorteningConfig", "Spacing", "bent", "even", "spacing", "turned_away", "unbent"]
