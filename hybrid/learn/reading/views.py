@@ -1,8 +1,8 @@
 """Views: what the network is shown. A view maps its own unit square to the photo, as a film does (a BackwardMap).
 
 The first view is a square window of the photo. Once the film is roughly known, the next views show it as the map so far
-would flatten it, so that what is left to predict is small: by the homography nearest to that map or, in training only,
-by the bent map itself.
+would flatten it, so that what is left to predict is small: by the homography nearest to that map or, in training and
+where a bent film is in doubt, by the bent map itself.
 """
 
 from __future__ import annotations
