@@ -207,6 +207,12 @@ def test_looks_through_maps_that_are_off_lead_nearer_to_the_film(doubted):
     assert mean_move(film, surest.inversion.backward) < 0.01
 
 
+def test_looks_that_show_no_film_lead_nowhere(doubted, monkeypatch):
+    job, seen, first = doubted
+    monkeypatch.setattr("hybrid.pipeline.looks.fit_backward", lambda *_: NotInverted("nothing is seen"))
+    assert see_bent(job.readers.network, seen, job.config, [first.refinement.backward], KEPT) == []
+
+
 def test_an_end_of_a_bent_sheet_may_turn_away_further_than_it_seems(doubted, monkeypatch):
     """What the network then sees takes the place of the plane, which no bent sheet is near."""
     job, seen, first = doubted

@@ -179,8 +179,8 @@ def see_bent(
 ) -> list[LastLook]:
     """The looks through ``films`` that the network is surest of, then of looks through the maps of these, and so on.
 
-    A look through a map that is off by less than half a cell is nearer to the truth, so each round brings right ones
-    closer to it. kept: how many looks each round leaves; the last one's are returned, the surest first.
+    What is seen through a map that is off is nearer to the truth, as a rule, so each round brings good ones closer to
+    it. kept: how many looks each round leaves; the last one's are returned, the surest first, if any shows a film.
     """
     films, found = [_reduced(film, seen) for film in films], list[tuple[CoarseMaps, Inversion, BackwardMap]]()
     for most in kept:
@@ -193,6 +193,8 @@ def see_bent(
                 found.append((maps, inversion, view))
             if len(found) == most:
                 break
+        if not found:
+            break
         films = [inversion.backward for _, inversion, _ in found]
     return [
         replace(seen, maps=maps.enlarged(seen.factor), inversion=inversion.enlarged(seen.factor), view=view)

@@ -65,11 +65,12 @@ def other_starts(job: Job, seen: LastLook, ended: BackwardMap, grid: SliceGrid |
     ended, grid: map and grid of the refinement from the usual start.
     """
     plane = plane_of(ended)
+    if not isinstance(seen.inversion, Inversion):
+        yield on_edges(job, plane, None)
+        return
     if mean_move(ended, plane) < BENT:
         yield on_edges(job, plane, None)
-    if not isinstance(seen.inversion, Inversion):
-        return
-    if mean_move(ended, plane) >= BENT:
+    else:
         yield from _turned_away(job, seen, seen.inversion.backward)
     phases = job.phases_of(seen.maps)
     start = on_edges(job, seen.inversion.backward, phases)
