@@ -21,7 +21,7 @@ from hybrid.rectify.refine.glance import VIEW_PX
 LEAST_COUNTED, MOST_COUNTS = 0.05, 2
 """Least probability of other numbers of cells that are worth a try, and how many of these there are at most."""
 
-BENT = 0.008
+BENT = 0.013
 """Least mean distance from a plane, in parts of the film, of a sheet one end of which may turn away unnoticed."""
 
 BENDS = ((0.4, 0.2), (0.7, 0.35))
