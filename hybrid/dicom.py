@@ -18,7 +18,8 @@ from pydicom.dataset import Dataset, FileMetaDataset
 from pydicom.uid import ExplicitVRLittleEndian, SecondaryCaptureImageStorage
 
 from hybrid import __version__
-from hybrid.image_io import jpeg_extent, levels_16, photo_size, tiff_compression
+from hybrid.image_io import levels_16, photo_size, tiff_compression
+from hybrid.jpeg import jpeg_extent
 from hybrid.records import RectifyResult
 
 JPEG, JPEG_2000, HEVC, WEBP, AV1 = "ISO_10918_1", "ISO_15444_1", "ISO_23008_2", "RFC_9649", "AOM_AV1"

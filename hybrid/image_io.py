@@ -8,7 +8,6 @@ import threading
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NoReturn, TypeAlias
 
@@ -20,6 +19,7 @@ from PIL import Image, ImageOps, UnidentifiedImageError
 from hybrid.coords import rgb_from_bgr
 from hybrid.errors import PhotoError, describe
 from hybrid.files import write_bytes
+from hybrid.jpeg import JPEG_START, jpeg_end, jpeg_header
 
 MAX_PIXELS = 400_000_000
 """Larger pictures are refused: no phone makes them, and decoding one takes gigabytes."""
@@ -35,7 +35,6 @@ BITS, COMPRESSION, PLANES = 258, 259, 284
 
 READABLE = "JPEG, PNG, TIFF, WebP or HEIC"
 SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp", ".heic", ".heif", ".avif", ".bmp", ".jp2")
-_JPEG_START, _JPEG_END = b"\xff\xd8\xff", b"\xff\xd9"
 _NOTHING_WRITTEN = 64
 """A JPEG that ends in this many zeros was never written to its end; pixels seldom make more than four."""
 _DAMAGED = "The picture is damaged or cut off"
@@ -86,11 +85,11 @@ def read_photo(path: str | os.PathLike[str]) -> UInt8[np.ndarray, "h w 3"]:
     """
     path = Path(path)
     data = _read_if_jpeg(path)
-    header = _jpeg_header(data)
+    header = jpeg_header(data)
     if header is None:
         return _decode_with_pillow(path)
     _check_size(header.height, header.width, path)
-    unended = data.find(_JPEG_END, header.scan_start) < 0
+    unended = jpeg_end(data, header) is None
     if unended and data.endswith(bytes(_NOTHING_WRITTEN)):  # within a scan, a decoder takes zeros for pixels
         got = "zeros where the picture should end"
         raise PhotoError(describe(what=_DAMAGED, where=path, got=got, do=_TAKE_AGAIN))
@@ -104,7 +103,7 @@ def read_photo(path: str | os.PathLike[str]) -> UInt8[np.ndarray, "h w 3"]:
 def pictures_in(path: str | os.PathLike[str]) -> int:
     """How many pictures the file of a photo holds, as TIFFs may have several pages; one for a JPEG."""
     with Path(path).open("rb") as file:
-        if file.read(len(_JPEG_START)) == _JPEG_START:
+        if file.read(len(JPEG_START)) == JPEG_START:
             return 1
         try:
             with _pillow_limits(), Image.open(file) as image:
@@ -138,18 +137,6 @@ def tiff_compression(data: bytes) -> int | None:
         return getattr(image, "tag_v2", {}).get(COMPRESSION)
 
 
-def jpeg_extent(data: bytes) -> tuple[int, int] | None:
-    """Number of colours of a JPEG, and number of bytes up to its end; None for other files.
-
-    What phones append to it, such as video clips and brightness maps, is separate from the picture.
-    """
-    header = _jpeg_header(data)
-    if header is None:
-        return None
-    end = data.find(_JPEG_END, header.scan_start)
-    return header.components, len(data) if end < 0 else end + len(_JPEG_END)
-
-
 def _read_if_jpeg(path: Path) -> bytes:
     """The whole file if it is a JPEG, else its first bytes; PhotoError if it is not a file, or empty."""
     try:
@@ -162,8 +149,8 @@ def _read_if_jpeg(path: Path) -> bytes:
         if not path.is_file():
             _refuse_file("This is no regular file", path, "Save the photo to a file first: it is read more than once.")
         with path.open("rb") as file:
-            start = file.read(len(_JPEG_START))
-            data = start + file.read() if start == _JPEG_START else start
+            start = file.read(len(JPEG_START))
+            data = start + file.read() if start == JPEG_START else start
     except OSError as error:
         raise PhotoError(
             describe(what="The photo cannot be opened", where=path, got=error.strerror, do="Check its permissions.")
@@ -171,40 +158,6 @@ def _read_if_jpeg(path: Path) -> bytes:
     if not data:
         _refuse_file("The file is empty", path, "Copy it from the phone once more.")
     return data
-
-
-@dataclass(frozen=True)
-class _JpegHeader:
-    """What a JPEG says before its pixels: size, number of colour components, and the byte where the scan starts."""
-
-    height: int
-    width: int
-    components: int
-    scan_start: int
-
-
-def _jpeg_header(data: bytes) -> _JpegHeader | None:
-    """Walk the segments of a JPEG up to its first scan; None for another format or a header that makes no sense.
-
-    Thumbnails inside the EXIF segment are skipped, so their end marker is not taken for the photo's.
-    """
-    if not data.startswith(_JPEG_START):
-        return None
-    frame: tuple[int, int, int] | None = None
-    at = 2
-    while at + 4 <= len(data) and data[at] == 0xFF:
-        marker = data[at + 1]
-        if marker == 0xFF:  # fill bytes before a marker
-            at += 1
-            continue
-        length = int.from_bytes(data[at + 2 : at + 4], "big")
-        body = data[at + 4 : at + 10]
-        if 0xC0 <= marker <= 0xCF and marker not in (0xC4, 0xC8, 0xCC) and len(body) == 6:
-            frame = (int.from_bytes(body[1:3], "big"), int.from_bytes(body[3:5], "big"), body[5])
-        at += 2 + length
-        if marker == 0xDA:
-            return _JpegHeader(*frame, scan_start=at) if frame else None
-    return None
 
 
 @contextmanager
@@ -394,7 +347,6 @@ __all__ = [
     "MIN_SIDE",
     "PhotoSource",
     "as_photo",
-    "jpeg_extent",
     "levels_16",
     "opened",
     "photo_size",

@@ -14,7 +14,8 @@ from PIL import Image
 from PIL.ExifTags import Base
 
 from hybrid.errors import PhotoError
-from hybrid.image_io import MAX_PIXELS, as_photo, jpeg_extent, read_photo, write_film, write_rgb
+from hybrid.image_io import MAX_PIXELS, as_photo, read_photo, write_film, write_rgb
+from hybrid.jpeg import jpeg_extent
 
 LOSSLESS = 0.0
 JPEG_GREY_LEVELS = 2.0  # mean error of a smooth picture at quality 95, with another decoder's rounding

@@ -98,7 +98,7 @@ def test_every_folder_has_its_place_in_the_order(package: str) -> None:
     assert {part_of(folder, package) for folder in folders - {package}} <= set(ORDERS[package])
 
 
-CORE = ("records", "coords", "errors", "backward", "files", "image_io", "metrics", "draw", "pyramid")
+CORE = ("records", "coords", "errors", "backward", "files", "jpeg", "image_io", "metrics", "draw", "pyramid")
 
 
 @pytest.mark.parametrize("module", CORE)
