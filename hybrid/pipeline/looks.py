@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 
 import numpy as np
 
@@ -15,7 +16,7 @@ from hybrid.learn.reading.views import film_view, near_views, plane_of, whole_vi
 from hybrid.pyramid import Photo, Pyramid
 from hybrid.records import CoarseMaps, StatusCode
 from hybrid.rectify.coarse.corners import put_on_corners
-from hybrid.rectify.coarse.invert import Inversion, NotInverted, change, fit_backward
+from hybrid.rectify.coarse.invert import Inversion, InvertConfig, NotInverted, change, fit_backward
 from hybrid.rectify.verdict.survey import SurveyConfig, Verdict, expected_error, film_share, survey_maps, survey_print
 from hybrid.rectify.verdict.trust import seen_beside
 from hybrid.stages import Clock
@@ -182,24 +183,29 @@ def see_bent(
     What is seen through a map that is off is nearer to the truth, as a rule, so each round brings good ones closer to
     it. kept: how many looks each round leaves; the last one's are returned, the surest first, if any shows a film.
     """
-    films, found = [_reduced(film, seen) for film in films], list[tuple[CoarseMaps, Inversion, BackwardMap]]()
+    views = [film_view(_reduced(film, seen), config.predict.margin) for film in films]
+    found: list[tuple[CoarseMaps, Inversion, BackwardMap]] = []
     for most in kept:
-        views = [film_view(film, config.predict.margin) for film in films]
         looks = zip(look(network, seen.photo, views), views, strict=True)
-        found.clear()
-        for maps, view in sorted(looks, key=lambda each: expected_error(each[0])):
-            inversion = fit_backward(maps, config.invert)
-            if isinstance(inversion, Inversion) and not inversion.backward.folds((17, 17)):
-                found.append((maps, inversion, view))
-            if len(found) == most:
-                break
+        surest = sorted(looks, key=lambda each: expected_error(each[0]))
+        found = list(islice(_fitted(surest, config.invert), most))
         if not found:
             break
-        films = [inversion.backward for _, inversion, _ in found]
+        views = [film_view(inversion.backward, config.predict.margin) for _, inversion, _ in found]
     return [
         replace(seen, maps=maps.enlarged(seen.factor), inversion=inversion.enlarged(seen.factor), view=view)
         for maps, inversion, view in found
     ]
+
+
+def _fitted(
+    looks: Iterable[tuple[CoarseMaps, BackwardMap]], config: InvertConfig
+) -> Iterator[tuple[CoarseMaps, Inversion, BackwardMap]]:
+    """The looks, maps and view each, that show a film, with its map; each is fitted when it is asked for."""
+    for maps, view in looks:
+        inversion = fit_backward(maps, config)
+        if isinstance(inversion, Inversion) and not inversion.backward.folds((17, 17)):
+            yield maps, inversion, view
 
 
 def _reduced(film: BackwardMap, seen: LastLook) -> BackwardMap:
